@@ -1,8 +1,8 @@
-"""A gyro as a witness of turning: angular velocities of an Imu topic, their vertical axis, and the heading they give.
+"""Yaw rate from an IMU topic, used to separate wheel errors from heading errors.
 
-A gyro measures turns alone, up to a gain and an offset of its own. Beside a truth it shows whether the odometry's
-heading comes from the wheels or from the gyro, which no truth can. Without one it is the truth itself, of headings:
-its positions are the odometry's travel along its own headings, their variance such that they carry no information.
+A gyro measures turns only, with a scale error and a bias. In addition to a truth it shows whether the odometry's
+heading comes from the wheels or from the gyro, which a truth cannot show. Without a truth it serves as a truth of
+headings; its positions are the odometry's travel along the gyro's headings, with a variance that removes their weight.
 """
 
 from __future__ import annotations
@@ -31,32 +31,32 @@ __all__ = ["SCALE_ACCURACY", "Gyro", "YawGyro", "gyro_truth", "only_imu", "read_
 
 IMU = "sensor_msgs/msg/Imu"
 SCALE_ACCURACY = 0.01
-"""Standard deviation of a gyro's own scale error where nobody says better: 1 % (MEMS, not calibrated)."""
+"""Default standard deviation of a gyro's scale error: 1 % (uncalibrated MEMS)."""
 _FEWEST = 50
 _GRID_S = 0.05
-_LAG_S = 1.0
-_ALIKE = 0.6
-_SPREAD_S = 0.3
-_STILL_S = 1.0
+_LAG_S = 1.0  # largest lag between gyro and odometry
+_ALIKE = 0.6  # least correlation of their yaw rates
+_SPREAD_S = 0.3  # time over which yaw rates are averaged
+_STILL_S = 1.0  # shortest rest
 _STILL_MPS, _STILL_RADPS = 2e-3, 2e-3
-_LEAST_STILL_S = 3.0
-_KNOWN_BIAS_RADPS, _UNKNOWN_BIAS_RADPS = 3e-4, 0.02
+_LEAST_STILL_S = 3.0  # total rest for a measured bias
+_KNOWN_BIAS_RADPS, _UNKNOWN_BIAS_RADPS = 3e-4, 0.02  # standard deviations of a bias measured, and not measured, at rest
 _MOST_BIAS_RADPS = 0.05
-_SAME, _OTHER = 0.1, 0.5
-_EXACT_RAD = 1e-7
-_RIDGE = 0.05
-_MOST_HZ = 100.0
-_UNKNOWN_M2 = 100.0
-_LAG_SAID_S = 0.01
+_SAME, _OTHER = 0.1, 0.5  # residual jitter (relative) and correlation at rest that identify a heading from the gyro
+_EXACT_RAD = 1e-7  # smaller heading steps count as zero
+_RIDGE = 0.05  # regularisation of the axis estimate, relative to the trace
+_MOST_HZ = 100.0  # highest rate of a truth made from a gyro
+_UNKNOWN_M2 = 100.0  # position variance of such a truth
+_LAG_SAID_S = 0.01  # shorter lags are not reported
 
 
 @dataclass(frozen=True, slots=True)
 class Gyro:
     """Angular velocities as recorded.
 
-    place : what messages call the topic: "run.bag: /imu/data"
-    stamps_ns : (n,) growing
-    rates : (n, 3) rad/s in the sensor's axes
+    place : name of bag and topic in messages: "run.bag: /imu/data"
+    stamps_ns : (n,) increasing
+    rates : (n, 3) angular velocities in the sensor's axes, rad/s
     """
 
     place: str
@@ -67,13 +67,13 @@ class Gyro:
 
 @dataclass(frozen=True, slots=True)
 class YawGyro:
-    """The vertical part of a gyro, on the odometry's clock.
+    """Yaw rate from a gyro, on the odometry's clock.
 
     stamps_ns : (n,)
-    rate : (n,) yaw rate less the bias, rad/s; its gain is the gyro's own
-    bias_error_radps : standard deviation of what may be left of the bias
-    heading_source : where the odometry's heading comes from: "wheels", "gyro", or "" where it does not show
-    notes : what was found, in words
+    rate : (n,) yaw rate minus the estimated bias, rad/s; includes the gyro's scale error
+    bias_error_radps : standard deviation of the remaining bias
+    heading_source : source of the odometry's heading: "wheels", "gyro", or "" if undecided
+    notes : findings, for reports
     """
 
     place: str
@@ -85,7 +85,7 @@ class YawGyro:
     notes: tuple[str, ...]
 
     def heading_at(self, stamps_ns: NDArray[np.int64]) -> Array:
-        """Return the summed heading (m,) at stamps within the record, rad; zero at its start."""
+        """Return the integrated heading (m,) at stamps within the record, rad; zero at its start."""
         origin = int(self.stamps_ns[0])
         own = (self.stamps_ns - origin) * 1e-9
         heading = np.concatenate(([0.0], np.cumsum(0.5 * (self.rate[1:] + self.rate[:-1]) * np.diff(own))))
@@ -94,21 +94,21 @@ class YawGyro:
 
 
 def only_imu(path: Path) -> str | None:
-    """Return the only Imu topic of a bag; None where there is none, or several."""
+    """Return the Imu topic of a bag with exactly one; otherwise None."""
     with open_reader(path) as reader:
         topics = {c.topic for c in reader.channels.values() if c.msgtype == IMU}
     return topics.pop() if len(topics) == 1 else None
 
 
 def read_gyro(path: Path, place: str, topic: str) -> Gyro:
-    """Read the angular velocities of an Imu topic.
+    """Return the angular velocities of an Imu topic.
 
     Raises
     ------
     TopicError
-        Where the bag has no such topic.
+        If the bag has no such topic.
     RecordingError
-        Where it holds too few, or nothing but zeros: a driver without a gyro.
+        If there are too few angular velocities, or all are zero (a driver without a gyro).
 
     """
     parts: list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] = []
@@ -139,15 +139,15 @@ def read_gyro(path: Path, place: str, topic: str) -> Gyro:
 
 
 def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
-    """Return the part of a gyro that is the robot's yaw rate, its lag and bias taken out.
+    """Return the robot's yaw rate according to a gyro, corrected for lag and bias.
 
-    The vertical axis is the direction in which its rates follow the odometry's turns: TF need not say it, and often
-    says it wrongly.
+    The vertical axis is found by regression of the odometry's yaw rate on the gyro's rates; TF is not used, because it
+    is often missing or wrong.
 
     Raises
     ------
     RecordingError
-        Where the odometry does not turn, or the gyro does not turn with it.
+        If the odometry does not turn, or if the gyro's rates do not correlate with its turns.
 
     """
     odo_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
@@ -185,7 +185,7 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
         bias, error = float(np.median(_rate_on(own_s - lag_s, own, grid) - turned)), _UNKNOWN_BIAS_RADPS
         how = "taken from the odometry, which hardly rests: not known"
         if abs(bias) > _MOST_BIAS_RADPS:
-            # wheels that skid, not a gyro that is off by degrees a second
+            # A difference this large comes from skidding wheels, not from a gyro.
             bias, how = 0.0, "not known, for the odometry hardly rests"
     found = YawGyro(gyro.place, gyro.topic, stamps, rate - bias, error, "", ())
     source = _heading_source(found, odometry, still)
@@ -207,12 +207,12 @@ _SOURCES = {
 
 
 def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
-    """Return a truth of headings: positions are the odometry's travel along the gyro's headings, and carry nothing.
+    """Return a truth of headings from a gyro; its positions are the odometry's travel and have a large variance.
 
     Raises
     ------
     RecordingError
-        Where the odometry's heading is this gyro's, so that there is no second witness.
+        If the odometry's heading comes from this gyro, which then cannot serve as a reference.
 
     """
     if gyro.heading_source == "gyro":
@@ -252,7 +252,7 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
 
 
 def _summed(t_s: Array, rates: Array) -> Array:
-    """Return angles (n, c) summed from rates (n, c) by trapezia, rad."""
+    """Return angles (n, c) integrated from rates (n, c) by the trapezoidal rule, rad."""
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t_s)[:, None]
     return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(steps, axis=0)))
 
@@ -266,13 +266,13 @@ def _rate_on(t_s: Array, angle: Array, grid: Array) -> Array:
 
 
 def _lagged(own_s: Array, angles: Array, grid: Array, turned: Array) -> tuple[float, Array, float]:
-    """Return the gyro's lag, coefficients (3,) that make its rates the odometry's yaw rate, and their correlation."""
+    """Return the gyro's lag, s, the coefficients (3,) that give the odometry's yaw rate, and the correlation."""
 
     def tried(lag: float) -> tuple[float, Array]:
         rates = np.stack([_rate_on(own_s - lag, angles[:, i], grid) for i in range(3)], axis=1)
         rates -= np.median(rates[resting], axis=0) if resting.sum() > _FEWEST else 0.0
         square = rates.T @ rates
-        # of an axis that hardly turns nothing is known: it must not stand in for one that does
+        # Regularised: an axis that hardly turns must not replace one that does.
         solution = np.linalg.solve(square + _RIDGE * np.trace(square) * np.eye(3), rates.T @ turned)
         fitted = rates @ solution
         return float(fitted @ turned) / max(float(np.linalg.norm(fitted) * np.linalg.norm(turned)), 1e-12), solution
@@ -288,12 +288,12 @@ def _lagged(own_s: Array, angles: Array, grid: Array, turned: Array) -> tuple[fl
 
 
 def _still(odometry: Samples) -> NDArray[np.bool_]:
-    """Return which samples (n,) of the odometry lie in a second or more without motion."""
+    """Return which odometry samples (n,) belong to a rest of at least 1 s."""
     t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     half = 0.5 * _STILL_S
     ahead, behind = (np.clip(t_s + sign * half, t_s[0], t_s[-1]) for sign in (1.0, -1.0))
     moved = [np.interp(ahead, t_s, odometry.xyz[:, i]) - np.interp(behind, t_s, odometry.xyz[:, i]) for i in (0, 1)]
-    # how far it went, not how far it came: back and forth is no rest
+    # Use the travelled path in addition to the displacement, because back and forth is no rest.
     way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyz[:, :2], axis=0), axis=1))))
     gone = np.maximum(np.hypot(*moved), np.interp(ahead, t_s, way) - np.interp(behind, t_s, way))
     heading = np.unwrap(odometry.yaw_rad)
@@ -304,10 +304,10 @@ def _still(odometry: Samples) -> NDArray[np.bool_]:
 
 
 def _heading_source(gyro: YawGyro, odometry: Samples, still: NDArray[np.bool_]) -> str:
-    """Return where the odometry's heading comes from, by what it shares with the gyro that no wheel can.
+    """Return the source of the odometry's heading: "wheels", "gyro" or "".
 
-    Fast jitter of the gyro (third differences) is in an odometry whose heading is summed from it and in no other. And
-    wheels that rest say exactly nothing, while a gyro always says something.
+    Fast jitter of the gyro (third differences) appears only in a heading integrated from it. At rest, a heading from
+    wheels is exactly constant, while the gyro's is noisy.
     """
     inside = (odometry.stamps_ns > gyro.stamps_ns[0]) & (odometry.stamps_ns < gyro.stamps_ns[-1])
     stamps, rest = odometry.stamps_ns[inside], still[inside]
@@ -332,7 +332,7 @@ def _heading_source(gyro: YawGyro, odometry: Samples, still: NDArray[np.bool_]) 
 
 
 def _axis_words(axis: Array) -> str:
-    """Return which axis of the sensor points up, in words."""
+    """Return which axis of the sensor points up, for a report."""
     largest = int(np.argmax(np.abs(axis)))
     sign = "" if axis[largest] > 0.0 else "-"
     tilt = float(np.degrees(np.arccos(min(abs(float(axis[largest])), 1.0))))

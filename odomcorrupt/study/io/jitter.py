@@ -1,7 +1,7 @@
-"""Stamps of when a pose arrived and not of when it was taken: the intervals vary, the steps between poses do not.
+"""Detection of stamps that mark a pose's arrival instead of its measurement: intervals vary but steps do not.
 
-So they do where poses are published whenever the robot has come so far: what moves then says whether its speed changed,
-the odometry at the stamps of a truth, or the truth at those of the odometry.
+Poses that are published after a fixed travel look the same. The other path, interpolated at these stamps, tells
+whether the speed really changed: odometry at the truth's stamps, or truth at the odometry's.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 __all__ = ["jitter_signs"]
 
 _AROUND = 21
-"""Samples over which speeds are taken to be the same."""
+"""Samples over which the speed is assumed constant."""
 _MOVING_MPS = 0.1
 _FEW = 200
 _LEAST_S = 2e-3
-"""Less than this moves a robot by a millimetre or two."""
+"""Smallest jitter reported: it corresponds to one or two millimetres of motion."""
 _SHARE, _PLAINLY = 0.5, 4.0
-"""Steps follow their intervals one to one where these are true; stamps jitter where by less, plainly."""
+"""Steps over intervals vary with ratio 1 if stamps are right; jitter is reported below 0.5, by 4 standard errors."""
 _GAP = 3.0
 
 
 def jitter_signs(path: Samples, other: Samples) -> list[str]:
-    """Notice stamps that jitter, which a fit can only take for noise of every step; another path shows the speed."""
+    """Return a warning if a path's stamps jitter: a fit would count it as noise of every step."""
     off_s = _jitter_s(path, other)
     if off_s is None:
         return []
@@ -38,7 +38,7 @@ def jitter_signs(path: Samples, other: Samples) -> list[str]:
 
 
 def _jitter_s(path: Samples, other: Samples) -> float | None:
-    """Return the deviation of stamps, seconds, where the poses know nothing of it; None where stamps are right."""
+    """Return the standard deviation of the stamps' jitter, seconds; None if the poses follow their stamps."""
     interval_s = np.diff(path.stamps_ns) * 1e-9
     way_m = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
     if len(interval_s) < _FEW:
@@ -60,7 +60,7 @@ def _jitter_s(path: Samples, other: Samples) -> float | None:
 
 
 def _follow(steps_m: Array, expected_m: Array) -> bool:
-    """Return whether deviations of steps (n,) may be half of what is expected of them (n,), or more."""
+    """Return whether deviations of steps (n,) may be at least half of the expected deviations (n,)."""
     square = float(expected_m @ expected_m)
     share = float(expected_m @ steps_m) / square
     error = float(np.std(steps_m - share * expected_m)) / float(np.sqrt(square))
@@ -68,6 +68,6 @@ def _follow(steps_m: Array, expected_m: Array) -> bool:
 
 
 def _around(values: Array) -> Array:
-    """Return the mean (n,) of so many values around each."""
+    """Return the running mean (n,) over `_AROUND` values."""
     mean: Array = np.convolve(values, np.full(_AROUND, 1.0 / _AROUND), "same")
     return mean

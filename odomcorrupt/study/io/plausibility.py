@@ -1,4 +1,4 @@
-"""Can these two be one run? Odometry and truth, before anything is computed of them."""
+"""Plausibility checks of odometry and truth as one run, before any computation."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
 __all__ = ["SHORTEST_S", "check_pair"]
 
 SHORTEST_S = 10.0
-"""Less than this in common carries no study."""
+"""Minimum overlap of odometry and truth, seconds."""
 _FEWEST = 20
 _STILL_M, _STILL_RAD = 0.05, 0.1
 _MOVES_M = 1.0
-_SCALE = 20.0
-_CLEAR = 0.7
+_SCALE = 20.0  # ratio of extents that suggests different units
+_CLEAR = 0.7  # correlation at which a time shift is suggested
 _DAY_S = 86_400.0
 _YEAR_S = 365.25 * _DAY_S
 
 
 def check_pair(odometry: Samples, truth: Samples) -> None:
-    """Refuse two that cannot be a run: no time in common, nothing moves, other units, axes, clocks or drives.
+    """Refuse odometry and truth that cannot be one run: disjoint times, no motion, other units, axes or clocks.
 
     Raises
     ------
     RecordingError
-        With what was found and the way out.
+        With the value found and the remedy.
 
     """
     _check_time(odometry, truth)
@@ -85,7 +85,7 @@ def _check_time(odometry: Samples, truth: Samples) -> None:
 
 
 def _shift(odometry: Samples, truth: Samples) -> str:
-    """Return the sentence that offers the shift of the truth which makes the motions match."""
+    """Return the advice on --truth-shift: the shift that matches the motions, or the one that matches the starts."""
     reach = max(odometry.span_s, truth.span_s)
     alike = likeness(odometry.trajectory(), truth.trajectory(), reach, from_start=True)
     best = int(np.argmax(alike.both))

@@ -1,8 +1,8 @@
-"""Whether odometry and truth are of one drive at all.
+"""Check that odometry and truth belong to the same drive.
 
-Only what is plain is refused: wheels slip, fixes drift and platforms go sideways, but over two seconds even those
-move as fast, or turn as fast, as their odometry says. Of 19 recordings by other people the worst agrees by .6 in
-one of the two, of two drives of some minutes the best by .4.
+Only clear mismatches are refused. Wheels slip, fixes drift and platforms move sideways, yet over two seconds speed or
+yaw rate still agrees with the odometry. The better of the two correlations is at least 0.6 in 19 recordings by others,
+and at most 0.4 between different drives of some minutes.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 __all__ = ["check_together"]
 
 _WINDOW_S = 2.0
-"""Motions are compared over so long: the truth's noise and the wheels' jitter are gone."""
-_REACH_S = 60.0
-_NEAR_S = 3.0
+"""Averaging time of the compared motions, which removes the truth's noise and the wheels' jitter."""
+_REACH_S = 60.0  # largest lag
+_NEAR_S = 3.0  # lags up to here count as the same clock
 _STRANGE_NEAR, _STRANGE = 0.45, 0.5
-"""Correlation that one drive has in speed or in turning: as the clocks are, and at any shift."""
+"""Least correlation of speed or yaw rate in one drive: at small lags, and at any lag."""
 _TURNS_RADPS, _SPEEDS_MPS, _SPEEDS = 0.05, 0.03, 0.15
-"""Deviation of yaw rates, of speeds, and of speeds over their root mean square, below which they may be noise."""
+"""Standard deviations of yaw rate, speed, and speed relative to its root mean square, below which it may be noise."""
 
 
 def check_together(here: Samples, there: Samples) -> None:
-    """Refuse a truth that plainly moves otherwise than the odometry, whatever its clock.
+    """Refuse a truth whose motion does not correlate with the odometry's at any lag.
 
     Raises
     ------
     RecordingError
-        With what was found and the way out.
+        With the correlations found and the remedy.
 
     """
     reach_s = min(_REACH_S, here.span_s / 2.0)
