@@ -1,4 +1,4 @@
-"""What to do next: pairs of names that the data do not separate, effects they cannot show, and the drive that would."""
+"""Advice on the next drive: aliased names, untestable effects, and the drive that resolves them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["Advice", "Ambiguity", "DetectionLimit", "UntestableEffect", "advise"
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """All that is open after a search; `best` is the plan that settles most of it, choices before the rest."""
+    """Open questions after a selection; `best` is the plan that answers most of them, ambiguities first."""
 
     choices: tuple[Ambiguity, ...]
     untestable: tuple[UntestableEffect, ...]
@@ -36,7 +36,7 @@ class Advice:
 
 
 def advise(learned: Learned) -> Advice:
-    """Return what these data leave open, and the drives that would settle it."""
+    """Return the questions that these data leave open, and the drives that would answer them."""
     drives = Drives(learned)
     choices, gains = [], []
     for look in learned.steps:

@@ -1,4 +1,4 @@
-"""A or B: pairs of names that the data do not separate, and the drive that would."""
+"""Ambiguities: pairs of aliased names, and the drive that would separate them."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ if TYPE_CHECKING:
 __all__ = ["TOO_FEW_NATS", "Ambiguity", "open_choices"]
 
 TOO_FEW_NATS = 3.0
-"""Less than this from ten minutes of the best drive: no drive is worth it."""
+"""If ten minutes of the best drive yield less, nats, no drive is recommended."""
 
 _OF_LOSSES = "ticks are too coarse to show a lost increment; publish odometry less often, several ticks an increment"
-"""What separates a larger wheel from lost increments, where an increment is a tick or two."""
+"""Way to separate a larger wheel from lost increments if an increment is only a tick or two."""
 
 _OUTDONE = "others explain it better"
-"""How a candidate is passed over that was possible by itself, but not among the few that were fitted."""
+"""Refusal of a candidate that was possible by itself but not among the few that were fitted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ambiguity:
-    """Several names that these data do not separate.
+    """Aliased names: effects that these data do not separate.
 
-    why : what the drive lacked, in words; "" where it lacked nothing
-    plan : the drive that would separate them, or None where no drive can
-    nats : by how much it is expected to favour the right one
-    hint : where no drive separates them: what else does; "" where they are only too small
+    why : motion that the drive lacked; "" if none
+    plan : the drive that would separate them, or None if no drive can
+    nats : expected log likelihood ratio in favour of the right one
+    hint : if no drive separates them, what else does; "" if they are merely too small
     """
 
     names: tuple[str, ...]
@@ -51,7 +51,7 @@ class Ambiguity:
 
 
 def open_choices(drives: Drives, look: Step) -> tuple[list[Ambiguity], list[Gain]]:
-    """Return the ambiguities that a step left open, and the information of a drive on each that it can resolve."""
+    """Return the ambiguities left by a selection step, and for those that a drive can resolve, its information."""
     if look.added is None:
         return [], []
     kinds = registry()
@@ -81,7 +81,7 @@ def open_choices(drives: Drives, look: Step) -> tuple[list[Ambiguity], list[Gain
 
 
 def _mends(drives: Drives, twin: type[Effect]) -> str:
-    """Return how to accept the twin of an effect that belongs to the set-up, which `correct` leaves alone; or ""."""
+    """Return how to apply the robot's twin of a set-up effect in `correct`, which ignores set-up effects; or ""."""
     own = next((e for e in drives.learned.fit.effects if e.name == twin.twin_of), None)
     if own is None or own.kind != "setup" or twin.kind == "setup":
         return ""
@@ -93,10 +93,10 @@ def _mends(drives: Drives, twin: type[Effect]) -> str:
 
 
 def _lookalikes(drives: Drives, look: Step) -> list[Candidate]:
-    """Return what would explain this very effect on these drives, and is no alternative for its price alone.
+    """Return candidates that would explain the included effect and are no alternatives only because of their penalty.
 
-    Of two that do the same, the one with fewer numbers is the likelier; but the data do not separate them. What needs a
-    shape to do the same, a patch as large as the floor, is the same thing in more words.
+    Of two equivalent effects the one with fewer parameters is more probable, but the data do not separate them. An
+    effect that needs a shape parameter for it (a patch as large as the floor) is the same effect and is left out.
     """
     added = look.candidates[0]
     effect = _as_fitted(added)
@@ -112,7 +112,7 @@ def _lookalikes(drives: Drives, look: Step) -> list[Candidate]:
 
 
 def _telling(drives: Drives, one: Candidate, other: Candidate) -> Gain:
-    """Return a function: expected nats that a drive adds between two names, whichever of them is true."""
+    """Return a function of a drive: the expected nats it adds to the separation of two names, in the worse case."""
     a, b = (_as_fitted(c) for c in (one, other))
     beside = [e for e in drives.learned.fit.effects if e.name not in {a.name, b.name}]
     inflation = max(one.score.inflation, other.score.inflation)
@@ -127,9 +127,9 @@ def _telling(drives: Drives, one: Candidate, other: Candidate) -> Gain:
 
 
 def _guises(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Effect]:
-    """Return an effect with every source of the heading that these data leave open, its own first.
+    """Return an effect with every heading source that these data leave open, its own first.
 
-    A straight does not say whether the wheels or a gyro give the heading; the information of a turn depends on it.
+    Straights do not show whether wheels or a gyro give the heading; the information of a turn depends on it.
     """
     words = choices(effect).get("heading", ())
     others = [replace(effect, heading=word) for word in words if word != getattr(effect, "heading", word)]  # type: ignore[type-var]
@@ -137,7 +137,7 @@ def _guises(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Ef
 
 
 def _as_fitted(candidate: Candidate) -> Effect:
-    """Return the effect at the size that it was found to have, or would have if it were added."""
+    """Return the effect with its fitted amplitude, or with its estimated one if it was not fitted."""
     effect, estimate = candidate.score.effect, candidate.score.estimate
     if candidate.fit is None:
         sizes = {p.name: float(value) for p, value in zip(amplitudes(effect), estimate, strict=True)}

@@ -1,7 +1,7 @@
-"""Clocks that these data do not determine, and effects that a clock would explain as well: which drive would.
+"""Undetermined clocks, effects that a clock offset would explain as well, and drives that would separate them.
 
-A clock is estimated before anything else and beside effects that resemble it, so it is no candidate; what a
-drive would show of it is computed here in the same terms. It belongs to one drive: the next one has a clock of its own.
+Clocks are estimated first, together with effects that resemble them, and are therefore no candidates. This module
+computes the information of a drive on a clock in the same terms. A clock belongs to one drive; the next has another.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 __all__ = ["CLOCKS", "UntestableClock", "clock_choices", "unseen_clocks"]
 
 CLOCKS = ("time_offset", "clock_skew")
-"""In the order of the two numbers of a clock."""
+"""In the order of a clock's parameters."""
 
 
 class UntestableClock(NamedTuple):
-    """A clock that was not tested, and the expected information of a drive on it."""
+    """A clock parameter that was not tested, and a drive's expected information on it."""
 
     untestable: UntestableEffect
     shows: Gain
 
 
 def unseen_clocks(drives: Drives) -> list[UntestableClock]:
-    """Return what no recording would show of a clock, were it off by its typical size."""
+    """Return the clock parameters that no recording would determine if they had their typical size."""
     beside = _beside_clocks(drives)
     found = []
     for number, name in enumerate(CLOCKS):
@@ -67,7 +67,7 @@ def unseen_clocks(drives: Drives) -> list[UntestableClock]:
 
 
 def clock_choices(drives: Drives, look: Step) -> tuple[list[Ambiguity], list[Gain]]:
-    """Return the choice between what was added and a clock that is off by a constant, if these data leave it open."""
+    """Return the ambiguity between the included effect and a constant clock offset, if these data leave it open."""
     if look.added not in RIVALS or any(free[0] for free in drives.learned.clocks.free):
         return [], []
     own = next((e for e in drives.learned.fit.effects if e.name == look.added), None)
@@ -90,7 +90,7 @@ def clock_choices(drives: Drives, look: Step) -> tuple[list[Ambiguity], list[Gai
 
 
 def _beside_clocks(drives: Drives) -> Sequence[Effect]:
-    """Return the terms that are free beside a clock: the included ones, and those that resemble a clock."""
+    """Return the terms that are free beside a clock: included ones, and those that resemble a clock."""
     own = drives.learned.fit.effects
     track = all(r.track_m is not None for r in drives.learned.fit.problem.recordings)
     kinds = [registry()[name] for name in RIVALS if track or not registry()[name].needs_track]
