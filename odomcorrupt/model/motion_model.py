@@ -115,7 +115,7 @@ class Setup:
     effects : lever arm and mounting yaw of the truth
     drive_type : steering of the robot's wheels, see `drive_types`; "" if not given
     clocks : by recording, offset (s) and rate of the odometry's clock; informative only, every run has its own
-    origin : geodetic origin of the truth's frame, for satellite fixes; places of effects are metres east and north of it
+    origin : geodetic origin of the truth's frame, for satellite fixes; places of effects are metres east and north
     """
 
     effects: tuple[Effect, ...] = ()

@@ -31,18 +31,18 @@ class Work:
         self._steps = 0
 
     def begin(self, stage: str, cost: float, left: float) -> None:
-        """Report the begin of a stage, given its cost and the expected work after it."""
+        """Report the start of a stage, given its cost and the expected work after it."""
         self._done += self._under_way
         self._under_way = cost
         self._share = max(self._share, self._done / (self._done + cost + left))
         self._watch(stage, self._share)
 
     def begin_clocks(self) -> None:
-        """Report the begin of the clock estimation, before the first step."""
+        """Report the start of the clock estimation, before the first step."""
         self.begin("clocks", 1.0, 1.0 + _MORE_STEPS + self._following)
 
     def begin_step(self) -> None:
-        """Report the begin of a selection step, the screening of effects."""
+        """Report the start of a selection step, the screening of effects."""
         self._steps += 1
         self.begin(f"search, step {self._steps}: screening effects", 0.7, 0.3 + _MORE_STEPS + self._following)
 

@@ -131,7 +131,7 @@ LACKS: tuple[MissingExcitation, ...] = (
     MissingExcitation(lambda e: "hardly sped up or braked" if e.hard_s < 5.0 else "", ("hard",)),
     MissingExcitation(lambda e: "hardly more than one heading" if e.headings <= 2 else "", ("star",)),
 )
-"""In the order of reporting: the more informative first."""
+"""In the order of evaluation: the more informative first."""
 
 
 def lacks_of(drive: Excitation) -> list[tuple[str, tuple[str, ...]]]:

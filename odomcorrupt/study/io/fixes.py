@@ -65,7 +65,7 @@ class Resolved(NamedTuple):
 
 
 def resolved(fixes: Fixes) -> Resolved:
-    """Return the positions of the resolved fixes, without float episodes and messages without a fix."""
+    """Return the positions of the resolved fixes, or of all fixes if 30 % or fewer are resolved."""
     notes: list[str] = []
     there = np.isfinite(fixes.lla[:, :2]).all(axis=1) & (fixes.lla[:, :2] != 0.0).any(axis=1)
     there &= fixes.status != NO_FIX
