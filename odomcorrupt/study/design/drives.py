@@ -72,7 +72,7 @@ def best_plan(drives: Drives, gain: Gain) -> tuple[Plan, float]:
 def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = ()) -> Plan:
     """Return the plan that settles most questions; nats beyond those that settle a question count little.
 
-    first : primary questions, worth a longer drive
+    first : primary questions, which justify a longer drive
     beside : secondary questions, considered among plans for the primary ones
     """
     if len(first) + len(beside) == 1:

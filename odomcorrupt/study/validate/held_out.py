@@ -86,7 +86,7 @@ def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
     once = {law.name for law in learned.laws if law.regressor == "time"} if len(_runs(fitted)) == 1 else set()
     while parts := [(part,) for part in _parts(fitted)]:
-        # Also test all parts jointly: each may compensate another's harm while all of them are worse than none.
+        # Also test all parts jointly: each may compensate another's error while all of them are worse than none.
         together = [tuple(part for (part,) in parts)] if len(parts) > 1 else []
         found = _test(fitted, [*parts, *together], others, clocks)
         found = [(own, _needs_support(one, supported=bool(others)) if one.name in once else one) for own, one in found]
