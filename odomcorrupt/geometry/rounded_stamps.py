@@ -21,11 +21,11 @@ _ALL = 0.999
 """Least fraction of the stamps that are multiples of the resolution."""
 _FLOAT_NS = 1_000
 """Tolerance of a multiple, nanoseconds, for stamps stored as float seconds since 1970 (steps of 238 ns)."""
-_USUAL = 1.5
+_GAP = 1.5
 """Intervals longer than the median by this factor are gaps."""
-_VARY = 0.02
+_MIN_VARY = 0.02
 """Least fraction of deviating intervals if stamps are rounded; those of a regular clock do not deviate."""
-_EVEN_OVER, _WITHIN, _FITS = 101, 0.6, 0.99
+_WINDOW, _TOLERANCE, _MIN_IN = 101, 0.6, 0.99
 """Samples over which the rate is constant; tolerance of the even grid as a fraction of the resolution; and the least
 fraction of stamps within it."""
 
@@ -39,8 +39,8 @@ def resolution_s(stamps_ns: NDArray[np.int64]) -> float:
     whole = next((r for r in _ROUNDED_NS if np.mean(_off(stamps_ns, r) <= _FLOAT_NS) >= _ALL), 0) if len(steps) else 0
     if not whole:
         return 0.0
-    usual = steps[steps < _USUAL * np.median(steps) + whole]
-    varied = float(np.mean(np.abs(usual - np.median(usual)) > whole / 2)) > _VARY
+    usual = steps[steps < _GAP * np.median(steps) + whole]
+    varied = float(np.mean(np.abs(usual - np.median(usual)) > whole / 2)) > _MIN_VARY
     return whole * 1e-9 if varied else 0.0
 
 
@@ -56,24 +56,24 @@ def evened(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
     None if stamps are not rounded, or differ from such a grid by more than rounding explains.
     """
     rounded_s = resolution_s(stamps_ns)
-    if not rounded_s or len(stamps_ns) < 2 * _EVEN_OVER:
+    if not rounded_s or len(stamps_ns) < 2 * _WINDOW:
         return None
     t_s = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
     steps = np.diff(t_s)
-    usual = steps[steps < _USUAL * np.median(steps) + rounded_s]
+    usual = steps[steps < _GAP * np.median(steps) + rounded_s]
     period_s = float(np.mean(usual))
     if period_s < 2.0 * rounded_s:
         return None
     count = np.concatenate(([0.0], np.cumsum(np.maximum(np.round(steps / period_s), 1.0))))
     off = t_s - count * period_s
-    half = _EVEN_OVER // 2
+    half = _WINDOW // 2
     # Extrapolated by a line fit at each end, because a single sample has the full rounding error.
-    row = np.arange(_EVEN_OVER)
-    before = np.polyval(np.polyfit(row, off[:_EVEN_OVER], 1), np.arange(-half, 0))
-    after = np.polyval(np.polyfit(row, off[-_EVEN_OVER:], 1), np.arange(_EVEN_OVER, _EVEN_OVER + half))
+    row = np.arange(_WINDOW)
+    before = np.polyval(np.polyfit(row, off[:_WINDOW], 1), np.arange(-half, 0))
+    after = np.polyval(np.polyfit(row, off[-_WINDOW:], 1), np.arange(_WINDOW, _WINDOW + half))
     padded = np.concatenate((before, off, after))
-    smooth = np.convolve(padded, np.full(_EVEN_OVER, 1.0 / _EVEN_OVER), "valid")
-    if np.mean(np.abs(off - smooth) < _WITHIN * rounded_s) < _FITS:
+    smooth = np.convolve(padded, np.full(_WINDOW, 1.0 / _WINDOW), "valid")
+    if np.mean(np.abs(off - smooth) < _TOLERANCE * rounded_s) < _MIN_IN:
         return None
     even = stamps_ns[0] + np.round((count * period_s + smooth) * 1e9).astype(np.int64)
     return even if np.all(np.diff(even) > 0) else None

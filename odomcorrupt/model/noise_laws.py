@@ -58,8 +58,8 @@ class Coefficients:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             value = getattr(self, name)
-            if not 0.0 <= value <= _MOST:
-                raise ModelError(f"coefficient {name}: {value}; it must be a number from zero to {_MOST:g}")
+            if not 0.0 <= value <= _MAX_COEFFICIENT:
+                raise ModelError(f"coefficient {name}: {value}; it must be a number from zero to {_MAX_COEFFICIENT:g}")
 
     @property
     def silent(self) -> bool:
@@ -67,7 +67,7 @@ class Coefficients:
         return not any(getattr(self, name) for name in self.__slots__)
 
 
-_MOST = 1e6
+_MAX_COEFFICIENT = 1e6
 """Largest coefficient: far above any robot's, and its square is still finite."""
 
 

@@ -55,7 +55,7 @@ class _Errors:
 
 def product(xyt: Array, move: Move, variances: Variances) -> Array:
     """Return p1 p2 p3 at end poses (n, 3), in 1/(m rad^2), with variances of the odometry's motion."""
-    errors, *_ = _ways(xyt, move)
+    errors, *_ = _solutions(xyt, move)
     return _factors(errors, _checked(variances))
 
 
@@ -80,7 +80,7 @@ def hypothetical(xyt: Array, move: Move, noise: Noise) -> Array:
     v = variances_of(noise.law, noise.coefficients, steps)
     if (v.across > 0.0).any():
         raise ModelError("density: sideways noise has no closed form; leave out across_trans")
-    first, *_ = _ways(xyt, move)
+    first, *_ = _solutions(xyt, move)
     # Zero motion has no noise, so every other pose has density zero.
     with np.errstate(divide="ignore", invalid="ignore"):
         return _factors(first, np.stack((v.rot1, v.trans, v.rot2)))
@@ -90,7 +90,7 @@ def pose_density(xyt: Array, move: Move, variances: Variances) -> Array:
     """Return the density of end poses (n, 3) over x, y and theta, in 1/(m^2 rad)."""
     checked = _checked(variances)
     total = np.zeros(len(xyt))
-    for errors in _ways(xyt, move):
+    for errors in _solutions(xyt, move):
         stretch = np.abs(errors.travel_m * errors.chord_per_arc)
         total += np.nan_to_num(_factors(errors, checked) / np.maximum(stretch, 1e-12) / move.swing)
     return total
@@ -167,7 +167,7 @@ def within_map(grid: DensityGrid, space: FreeSpace, start_xy: Array, check: Chec
     return replace(grid, density=np.where(free, grid.density, 0.0) / part), part
 
 
-def _ways(xyt: Array, move: Move) -> list[_Errors]:
+def _solutions(xyt: Array, move: Move) -> list[_Errors]:
     """Return the errors that lead to poses (n, 3), for driving in the odometry's direction and in the opposite one.
 
     Noise of trans acts along one axis, so the motion's component across it is fixed; poses nearer to the start than
@@ -181,7 +181,7 @@ def _ways(xyt: Array, move: Move) -> list[_Errors]:
     # Rounding must not make the start itself unreachable.
     along = np.sqrt(np.where(along2 < -1e-12, np.nan, np.maximum(along2, 0.0)))
     sign = -1.0 if planned < 0.0 else 1.0
-    ways = []
+    solutions = []
     for travel in (sign * along, -sign * along):
         reached = move.shift_xy + (travel - planned)[:, None] * move.along_xy
         turned = wrap(np.arctan2(offset[:, 1], offset[:, 0]) - np.arctan2(reached[:, 1], reached[:, 0]))
@@ -191,8 +191,8 @@ def _ways(xyt: Array, move: Move) -> list[_Errors]:
             shorter = move.chord_per_arc(move.turn_rad + rot1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 error = travel / shorter - move.arc_m
-            ways.append(_Errors(rot1, error, rot2, travel, shorter, arc=move.arc))
-    return ways
+            solutions.append(_Errors(rot1, error, rot2, travel, shorter, arc=move.arc))
+    return solutions
 
 
 def _factors(errors: _Errors, variances: Array) -> Array:

@@ -16,7 +16,7 @@ from odomcorrupt.study.estimate.correlation_length import with_correlation_lengt
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, compare
-from odomcorrupt.study.validate.held_out import keep_what_holds
+from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 from odomcorrupt.study.validate.model_sequence import sequence_comparison
 from odomcorrupt.study.validate.reproduction import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
@@ -83,7 +83,7 @@ def learn_robot(
     )
     search = learn(recordings, work=work)
     work.begin("each part on held-out data", 1.5, 4.0)
-    search, parts = keep_what_holds(search, held_out)
+    search, parts = drop_unsupported_parts(search, held_out)
     work.begin("what the data leave open", 0.7, 3.3)
     advice = advise(search)
     work.begin("fit", 0.8, 2.5)
@@ -99,17 +99,17 @@ def learn_robot(
     work.begin("comparison on held-out data", 2.5, 0.0)
     judged_on = held_out or recordings
     comparison = compare(judged_on, models, clocks=None if held_out else search.first_clocks)
-    parts_do = contributions(search.fit, judged_on, comparison.clocks.clocks)
+    explained = contributions(search.fit, judged_on, comparison.clocks.clocks)
     return LearnedRobot(
         recordings=recordings,
         held_out=judged_on,
-        search=replace(search, contributions=parts_do),
+        search=replace(search, contributions=explained),
         advice=advice,
         base=base,
         robot=robot,
         proof=proof,
         reproduction=reproduction_of(robot.fit, proof.model),
-        dropped=tuple(part.remark for part in parts if part.harm),
+        dropped=tuple(part.remark for part in parts if part.failure),
         comparison=comparison,
     )
 

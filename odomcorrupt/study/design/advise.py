@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from odomcorrupt.study.design.ambiguities import Ambiguity, open_choices
-from odomcorrupt.study.design.clocks import clock_choices, unseen_clocks
+from odomcorrupt.study.design.ambiguities import Ambiguity, open_ambiguities
+from odomcorrupt.study.design.clocks import clock_ambiguities, undetermined_clocks
 from odomcorrupt.study.design.drives import Drives, most_useful
 from odomcorrupt.study.design.identifiability import (
     DetectionLimit,
@@ -39,9 +39,9 @@ def advise(learned: Learned) -> Advice:
     """Return the questions that these data leave open, and the drives that would answer them."""
     drives = Drives(learned)
     choices, gains = [], []
-    for look in learned.steps:
-        for asked in (open_choices, clock_choices):
-            found, gains_found = asked(drives, look)
+    for step in learned.steps:
+        for asked in (open_ambiguities, clock_ambiguities):
+            found, gains_found = asked(drives, step)
             choices += found
             gains += gains_found
     last = learned.rounds[-1]
@@ -49,7 +49,7 @@ def advise(learned: Learned) -> Advice:
     refused = [c for c in last.candidates if is_untestable(c) and c.score.effect.name not in named]
     hidden = [untestable(drives, c) for c in refused]
     shown = [shows(drives, c) for c, u in zip(refused, hidden, strict=True) if u.plan is not None]
-    clocks = [one for one in unseen_clocks(drives) if one.untestable.effect not in named]
+    clocks = [one for one in undetermined_clocks(drives) if one.untestable.effect not in named]
     hidden += [one.untestable for one in clocks] + untried(learned)
     shown += [one.shows for one in clocks if one.untestable.plan is not None]
     best = most_useful(drives, gains, shown) if gains or shown else None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from odomcorrupt.study.design.excitation import excitation, lacks_of
+from odomcorrupt.study.design.excitation import excitation, missing_excitations
 from odomcorrupt.study.design.information import planned_field, recorded_field
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES
 from odomcorrupt.study.design.plan import plan_of, safe_limits
@@ -29,7 +29,7 @@ ENOUGH_NATS = 10.0
 _SHORT_S, _LONG_S = 180.0, 600.0
 _SUFFICIENT_SHARE = 0.3
 """A missing excitation is given as reason if adding it yields at least this fraction of the best information."""
-_BESIDE = 0.2
+_SECONDARY_WEIGHT = 0.2
 """Joint weight of secondary questions, relative to the primary ones."""
 
 
@@ -61,7 +61,7 @@ class Drives:
 
 def best_plan(drives: Drives, gain: Gain) -> tuple[Plan, float]:
     """Return the most informative manoeuvre of a few minutes, or of more if that is not enough."""
-    plan, drive = _worthiest(drives, gain)
+    plan, drive = _most_valuable(drives, gain)
     nats = gain(drive)
     if nats < ENOUGH_NATS:
         gains = [(gain(field_), longer) for longer, field_ in _longer(drives, plan)]
@@ -80,12 +80,12 @@ def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = 
 
     def settled(drive: Field) -> float:
         shares = [float(np.mean([_share(gain(drive)) for gain in gains])) for gains in (first, beside) if gains]
-        return float(np.dot(shares, (1.0, _BESIDE)[: len(shares)]))
+        return float(np.dot(shares, (1.0, _SECONDARY_WEIGHT)[: len(shares)]))
 
     def answered(drive: Field) -> int:
         return sum(gain(drive) >= ENOUGH_NATS for gain in first or beside)
 
-    plan, drive = _worthiest(drives, settled)
+    plan, drive = _most_valuable(drives, settled)
     if answered(drive) >= (len(first) or 1):
         return plan
     gains = [(answered(field_), longer) for longer, field_ in _longer(drives, plan)]
@@ -97,10 +97,10 @@ def _share(nats: float) -> float:
     return max(nats, 0.0) / (max(nats, 0.0) + ENOUGH_NATS)
 
 
-def _worthiest(drives: Drives, worth: Gain) -> tuple[Plan, Field]:
+def _most_valuable(drives: Drives, value: Gain) -> tuple[Plan, Field]:
     """Return the manoeuvre of highest value in a few minutes, discounted for its additional duration."""
     tried = [drives.planned(m.name, _SHORT_S) for m in MANOEUVRES if m.least_s <= _SHORT_S]
-    return max(tried, key=lambda pair: worth(pair[1]) * min(1.0, _SHORT_S / pair[0].duration_s))
+    return max(tried, key=lambda pair: value(pair[1]) * min(1.0, _SHORT_S / pair[0].duration_s))
 
 
 def _longer(drives: Drives, plan: Plan) -> list[tuple[Plan, Field]]:
@@ -112,7 +112,7 @@ def _longer(drives: Drives, plan: Plan) -> list[tuple[Plan, Field]]:
 def missing_motion(drives: Drives, gain: Gain, best_nats: float) -> str:
     """Return the missing excitations that would have been informative, most informative first; "" if none."""
     found = []
-    for why, names in lacks_of(excitation(drives.learned.fit.problem.motions)):
+    for why, names in missing_excitations(excitation(drives.learned.fit.problem.motions)):
         gains = max(gain(drives.planned(name, _SHORT_S)[1]) for name in names)
         if gains >= _SUFFICIENT_SHARE * best_nats:
             found.append((gains, why))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Motion
 
-__all__ = ["LACKS", "Excitation", "MissingExcitation", "excitation", "lacks_of"]
+__all__ = ["EXCITATIONS", "Excitation", "MissingExcitation", "excitation", "missing_excitations"]
 
 _MOVING_MPS = 0.05
 _TURNING_RADPS = 0.1
@@ -118,7 +118,7 @@ def _moved(e: Excitation) -> str:
     return "hardly drove" if e.forward_m + e.reverse_m < 5.0 else ""
 
 
-LACKS: tuple[MissingExcitation, ...] = (
+EXCITATIONS: tuple[MissingExcitation, ...] = (
     MissingExcitation(_moved, ("squares",)),
     MissingExcitation(
         lambda e: "never reversed" if e.reverse_m < 0.01 * e.forward_m + 0.1 else "", ("there_and_back",)
@@ -134,6 +134,6 @@ LACKS: tuple[MissingExcitation, ...] = (
 """In the order of evaluation: the more informative first."""
 
 
-def lacks_of(drive: Excitation) -> list[tuple[str, tuple[str, ...]]]:
+def missing_excitations(drive: Excitation) -> list[tuple[str, tuple[str, ...]]]:
     """Return descriptions of the motions that a drive lacks, with the manoeuvres that contain them."""
-    return [(why, lack.primitives) for lack in LACKS if (why := lack.why(drive))]
+    return [(why, lack.primitives) for lack in EXCITATIONS if (why := lack.why(drive))]

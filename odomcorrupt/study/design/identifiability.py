@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
 
 __all__ = [
-    "HIDDEN",
-    "SEEN",
+    "FOUND",
+    "MASKED",
     "DetectionLimit",
     "UntestableEffect",
     "is_untestable",
@@ -34,9 +34,9 @@ __all__ = [
     "untried",
 ]
 
-SEEN = 4.2
+FOUND = 4.2
 """Size in standard errors at which an effect is found nearly always."""
-HIDDEN = 4.0
+MASKED = 4.0
 """An included term masks an effect if it increases the effect's standard error by this factor."""
 _NO_TRACK = (
     "it acts on single wheels, and the distance between these is not known; give --track where the robot has two that "
@@ -79,7 +79,7 @@ def is_untestable(candidate: Candidate) -> bool:
     if candidate.refused.startswith(_REFUSALS) or not candidate.score.separable:
         return True
     sizes_of = zip(amplitudes(candidate.score.effect), candidate.score.standard_error, strict=True)
-    return bool(candidate.refused) and any(SEEN * error > p.typical for p, error in sizes_of)
+    return bool(candidate.refused) and any(FOUND * error > p.typical for p, error in sizes_of)
 
 
 def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
@@ -94,7 +94,7 @@ def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
     why = missing_motion(drives, gain, nats) or _short_of(candidate)
     if masks := _masks(drives, effect):
         why += f", and here it looks like {' and '.join(masks)}"
-    if nats < 0.5 * SEEN**2:
+    if nats < 0.5 * FOUND**2:
         about = effect.about
         return UntestableEffect(effect.name, why, None, about.drive if about else "")
     return UntestableEffect(effect.name, why, plan)
@@ -119,7 +119,7 @@ def _masks(drives: Drives, effect: Effect) -> list[str]:
     found = []
     for e in beside:
         others = [o for o in beside if o is not e]
-        if float(np.max(sizes(effect, others, [drives.recorded]))) * HIDDEN < now:
+        if float(np.max(sizes(effect, others, [drives.recorded]))) * MASKED < now:
             found.append(e.name)
     return found
 
@@ -169,12 +169,12 @@ def untried(learned: Learned) -> list[UntestableEffect]:
     return found
 
 
-def limits(look: Step) -> list[DetectionLimit]:
+def limits(step: Step) -> list[DetectionLimit]:
     """Return the detection limits of all testable effects."""
     found = []
-    for candidate in look.candidates:
+    for candidate in step.candidates:
         score = candidate.score
         if not is_untestable(candidate):
             sizes_of = zip(amplitudes(score.effect), score.standard_error, strict=True)
-            found += [DetectionLimit(score.effect.name, p.name, SEEN * float(error), p.unit) for p, error in sizes_of]
+            found += [DetectionLimit(score.effect.name, p.name, FOUND * float(error), p.unit) for p, error in sizes_of]
     return found

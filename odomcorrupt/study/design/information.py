@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Field", "clock_errors", "planned_field", "recorded_field", "separation", "sizes"]
 
-_NOTHING_LEFT = 1e-4
+_MIN_NORM = 1e-4
 """A column with a smaller relative norm after projection counts as undetermined."""
 
 
@@ -124,7 +124,7 @@ def clock_errors(beside: Sequence[Effect], drive: Field, *others: Field) -> Arra
         offset, rate = left[:, 2 * run], left[:, 2 * run + 1]
         apart = rate - offset * float(offset @ rate) / max(float(offset @ offset), 1e-300)
         for number, (column, whole) in enumerate(((offset, pairs[:, 2 * run]), (apart, pairs[:, 2 * run + 1]))):
-            if np.linalg.norm(column) > _NOTHING_LEFT * np.linalg.norm(whole):
+            if np.linalg.norm(column) > _MIN_NORM * np.linalg.norm(whole):
                 best[number] = min(best[number], 1.0 / float(np.linalg.norm(column)))
     return best
 

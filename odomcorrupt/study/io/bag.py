@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["read_bag"]
 
 _ENCODINGS = ("cdr", "ros1")
-_MOST_M2 = 1e12
+_MAX_M2 = 1e12
 
 
 def read_bag(path: Path, place: str, wanted: Mapping[Role, Address | None]) -> dict[Role, Samples]:
@@ -110,10 +110,10 @@ class _PoseReader:
                     values[:, 3] = headings(gather(block, layout, item, "orientation"))
                 if "pose_covariance" in item.fields:
                     covariance = gather(block, layout, item, "pose_covariance")
-                    values[:, 4] = covariance[:, [0, 7]].clip(-_MOST_M2, _MOST_M2).sum(axis=1)
+                    values[:, 4] = covariance[:, [0, 7]].clip(-_MAX_M2, _MAX_M2).sum(axis=1)
                 if "covariance" in item.fields:  # of a satellite fix; 0 if the receiver reports none
                     covariance = gather(block, layout, item, "covariance")
-                    values[:, 4] = covariance[:, [0, 4]].clip(0.0, _MOST_M2).sum(axis=1)
+                    values[:, 4] = covariance[:, [0, 4]].clip(0.0, _MAX_M2).sum(axis=1)
                     values[:, 5] = gather_status(block, layout, item)
                 self.parts.append(
                     (gather_stamps_ns(block, layout, item), block.table["log_ns"][layout.rows].astype(np.int64), values)

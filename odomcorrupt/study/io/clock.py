@@ -77,7 +77,7 @@ def coarse_clock(recording: Recording) -> Clock:
     truth = _speeds(truth_s, recording.truth.xyt, grid)
     times, lags = [], []
     for part in np.array_split(np.arange(len(grid)), count):
-        score = _likeness(odometry[part[0] : part[-1] + 2 * reach + 1], truth[part])
+        score = _correlation(odometry[part[0] : part[-1] + 2 * reach + 1], truth[part])
         best = int(np.argmax(score))
         if score[best] > 0.5 and 0 < best < 2 * reach:
             times.append(grid[part].mean())
@@ -107,12 +107,12 @@ def _course_rate(velocity: Array, at_s: Array) -> Array:
     return np.where(np.linalg.norm(velocity, axis=1) > _MOVING, rate, 0.0)
 
 
-def _likeness(a: Array, b: Array) -> Array:
+def _correlation(a: Array, b: Array) -> Array:
     """Return the correlation (m + 1,) of b (n, c) with each window of length n of a (n + m, c)."""
     n, b = len(b), b - b.mean(axis=0)
     running = np.concatenate((np.zeros((1, 2, a.shape[1])), np.cumsum(np.stack((a, a**2), axis=1), axis=0)))
     total, square = np.moveaxis(running[n:] - running[:-n], 1, 0)
     common = sum(np.correlate(x, y, "valid") for x, y in zip(a.T, b.T, strict=True))
     spread = np.maximum(np.sum(square - total**2 / n, axis=1), 0.0) * np.sum(b**2)
-    likeness: Array = common / np.maximum(np.sqrt(spread), 1e-12)
-    return likeness
+    correlation: Array = common / np.maximum(np.sqrt(spread), 1e-12)
+    return correlation

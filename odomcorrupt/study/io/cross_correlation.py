@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Trajectory
 
-__all__ = ["CrossCorrelation", "Spread", "likeness"]
+__all__ = ["CrossCorrelation", "Spread", "cross_correlation"]
 
 _SMOOTHING_S = 0.5
-_MOST = 200_000  # grid points
-_FASTEST = 3.0  # rad/s at which yaw rates are clipped
+_MAX_GRID = 200_000  # grid points
+_MAX_RADPS = 3.0  # rad/s at which yaw rates are clipped
 _GAP_S = 5.0
 """Longer gaps between poses (outages, unresolved fixes) are excluded: interpolation does not show the motion there."""
-_HARDLY = 0.03
+_SIDEWAYS_RADPS = 0.03
 """Yaw rate (rad/s, root mean square) below which a robot counts as moving sideways instead of turning."""
 
 
@@ -58,7 +58,7 @@ class CrossCorrelation:
         return (self.speed - self.turn) / 2.0
 
 
-def likeness(
+def cross_correlation(
     odometry: Trajectory,
     truth: Trajectory,
     reach_s: float,
@@ -78,10 +78,10 @@ def likeness(
         first, last = max(a_s[0], b_s[0]) - reach_s, min(a_s[-1], b_s[-1]) + reach_s
     else:
         first, last = 0.0, max(a_s[-1], b_s[-1])
-    step = max(0.1, (last - first) / _MOST)
+    step = max(0.1, (last - first) / _MAX_GRID)
     grid = np.arange(first, last, step)
     turned = np.sqrt(np.mean(slopes(a_s, odometry.xyt[:, 2:], grid, smoothing_s) ** 2))
-    by_course = bool(np.isnan(truth.xyt[:, 2]).all()) or turned < _HARDLY
+    by_course = bool(np.isnan(truth.xyt[:, 2]).all()) or turned < _SIDEWAYS_RADPS
     one, other = (
         _signals(t, path.xyt, grid, smoothing_s, by_course=by_course) for t, path in ((a_s, odometry), (b_s, truth))
     )
@@ -113,7 +113,7 @@ def _signals(t_s: Array, xyt: Array, grid: Array, smoothing_s: float, *, by_cour
         turn[speed < 0.3 * np.sqrt(np.mean(speed**2))] = 0.0
     else:
         turn = slopes(t_s, xyt[:, 2:], grid, smoothing_s)[:, 0]
-    out = np.stack((np.clip(turn, -_FASTEST, _FASTEST), speed), axis=1)
+    out = np.stack((np.clip(turn, -_MAX_RADPS, _MAX_RADPS), speed), axis=1)
     out[:, 1] = np.minimum(out[:, 1], 1.5 * np.percentile(speed, 95.0))
     unseen = (grid < t_s[0]) | (grid > t_s[-1])
     for gap in np.flatnonzero(np.diff(t_s) > _GAP_S):

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 __all__ = ["encoder_effects", "hides_losses", "restore_lost"]
 
-_FEWEST_LOST = 5
-_LEAST_LOST = 5e-4  # fraction of the increments
-_MOSTLY = 0.5
+_MIN_LOST = 5
+_MIN_LOST_FRACTION = 5e-4  # fraction of the increments
+_MAX_HIDDEN = 0.5
 """If a larger part of the moving increments has too few ticks to show a loss, losses count as undetectable."""
 _STEPS_M = np.geomspace(1e-3, 0.05, 600)
 """Tested ticks, metres. The error of ticks below 1 mm is smaller than the truth resolves."""
-_LATTICE = 0.9  # least mean cosine of increments that are multiples of a tick
-_RESTLESS = 0.05  # least fraction of moving increments that differ from their predecessor by a tick
+_MIN_REGULARITY = 0.9  # least mean cosine of increments that are multiples of a tick
+_MIN_CHANGES = 0.05  # least fraction of moving increments that differ from their predecessor by a tick
 _STILL_M = 1e-6
 
 
@@ -37,7 +37,7 @@ def encoder_effects(recording: Recording) -> list[Effect]:
     """Return the effects `lost_increments` and `quantization`, with parameters, if the odometry shows them."""
     found = []
     shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
-    if shown.seen >= _FEWEST_LOST and shown.fraction > _LEAST_LOST:
+    if shown.seen >= _MIN_LOST and shown.fraction > _MIN_LOST_FRACTION:
         found.append(effect_from_values("lost_increments", {"fraction": shown.fraction}))
     step = _tick(recording)
     if step is not None:
@@ -48,7 +48,7 @@ def encoder_effects(recording: Recording) -> list[Effect]:
 def hides_losses(recording: Recording) -> bool:
     """Return whether ticks are so coarse that most lost increments look like zeros between two counts."""
     shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
-    return shown.hidden > _MOSTLY and _tick(recording) is not None
+    return shown.hidden > _MAX_HIDDEN and _tick(recording) is not None
 
 
 def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
@@ -88,7 +88,7 @@ def _lattice(travels: Sequence[Array]) -> float | None:
         possible = np.quantile(np.abs(moved), 0.05) > 0.5 * _STEPS_M
         lattices.append(np.where(possible, _regularity(moved), 0.0))
     common = np.min(lattices, axis=0)
-    on = np.flatnonzero(common > _LATTICE)
+    on = np.flatnonzero(common > _MIN_REGULARITY)
     if not len(on):
         return None
     # Multiples of s are multiples of s/2, too: take the coarsest step, at its own peak.
@@ -96,11 +96,11 @@ def _lattice(travels: Sequence[Array]) -> float | None:
     near = on[_STEPS_M[on] > 0.9 * _STEPS_M[last]]
     step = float(_STEPS_M[near[np.argmax(common[near])]])
     # Constant speed also gives equal increments, but without changes by a tick.
-    restless = min(_restless(travel, step) for travel in travels)
-    return step if restless > _RESTLESS else None
+    changes = min(_change_fraction(travel, step) for travel in travels)
+    return step if changes > _MIN_CHANGES else None
 
 
-def _restless(travel: Array, step: float) -> float:
+def _change_fraction(travel: Array, step: float) -> float:
     """Return the fraction of moving increments (n,) that differ from their predecessor by at least half a step."""
     moving = (np.abs(travel[1:]) > _STILL_M) | (np.abs(travel[:-1]) > _STILL_M)
     return float(np.mean(np.abs(np.diff(travel))[moving] > 0.5 * step))

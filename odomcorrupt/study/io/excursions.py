@@ -28,16 +28,16 @@ __all__ = ["without_excursions"]
 
 _REACH_S = 20.0
 """Half the window of the running medians, seconds; departures that last longer are no excursions."""
-_FEWEST = 7
+_MIN_POSES = 7
 """Fewest poses in a window for a running median."""
 _SIGMAS, _STILL_SIGMAS = 5.0, 3.0
 """Thresholds of a departure, in standard deviations of usual poses: at its peak, and at its beginning and end."""
-_LEAST = np.array([0.05, 0.03])
+_MIN_APART = np.array([0.05, 0.03])
 """Smallest departure of an excursion, metres and radians."""
-_MOST = 0.2
+_MAX_FRACTION = 0.2
 """Fraction of departing poses above which nothing is removed: departures are then usual for this truth."""
 _APART_S = 3.0
-_RETURNS = 0.5
+_MAX_LEFT = 0.5
 """Largest residual departure after a tracker's excursion, as a fraction of its size."""
 _FLIP_RAD = 1.3
 """Step of the heading difference, radians, that counts as a flip; its direction then cannot be inferred."""
@@ -60,19 +60,19 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     t_s = truth.seconds_since(int(odometry.stamps_ns[0]))
     own_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     inside = np.flatnonzero((t_s >= own_s[0]) & (t_s <= own_s[-1]))
-    if len(inside) < _FEWEST:
+    if len(inside) < _MIN_POSES:
         return whole
     apart = np.zeros((len(truth), 2))
     apart[inside], difference = _departures(odometry, own_s, truth, t_s, inside)
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
-    out, near = ((apart > np.maximum(sigmas * usual, _LEAST)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
+    out, near = ((apart > np.maximum(sigmas * usual, _MIN_APART)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
     sudden = None if truth.localised else _Sudden(reach_of(odometry, truth), t_s[inside], difference)
     # An excursion includes its way out and back, and interruptions by noise.
     edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
     for first, end in edges.reshape(-1, 2):
         far = out[first:end].any()
         out[first:end] = far and (sudden is None or sudden.between(first - inside[0], end - inside[0]))
-    if not out.any() or out.mean() > _MOST:
+    if not out.any() or out.mean() > _MAX_FRACTION:
         return whole
     rows = np.flatnonzero(out)
     groups = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > _APART_S) + 1)
@@ -101,7 +101,7 @@ class _Sudden(NamedTuple):
         steps = self._apart([first, end], [first - 1, end - 1])
         stays = self._apart([end], [first - 1])
         largest = self._apart(range(first, end), [first - 1]).max(axis=0)
-        return bool((steps > slack).any() and (stays < np.maximum(_RETURNS * largest, _LEAST)).all())
+        return bool((steps > slack).any() and (stays < np.maximum(_MAX_LEFT * largest, _MIN_APART)).all())
 
     def _apart(self, one: Sequence[int], other: Sequence[int]) -> Array:
         moved = self.difference[one] - self.difference[other]
@@ -154,7 +154,7 @@ def _medians(t_s: Array, values: Array) -> Array:
             for one in column[begin:a]:
                 del ordered[bisect_left(ordered, one)]
             begin, end = a, b
-            if b - a >= _FEWEST:
+            if b - a >= _MIN_POSES:
                 half = (b - a) // 2
                 medians[i, c] = (ordered[half] + ordered[~half]) / 2.0
     return medians

@@ -26,7 +26,7 @@ __all__ = ["Fixes", "Resolved", "resolved"]
 FLOAT_TIMES, _SETTLED_TIMES = 5.0, 2.5
 """Ratios to the best fixes' standard deviation: above the first a float episode begins; it ends below the second,
 which is smaller because a float solution claims less and less while it settles."""
-_BEST, _ENOUGH = 0.1, 0.3
+_BEST_QUANTILE, _MIN_GOOD = 0.1, 0.3
 """Quantile that defines the best fixes; fraction of fixes that must remain."""
 _ISLAND_S = 3.0
 """Resolved fixes between two float episodes count as float if they last shorter: too short to be reliable."""
@@ -76,10 +76,10 @@ def resolved(fixes: Fixes) -> Resolved:
         return Resolved(rows, np.zeros((0, 3)), None, tuple(notes))
     stamps_s = (fixes.stamps_ns[rows] - fixes.stamps_ns[rows[0]]).astype(np.float64) * 1e-9
     poor = _poor(fixes.status[rows], fixes.variance_m2[rows])
-    if np.mean(~poor) > _ENOUGH:
+    if np.mean(~poor) > _MIN_GOOD:
         poor = _joined(stamps_s, poor)
     good_share = float(np.mean(~poor))
-    if good_share > _ENOUGH:
+    if good_share > _MIN_GOOD:
         notes += _episodes(stamps_s, poor)
         rows = rows[~poor]
     elif poor.any():
@@ -95,12 +95,12 @@ def resolved(fixes: Fixes) -> Resolved:
 def _poor(status: NDArray[np.int8], variance_m2: Array) -> NDArray[np.bool_]:
     """Return which fixes (n,) have a lower grade than the best usual one, by status or reported covariance."""
     poor = np.zeros(len(status), dtype=bool)
-    grades = [grade for grade in (0, 1, 2) if np.mean(status >= grade) > _ENOUGH]
+    grades = [grade for grade in (0, 1, 2) if np.mean(status >= grade) > _MIN_GOOD]
     if grades:
         poor |= (status < grades[-1]) & (status != UNKNOWN)
     claimed = np.isfinite(variance_m2) & (variance_m2 > 0.0)
     if np.any(claimed & ~poor):
-        best = float(np.quantile(variance_m2[claimed & ~poor], _BEST))
+        best = float(np.quantile(variance_m2[claimed & ~poor], _BEST_QUANTILE))
         poor |= claimed & (variance_m2 > FLOAT_TIMES**2 * best)
         for first, last in _runs(poor | (claimed & (variance_m2 > _SETTLED_TIMES**2 * best))):
             poor[first:last] |= poor[first:last].any()

@@ -32,22 +32,22 @@ __all__ = ["SCALE_ACCURACY", "Gyro", "YawGyro", "gyro_truth", "only_imu", "read_
 IMU = "sensor_msgs/msg/Imu"
 SCALE_ACCURACY = 0.01
 """Default standard deviation of a gyro's scale error: 1 % (uncalibrated MEMS)."""
-_FEWEST = 50
+_MIN_SAMPLES = 50
 _GRID_S = 0.05
-_LAG_S = 1.0  # largest lag between gyro and odometry
-_ALIKE = 0.6  # least correlation of their yaw rates
-_SPREAD_S = 0.3  # time over which yaw rates are averaged
+_MAX_LAG_S = 1.0  # largest lag between gyro and odometry
+_MIN_CORR = 0.6  # least correlation of their yaw rates
+_WINDOW_S = 0.3  # time over which yaw rates are averaged
 _STILL_S = 1.0  # shortest rest
 _STILL_MPS, _STILL_RADPS = 2e-3, 2e-3
-_LEAST_STILL_S = 3.0  # total rest for a measured bias
+_MIN_STILL_S = 3.0  # total rest for a measured bias
 _KNOWN_BIAS_RADPS, _UNKNOWN_BIAS_RADPS = 3e-4, 0.02  # standard deviations of a bias measured, and not measured, at rest
-_MOST_BIAS_RADPS = 0.05
-_SAME, _OTHER = 0.1, 0.5  # residual jitter (relative) and correlation at rest that identify a heading from the gyro
+_MAX_BIAS_RADPS = 0.05
+_MAX_JITTER, _REST_CORR = 0.1, 0.5  # residual jitter (relative) and correlation at rest of a heading from the gyro
 _EXACT_RAD = 1e-7  # smaller heading steps count as zero
 _RIDGE = 0.05  # regularisation of the axis estimate, relative to the trace
-_MOST_HZ = 100.0  # highest rate of a truth made from a gyro
+_MAX_HZ = 100.0  # highest rate of a truth made from a gyro
 _UNKNOWN_M2 = 100.0  # position variance of such a truth
-_LAG_SAID_S = 0.01  # shorter lags are not reported
+_REPORTED_LAG_S = 0.01  # shorter lags are not reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ def read_gyro(path: Path, place: str, topic: str) -> Gyro:
     _, index = np.unique(stamps[good], return_index=True)
     stamps, rates = stamps[good][index], rates[good][index]
     where = f"{place}: {topic}"
-    if len(stamps) < _FEWEST:
+    if len(stamps) < _MIN_SAMPLES:
         raise RecordingError(f"{where} holds {len(stamps)} angular velocities; leave --imu out, or record it longer")
     if not rates.any():
         raise RecordingError(f"{where}: all angular velocities are zero: there is no gyro behind it; leave --imu out")
@@ -159,38 +159,38 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
             "out"
         )
     heading = np.unwrap(odometry.yaw_rad)
-    grid = np.arange(first + _LAG_S, last - _LAG_S, _GRID_S)
+    grid = np.arange(first + _MAX_LAG_S, last - _MAX_LAG_S, _GRID_S)
     turned = _rate_on(odo_s, heading, grid)
     if float(np.std(turned)) < 5.0 * _STILL_RADPS:
         raise RecordingError(f"{odometry.place}: hardly turns; a gyro has nothing to witness: leave --imu out")
-    angles = _summed(own_s, gyro.rates)
-    lag_s, coefficients, alike = _lagged(own_s, angles, grid, turned)
-    if alike < _ALIKE:
+    angles = _integrated(own_s, gyro.rates)
+    lag_s, coefficients, corr = _lagged(own_s, angles, grid, turned)
+    if corr < _MIN_CORR:
         raise RecordingError(
-            f"{gyro.place}: turns unlike the odometry (their yaw rates correlate by {alike:.2f} at best): it is not on "
+            f"{gyro.place}: turns unlike the odometry (their yaw rates correlate by {corr:.2f} at best): it is not on "
             "this robot, or its clock is more than a second off; leave --imu out"
         )
     axis = coefficients / np.linalg.norm(coefficients)
     stamps = gyro.stamps_ns - round(lag_s * 1e9)
     rate = gyro.rates @ axis
-    still = _still(odometry)
+    still = _at_rest(odometry)
     at = np.interp((stamps - odometry.stamps_ns[0]) * 1e-9, odo_s, still.astype(np.float64)) > 1.0 - 1e-9
     interval_s = float(np.median(np.diff(stamps))) * 1e-9
     still_s = float(np.count_nonzero(at)) * interval_s
-    if still_s > _LEAST_STILL_S:
+    if still_s > _MIN_STILL_S:
         bias, error = float(np.median(rate[at])), _KNOWN_BIAS_RADPS
         how = f"measured in {still_s:.0f} s at rest"
     else:
         own = angles @ axis
         bias, error = float(np.median(_rate_on(own_s - lag_s, own, grid) - turned)), _UNKNOWN_BIAS_RADPS
         how = "taken from the odometry, which hardly rests: not known"
-        if abs(bias) > _MOST_BIAS_RADPS:
+        if abs(bias) > _MAX_BIAS_RADPS:
             # A difference this large comes from skidding wheels, not from a gyro.
             bias, how = 0.0, "not known, for the odometry hardly rests"
     found = YawGyro(gyro.place, gyro.topic, stamps, rate - bias, error, "", ())
     source = _heading_source(found, odometry, still)
     notes = [_axis_words(axis), f"its bias is {np.degrees(bias):.3f} deg/s, {how}"]
-    if abs(lag_s) > _LAG_SAID_S:
+    if abs(lag_s) > _REPORTED_LAG_S:
         word = "late" if lag_s > 0.0 else "early"
         notes.append(f"stamped {abs(lag_s):.3f} s {word} against the odometry's turns; taken out")
     notes.append(_SOURCES[source])
@@ -229,7 +229,7 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
     step = rotate(body, 0.5 * (theirs[1:] + theirs[:-1]))
     xy = np.concatenate((np.zeros((1, 2)), np.cumsum(step, axis=0)))
     rate_hz = 1e9 / float(np.median(np.diff(gyro.stamps_ns)))
-    every = max(1, round(rate_hz / _MOST_HZ))
+    every = max(1, round(rate_hz / _MAX_HZ))
     stamps = gyro.stamps_ns[::every]
     stamps = stamps[(stamps >= kept.stamps_ns[0]) & (stamps <= kept.stamps_ns[-1])]
     origin = int(kept.stamps_ns[0])
@@ -251,7 +251,7 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
     )
 
 
-def _summed(t_s: Array, rates: Array) -> Array:
+def _integrated(t_s: Array, rates: Array) -> Array:
     """Return angles (n, c) integrated from rates (n, c) by the trapezoidal rule, rad."""
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t_s)[:, None]
     return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(steps, axis=0)))
@@ -259,18 +259,18 @@ def _summed(t_s: Array, rates: Array) -> Array:
 
 def _rate_on(t_s: Array, angle: Array, grid: Array) -> Array:
     """Return the mean rate (m,) of an angle (n,) over 0.3 s around each time of a grid."""
-    half = 0.5 * _SPREAD_S
+    half = 0.5 * _WINDOW_S
     after: Array = np.interp(grid + half, t_s, angle)
     before: Array = np.interp(grid - half, t_s, angle)
-    return (after - before) / _SPREAD_S
+    return (after - before) / _WINDOW_S
 
 
 def _lagged(own_s: Array, angles: Array, grid: Array, turned: Array) -> tuple[float, Array, float]:
     """Return the gyro's lag, s, the coefficients (3,) that give the odometry's yaw rate, and the correlation."""
 
-    def tried(lag: float) -> tuple[float, Array]:
+    def fit_at(lag: float) -> tuple[float, Array]:
         rates = np.stack([_rate_on(own_s - lag, angles[:, i], grid) for i in range(3)], axis=1)
-        rates -= np.median(rates[resting], axis=0) if resting.sum() > _FEWEST else 0.0
+        rates -= np.median(rates[resting], axis=0) if resting.sum() > _MIN_SAMPLES else 0.0
         square = rates.T @ rates
         # Regularised: an axis that hardly turns must not replace one that does.
         solution = np.linalg.solve(square + _RIDGE * np.trace(square) * np.eye(3), rates.T @ turned)
@@ -278,16 +278,16 @@ def _lagged(own_s: Array, angles: Array, grid: Array, turned: Array) -> tuple[fl
         return float(fitted @ turned) / max(float(np.linalg.norm(fitted) * np.linalg.norm(turned)), 1e-12), solution
 
     resting = np.abs(turned) < _STILL_RADPS
-    lags = np.arange(-_LAG_S, _LAG_S + 1e-9, 0.05)
-    lag = float(lags[int(np.argmax([tried(float(one))[0] for one in lags]))])
+    lags = np.arange(-_MAX_LAG_S, _MAX_LAG_S + 1e-9, 0.05)
+    lag = float(lags[int(np.argmax([fit_at(float(one))[0] for one in lags]))])
     for step in (0.01, 0.002):
         near_it = lag + step * np.arange(-6, 7)
-        lag = float(near_it[int(np.argmax([tried(float(one))[0] for one in near_it]))])
-    alike, solution = tried(lag)
-    return lag, solution, alike
+        lag = float(near_it[int(np.argmax([fit_at(float(one))[0] for one in near_it]))])
+    corr, solution = fit_at(lag)
+    return lag, solution, corr
 
 
-def _still(odometry: Samples) -> NDArray[np.bool_]:
+def _at_rest(odometry: Samples) -> NDArray[np.bool_]:
     """Return which odometry samples (n,) belong to a rest of at least 1 s."""
     t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     half = 0.5 * _STILL_S
@@ -317,16 +317,16 @@ def _heading_source(gyro: YawGyro, odometry: Samples, still: NDArray[np.bool_]) 
     scale = float(ours @ other / max(float(other @ other), 1e-30))
     alone = 1.4826 * float(np.median(np.abs(ours - scale * other)))
     jitter = 1.4826 * float(np.median(np.abs(other)))
-    if abs(scale - 1.0) < 0.2 and alone < _SAME * jitter:
+    if abs(scale - 1.0) < 0.2 and alone < _MAX_JITTER * jitter:
         return "gyro"
     resting = rest[:-1] & rest[1:]
-    if np.count_nonzero(resting) > _FEWEST:
+    if np.count_nonzero(resting) > _MIN_SAMPLES:
         own = np.abs(np.diff(heading)[resting])
         seen = np.abs(np.diff(theirs)[resting])
         if np.mean(own < _EXACT_RAD) > 0.9 and float(np.median(seen)) > _EXACT_RAD:
             return "wheels"
         shared = np.corrcoef(np.diff(heading)[resting], np.diff(theirs)[resting])[0, 1] if own.any() else 0.0
-        if shared > _OTHER:
+        if shared > _REST_CORR:
             return "gyro"
     return ""
 

@@ -34,7 +34,7 @@ _SPIKE = np.array([0.03, 0.03])
 """Least deviation of a single pose that is removed, m and rad; ticks and jitter are smaller."""
 _SIGMAS = 20.0
 _LEVER_M = 1.0  # assumed distance of the truth's tracked point from the odometry's
-_MOST_JUMPS = 0.2  # fraction of steps that may be jumps
+_MAX_JUMPS = 0.2  # fraction of steps that may be jumps
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
 
     every = np.arange(len(path))
     jump = far(every[:-1], every[1:])
-    if np.mean(jump) > _MOST_JUMPS:
+    if np.mean(jump) > _MAX_JUMPS:
         raise RecordingError(
             f"{path.place}: {np.sum(jump)} of its {len(path)} poses lie farther from the one before than the robot can "
             "go: several robots or publishers on one topic, or no path at all; name another one"

@@ -39,11 +39,11 @@ _BASES = frozenset({"base_link", "base_footprint"})
 """REP 105 and 120: a point of the robot, and its projection to the floor."""
 _SAME, _MOVES = 1e-6, 1e-4
 """Metres and radians: the difference of equal steps, and the motion of a robot at rest, are smaller."""
-_CORRECTS = 5e-4
+_MIN_CORRECTION = 5e-4
 """Least median correction, metres or radians; smaller ones are a simulator's rounding or the odometry itself."""
-_LEAST_MOTION = 0.05
+_MIN_MOTION = 0.05
 """Least odometry motion between corrections that are triggered by motion, metres or radians."""
-_BACK = 4
+_MAX_AGE = 4
 """Poses may use an odometry sample up to this many samples old, but have the stamp of the request."""
 
 
@@ -62,7 +62,7 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
         return truth
     real = np.column_stack((truth.xyz[:, :2], truth.yaw_rad))[inside]
     best: NDArray[np.bool_] | None = None
-    for path in _readings(odometry, truth.stamps_ns[inside]):
+    for path in _odometry_at(odometry, truth.stamps_ns[inside]):
         step, own = between(real[:-1], real[1:]), between(path[:-1], path[1:])
         apart = step - own
         apart[:, 2] = wrap(apart[:, 2])
@@ -72,7 +72,7 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
         new = ~repeats & moving
         if np.sum(repeats & moving) < REPEATED * np.sum(moving) or np.sum(new) < CORRECTIONS:
             continue
-        if np.median(size[new]) < _CORRECTS:
+        if np.median(size[new]) < _MIN_CORRECTION:
             continue
         if best is None or np.sum(new) < np.sum(best):
             best = new
@@ -103,8 +103,8 @@ def _is_by_motion(odometry: Samples, truth: Samples) -> bool:
     if plain(truth.frame).rpartition("/")[2] != "map" or truth.child or len(truth) < CORRECTIONS:
         return False
     low, usual, high = np.quantile(np.diff(truth.stamps_ns), (0.1, 0.5, 0.9))
-    own = _readings(odometry, truth.stamps_ns)[0]
-    moved = np.abs(between(own[:-1], own[1:])).max(axis=1) > _LEAST_MOTION
+    own = _odometry_at(odometry, truth.stamps_ns)[0]
+    moved = np.abs(between(own[:-1], own[1:])).max(axis=1) > _MIN_MOTION
     return bool(high - low > _UNEVEN * usual and moved.mean() > 1.0 - REPEATED)
 
 
@@ -127,10 +127,10 @@ def ahead_s(
     return float(np.median((stamps_ns[together] - start) * 1e-9 - beside))
 
 
-def _readings(odometry: Samples, at_ns: NDArray[np.int64]) -> list[Array]:
+def _odometry_at(odometry: Samples, at_ns: NDArray[np.int64]) -> list[Array]:
     """Return candidates of the odometry (n, 3) at stamps: interpolated as in TF, and each of the latest samples."""
     own = np.column_stack((odometry.xyz[:, :2], np.unwrap(odometry.yaw_rad)))
     t_s, at_s = ((s - odometry.stamps_ns[0]).astype(np.float64) * 1e-9 for s in (odometry.stamps_ns, at_ns))
     last = np.searchsorted(odometry.stamps_ns, at_ns, side="right") - 1
     straight = np.stack([np.interp(at_s, t_s, column) for column in own.T], axis=1)
-    return [straight, *(own[np.maximum(last - back, 0)] for back in range(_BACK))]
+    return [straight, *(own[np.maximum(last - back, 0)] for back in range(_MAX_AGE))]

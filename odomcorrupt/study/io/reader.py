@@ -16,7 +16,7 @@ from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import pull_of
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
-from odomcorrupt.study.io.jitter import jitter_signs
+from odomcorrupt.study.io.jitter import jitter_warnings
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import NO_SCAN, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import corrections_alone, is_of_base
@@ -30,8 +30,8 @@ from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
 from odomcorrupt.study.io.warnings import (
     check_identity,
-    filter_signs,
-    heading_signs,
+    filter_warnings,
+    heading_warnings,
     without_constant_heading,
     without_course,
 )
@@ -81,12 +81,12 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
             raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
         return _by_laser(source, scan, progress)
     imu = source.imu or automatic_imu(source)
-    if imu is not None and not _is_truth_there(source):
+    if imu is not None and not _has_truth(source):
         return _by_gyro(source, imu)
     odometry, truth = _read(source)
     wheels = _with_wheels(source, odometry)
     runs = _between_clock_steps(replace(source, track_m=wheels.track_m), wheels.odometry, truth)
-    return _witnessed(source, imu, odometry, wheels.noted(runs))
+    return _with_heading_source(source, imu, odometry, wheels.noted(runs))
 
 
 def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
@@ -100,7 +100,7 @@ def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
     """
     place = _place(source)
     odom = parse_address(source.odom) if source.odom is not None else None
-    odometry = in_order(_one(source.path, place, "odometry", odom))
+    odometry = in_order(_read_one(source.path, place, "odometry", odom))
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     check_itself(without_outliers(odometry))
@@ -112,7 +112,7 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
     """Return the recordings of a run with laser scans as truth."""
     odom = parse_address(source.odom) if source.odom is not None else None
     place = _place(source)
-    wheels = _with_wheels(source, in_order(_one(source.path, place, "odometry", odom)))
+    wheels = _with_wheels(source, in_order(_read_one(source.path, place, "odometry", odom)))
     try:
         run = laser_run(source.path, place, odom, scan, progress, odometry=wheels.odometry)
         parts = truth_of(run)
@@ -143,7 +143,7 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
         )
         for i, r in enumerate(found)
     ]
-    return _witnessed(source, source.imu or automatic_imu(source), run.odometry, wheels.noted(runs))
+    return _with_heading_source(source, source.imu or automatic_imu(source), run.odometry, wheels.noted(runs))
 
 
 def _by_motions(source: Source, path: Path) -> list[Recording]:
@@ -152,7 +152,7 @@ def _by_motions(source: Source, path: Path) -> list[Recording]:
     if source.truth is not None or source.truth_path is not None or source.scan is not None:
         raise RecordingError(f"{place}: --relative {path} and a truth or scans; name one of them")
     odom = parse_address(source.odom) if source.odom is not None else None
-    odometry = in_order(_one(source.path, place, "odometry", odom))
+    odometry = in_order(_read_one(source.path, place, "odometry", odom))
     wheels = _with_wheels(source, odometry)
     motions = read_motions(path)
     shift = round(source.truth_shift_s * 1e9)
@@ -180,14 +180,14 @@ def _by_motions(source: Source, path: Path) -> list[Recording]:
         )
         for i, r in enumerate(found)
     ]
-    return _witnessed(source, source.imu or automatic_imu(source), odometry, wheels.noted(runs))
+    return _with_heading_source(source, source.imu or automatic_imu(source), odometry, wheels.noted(runs))
 
 
 def _by_gyro(source: Source, imu: str) -> list[Recording]:
     """Return the recordings of a run that has only odometry and a gyro: its truth has headings only."""
     place = _place(source)
     odom = parse_address(source.odom) if source.odom is not None else None
-    odometry = in_order(_one(source.path, place, "odometry", odom))
+    odometry = in_order(_read_one(source.path, place, "odometry", odom))
     gyro = yaw_gyro(read_gyro(source.path, place, imu), odometry)
     wheels = _with_wheels(source, odometry)
     truth = gyro_truth(wheels.odometry, gyro)
@@ -215,7 +215,7 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
     ]
 
 
-def _witnessed(source: Source, imu: str | None, odometry: Samples, runs: list[Recording]) -> list[Recording]:
+def _with_heading_source(source: Source, imu: str | None, odometry: Samples, runs: list[Recording]) -> list[Recording]:
     """Return the recordings with the source of the odometry's heading, as found from a gyro beside the truth."""
     if imu is None:
         return runs
@@ -311,12 +311,12 @@ def recordings_of(
     for path in (calm, real):
         check_itself(path)
     check_pair(calm, real)
-    said = check_identity(calm, real) or heading_signs(calm, real)
+    said = check_identity(calm, real) or heading_warnings(calm, real)
     # The reader of laser scans has checked their stamps already.
-    said += filter_signs(calm, real) + jitter_signs(calm, real)
-    said += jitter_signs(real, calm) if truth.covariance is None else []
+    said += filter_warnings(calm, real) + jitter_warnings(calm, real)
+    said += jitter_warnings(real, calm) if truth.covariance is None else []
     truth = without_gaps(odometry, without_frozen(odometry, truth))
-    opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
+    opening = f"odometry {_description(odometry)}, truth {_description(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
     return [
         replace(
@@ -344,7 +344,7 @@ def automatic_imu(source: Source) -> str | None:
     return None if is_text(source.path) else only_imu(source.path)
 
 
-def _is_truth_there(source: Source) -> bool:
+def _has_truth(source: Source) -> bool:
     """Return whether a truth is named, or the bag holds a candidate for one."""
     if source.truth is not None or source.truth_path is not None or is_text(source.path):
         return True
@@ -365,11 +365,11 @@ def _read(source: Source) -> tuple[Samples, Samples]:
             raise RecordingError(f"{place}: a text file holds one trajectory; name the truth's with --truth-bag")
         both = read_bag(source.path, place, {"odometry": odom, "truth": truth})
         return both["odometry"], both["truth"]
-    odometry = _one(source.path, place, "odometry", odom)
-    return odometry, _one(source.truth_path, str(source.truth_path), "truth", truth)
+    odometry = _read_one(source.path, place, "odometry", odom)
+    return odometry, _read_one(source.truth_path, str(source.truth_path), "truth", truth)
 
 
-def _one(path: Path, place: str, role: Role, address: Address | None) -> Samples:
+def _read_one(path: Path, place: str, role: Role, address: Address | None) -> Samples:
     if not is_text(path):
         return read_bag(path, place, {role: address})[role]
     if address is not None:
@@ -377,7 +377,7 @@ def _one(path: Path, place: str, role: Role, address: Address | None) -> Samples
     return read_text(path, place)
 
 
-def _named(path: Samples) -> str:
+def _description(path: Samples) -> str:
     frame = f" in frame {path.frame}" if path.frame else ""
     positions = "" if np.isfinite(path.yaw_rad).any() else " (positions without headings)"
     return f"{path.name}{frame}{positions}"

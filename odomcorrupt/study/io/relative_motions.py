@@ -34,12 +34,12 @@ __all__ = ["Motions", "chains_of", "read_motions"]
 _TIMES = (("t0", "t1"), ("t1", "t2"), ("start", "end"), ("from", "to"), ("start_s", "end_s"), ("t0_s", "t1_s"))
 _YAWS = ("dyaw", "dtheta", "dth", "dpsi")
 _COVARIANCE = ("xx", "xy", "xyaw", "yy", "yyaw", "yawyaw")
-_FEWEST = 20
-_MOST = 5_000_000
+_MIN_MOTIONS = 20
+_MAX_LINES = 5_000_000
 _JOINED = 0.02
 """Motions join if the time between them is at most this fraction of the shorter one."""
 _TURNED_RAD = np.radians(15.0)  # smaller mounting yaws are left to the fit
-_LEAST_S = 15.0  # shortest chain
+_MIN_S = 15.0  # shortest chain
 _GROSS, _UNKNOWN_M2 = 10.0, 100.0  # a failed match: ratio to the median difference, and the variance it then gets
 
 
@@ -77,15 +77,15 @@ def read_motions(path: Path) -> Motions:
         with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
             rows = ((n, line) for n, line in enumerate(csv.reader(stream), start=1) if line and not _is_comment(line))
             layout, table = None, []
-            for n, line in itertools.islice(rows, _MOST):
+            for n, line in itertools.islice(rows, _MAX_LINES):
                 if layout is None:
                     layout = _layout(line, str(path))
                     continue
                 table.append(_numbers(line, layout, f"{path}: line {n}"))
     except (OSError, csv.Error) as error:
         raise RecordingError(f"{path}: cannot be read: {error}") from error
-    if layout is None or len(table) < _FEWEST:
-        raise RecordingError(f"{path}: holds {len(table)} relative motions; {_FEWEST} and more are needed")
+    if layout is None or len(table) < _MIN_MOTIONS:
+        raise RecordingError(f"{path}: holds {len(table)} relative motions; {_MIN_MOTIONS} and more are needed")
     values = np.array(table)
     tick = guess_tick(values[:1000, 0].tolist())
     start, end = (_nanoseconds(values[:, i], tick, str(path)) for i in (0, 1))
@@ -115,11 +115,11 @@ def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
     """
     motions, said = _on_robot(motions, odometry)
     chains = _chains(motions)
-    lasting = [c for c in chains if float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 >= _LEAST_S]
+    lasting = [c for c in chains if float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 >= _MIN_S]
     if not lasting:
         longest = max((float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 for c in chains), default=0.0)
         raise RecordingError(
-            f"{motions.place}: motions join end to end for {longest:.1f} s at most, {_LEAST_S:g} s are needed: the end "
+            f"{motions.place}: motions join end to end for {longest:.1f} s at most, {_MIN_S:g} s are needed: the end "
             "of each is to be the start of the next"
         )
     used = sum(len(c) for c in lasting)
@@ -188,7 +188,7 @@ def _on_robot(motions: Motions, odometry: Samples) -> tuple[Motions, list[str]]:
     end: Array = (motions.end_ns - origin).astype(np.float64) * 1e-9
     last = float(odometry.stamps_ns[-1] - origin) * 1e-9
     inside = np.flatnonzero((start >= 0.0) & (end <= last) & (end > start))
-    if len(inside) < _FEWEST:
+    if len(inside) < _MIN_MOTIONS:
         raise RecordingError(
             f"{motions.place}: {len(inside)} of {len(start)} motions lie in the time of {odometry.name}: give their "
             "times on the odometry's clock (--truth-shift moves them)"

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Row", "are_numbers", "read_lines", "split_line", "whole_rows"]
 
-_LONGEST = 65_536  # characters in a line
+_MAX_LINE = 65_536  # characters in a line
 _LATEST_NS = 9.2e18  # largest stamp in 64 bits
 
 
@@ -44,10 +44,10 @@ class Row(NamedTuple):
 def read_lines(stream: TextIO, place: str) -> Iterator[Row]:
     """Yield the non-blank lines, each as a row of one cell."""
     count = 0
-    while line := stream.readline(_LONGEST):
+    while line := stream.readline(_MAX_LINE):
         count += 1
-        if len(line) == _LONGEST:
-            raise RecordingError(f"{place}: line {count} has more than {_LONGEST} letters; this is no TUM or CSV file")
+        if len(line) == _MAX_LINE:
+            raise RecordingError(f"{place}: line {count} has more than {_MAX_LINE} letters; this is no TUM or CSV file")
         if line.strip():
             yield Row(place, count, [line.strip()])
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.io.cross_correlation import likeness
+from odomcorrupt.study.io.cross_correlation import cross_correlation
 
 if TYPE_CHECKING:
     from odomcorrupt.study.io.raw_trajectory import Samples
@@ -21,9 +21,9 @@ __all__ = ["check_together"]
 
 _WINDOW_S = 2.0
 """Averaging time of the compared motions, which removes the truth's noise and the wheels' jitter."""
-_REACH_S = 60.0  # largest lag
-_NEAR_S = 3.0  # lags up to here count as the same clock
-_STRANGE_NEAR, _STRANGE = 0.45, 0.5
+_MAX_LAG_S = 60.0  # largest lag
+_SAME_CLOCK_S = 3.0  # lags up to here count as the same clock
+_MIN_NEAR, _MIN_ANY = 0.45, 0.5
 """Least correlation of speed or yaw rate in one drive: at small lags, and at any lag."""
 _TURNS_RADPS, _SPEEDS_MPS, _SPEEDS = 0.05, 0.03, 0.15
 """Standard deviations of yaw rate, speed, and speed relative to its root mean square, below which it may be noise."""
@@ -38,16 +38,16 @@ def check_together(here: Samples, there: Samples) -> None:
         With the correlations found and the remedy.
 
     """
-    reach_s = min(_REACH_S, here.span_s / 2.0)
-    alike = likeness(here.trajectory(), there.trajectory(), reach_s, smoothing_s=_WINDOW_S)
-    both = (alike.odometry, alike.truth)
+    reach_s = min(_MAX_LAG_S, here.span_s / 2.0)
+    corr = cross_correlation(here.trajectory(), there.trajectory(), reach_s, smoothing_s=_WINDOW_S)
+    both = (corr.odometry, corr.truth)
     turning = all(s.turn_radps > _TURNS_RADPS for s in both)
-    hurrying = all(s.speed_mps > max(_SPEEDS_MPS, _SPEEDS * s.level_mps) for s in both)
-    near = np.abs(alike.lag_s) <= _NEAR_S
-    best = np.maximum(alike.turn, alike.speed)
-    if (turning or hurrying) and best[near].max() < _STRANGE_NEAR and best.max() < _STRANGE:
+    accelerating = all(s.speed_mps > max(_SPEEDS_MPS, _SPEEDS * s.level_mps) for s in both)
+    near = np.abs(corr.lag_s) <= _SAME_CLOCK_S
+    best = np.maximum(corr.turn, corr.speed)
+    if (turning or accelerating) and best[near].max() < _MIN_NEAR and best.max() < _MIN_ANY:
         raise RecordingError(
-            f"{there.place}: does not move as {here.name} does (speeds correlate by {alike.speed.max():.2f}, yaw rates "
-            f"by {alike.turn.max():.2f}, at the best shift of up to {reach_s:.0f} s): it is of another drive or of "
+            f"{there.place}: does not move as {here.name} does (speeds correlate by {corr.speed.max():.2f}, yaw rates "
+            f"by {corr.turn.max():.2f}, at the best shift of up to {reach_s:.0f} s): it is of another drive or of "
             "another robot, or its clock is farther off; name the truth of this run"
         )

@@ -16,10 +16,10 @@ __all__ = ["check_itself"]
 
 _DEGREE = np.pi / 180.0
 _CLEAR, _UNCLEAR = 0.9, 0.6  # agreement of a better reading of the headings, and of the given one, for a refusal
-_FEW = 12
+_MIN_CHORDS = 12
 _CHORDS = 40  # chords per extent of the path
 _SPEED_S = 2.0
-_FASTEST = 60.0  # m/s
+_MAX_MPS = 60.0  # m/s
 
 _READINGS = (
     (-1.0, "its headings turn the other way than its path does: an axis is mirrored, or they are compass headings; {}"),
@@ -48,7 +48,7 @@ def check_itself(path: Samples) -> None:
     later = later[here]
     speed = np.linalg.norm(path.xyz[later, :2] - path.xyz[here, :2], axis=1) / (t_s[later] - t_s[here])
     usual = float(np.median(speed[speed > 0.0])) if np.any(speed > 0.0) else 0.0
-    if usual > _FASTEST:
+    if usual > _MAX_MPS:
         raise RecordingError(
             f"{path.place}: it usually moves at {usual:.0f} m/s: millimetres for metres? Give metres, or name a CSV "
             "file's columns x_mm, y_mm"
@@ -56,7 +56,7 @@ def check_itself(path: Samples) -> None:
     if not path.headed:
         return
     course, yaw = _chords(path)
-    if len(course) < _FEW:
+    if len(course) < _MIN_CHORDS:
         return
     if _agreement(course, yaw) > _UNCLEAR:
         return

@@ -21,9 +21,9 @@ __all__ = ["Step", "between_steps", "clock_steps", "even_stamps", "stamp_resolut
 
 _STEP_S = (0.02, 1.0)
 """Smallest and largest clock step that is detected; a larger one backwards begins another run (`time_order`)."""
-_BESIDE, _LEAST = 25, 10
+_NEIGHBOURS, _MIN_NEIGHBOURS = 25, 10
 """Samples on each side of a step that are compared, and the fewest of them."""
-_ALIKE = 0.3
+_TOLERANCE = 0.3
 """Relative tolerance between a step of a single stamp and of the medians around it."""
 
 
@@ -56,7 +56,7 @@ def clock_steps(path: Samples) -> list[Step]:
 
     At a step the stamps jump permanently and the log times do not; late or lost messages are not steps.
     """
-    if len(path.log_ns) != len(path) or len(path) < 2 * _LEAST or not path.stamps_ns.all():
+    if len(path.log_ns) != len(path) or len(path) < 2 * _MIN_NEIGHBOURS or not path.stamps_ns.all():
         return []
     ahead = (path.stamps_ns - path.log_ns).astype(np.float64) * 1e-9
     interval = np.diff(path.stamps_ns) * 1e-9
@@ -64,14 +64,14 @@ def clock_steps(path: Samples) -> list[Step]:
     jump = np.diff(ahead)
     found: list[Step] = []
     for i in np.flatnonzero((np.abs(jump) > _STEP_S[0]) & (np.abs(jump) < _STEP_S[1])):
-        before, after = ahead[max(i + 1 - _BESIDE, 0) : i + 1], ahead[i + 1 : i + 1 + _BESIDE]
-        if min(len(before), len(after)) < _LEAST:
+        before, after = ahead[max(i + 1 - _NEIGHBOURS, 0) : i + 1], ahead[i + 1 : i + 1 + _NEIGHBOURS]
+        if min(len(before), len(after)) < _MIN_NEIGHBOURS:
             continue
         by_s = float(np.median(after) - np.median(before))
-        lasts = abs(by_s) > _STEP_S[0] and abs(by_s - jump[i]) < _ALIKE * abs(by_s)
-        stamped = abs(interval[i] - usual_s - by_s) < _ALIKE * abs(by_s) + usual_s
+        lasts = abs(by_s) > _STEP_S[0] and abs(by_s - jump[i]) < _TOLERANCE * abs(by_s)
+        stamped = abs(interval[i] - usual_s - by_s) < _TOLERANCE * abs(by_s) + usual_s
         calm = float(np.median(np.abs(before - np.median(before))) + np.median(np.abs(after - np.median(after))))
-        if lasts and stamped and calm < _ALIKE * abs(by_s):
+        if lasts and stamped and calm < _TOLERANCE * abs(by_s):
             found.append(Step(int(i) + 1, by_s))
     return found
 
@@ -86,4 +86,4 @@ def between_steps(path: Samples) -> list[Samples]:
     path = path.noted(f"its clock was set while recording ({where}): what lies between has a clock of its own")
     edges = [0, *(s.row for s in steps), len(path)]
     parts = [path.only(np.arange(a, b)) for a, b in pairwise(edges)]
-    return [part for part in parts if len(part) > _LEAST]
+    return [part for part in parts if len(part) > _MIN_NEIGHBOURS]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["is_text", "read_text"]
 
-_MOST = 50_000_000  # lines
+_MAX_LINES = 50_000_000  # lines
 _AHEAD = 1000  # lines read to infer the unit of the stamps
 _BATCH = 16_384
 _DELIMITERS = ",;\t"
@@ -73,8 +73,8 @@ def read_text(path: Path, place: str) -> Samples:
         parts = []
         while batch := list(itertools.islice(rows, _BATCH)):
             parts.append(_part(batch, columns, tick))
-            if len(parts) * _BATCH > _MOST:
-                raise RecordingError(f"{place}: more than {_MOST} lines; thin it out")
+            if len(parts) * _BATCH > _MAX_LINES:
+                raise RecordingError(f"{place}: more than {_MAX_LINES} lines; thin it out")
     if not parts:
         raise RecordingError(f"{place}: holds no line of numbers; nothing was recorded")
     if not columns.tick_ns and tick != 10**9:

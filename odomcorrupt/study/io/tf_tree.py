@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Edge", "Tree", "read_tree"]
 
-_MOST_EDGES = 100_000
+_MAX_EDGES = 100_000
 
 
 class Edge(NamedTuple):
@@ -98,6 +98,6 @@ def read_tree(reader: BagReader, moving: Iterable[Channel], static: Iterable[Cha
         for channel, still in channels:
             for layout in locate(block, channel):
                 found[still] |= {Edge(plain(i.frame_id), plain(i.child_frame_id)) for i in layout.items}
-                if len(found[still]) > _MOST_EDGES:
-                    raise RecordingError(f"{channel.topic}: more than {_MOST_EDGES} edges; this is no robot's TF")
+                if len(found[still]) > _MAX_EDGES:
+                    raise RecordingError(f"{channel.topic}: more than {_MAX_EDGES} edges; this is no robot's TF")
     return Tree(frozenset(found[False]), frozenset(found[True] - found[False]))

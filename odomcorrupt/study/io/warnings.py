@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["check_identity", "filter_signs", "heading_signs", "without_constant_heading", "without_course"]
+__all__ = ["check_identity", "filter_warnings", "heading_warnings", "without_constant_heading", "without_course"]
 
 _FUSED = re.compile(r"filter|fused|ekf|ukf|amcl|slam|locali[sz]ation|global")
 _WORLD = frozenset({"map", "world", "earth", "utm"})
 _SAME = 1e-6  # m and rad; steps that differ by less are equal
 _SAME_M = 2e-3  # m and rad; paths that differ by less are the same
 _MOVES = 1e-4
-_FEW = 10
+_MIN_STEPS = 10
 _SHRINKS = 0.7  # ratio of successive variances
-_CORRECTIONS = 5
-_STRIDE_S, _BACKS_M, _BACKINGS = 0.5, 0.05, 6
+_MIN_CORRECTIONS = 5
+_STRIDE_S, _MIN_BACK_M, _MIN_BACKINGS = 0.5, 0.05, 6
 """Interval, least length and least number of steps that count as backing up."""
 _MOSTLY, _NEARLY_ALL = 0.6, 0.9
 """Fractions of steps back and ahead along the heading that identify courses; an unrelated drive has one half."""
@@ -44,7 +44,7 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
         return []
     step, own = _steps(odometry, truth)
     moving = np.abs(own).max(axis=1) > _MOVES
-    if moving.sum() < _FEW:
+    if moving.sum() < _MIN_STEPS:
         return []
     same = np.abs(step - own).max(axis=1)[moving] < _SAME
     share = float(same.mean())
@@ -61,13 +61,13 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     return []
 
 
-def heading_signs(odometry: Samples, truth: Samples) -> list[str]:
+def heading_warnings(odometry: Samples, truth: Samples) -> list[str]:
     """Return a warning if the truth's headings repeat the odometry's turns while its positions do not."""
     if not truth.headed:
         return []
     step, own = _steps(odometry, truth)
     turning = np.abs(own[:, 2]) > _MOVES
-    if turning.sum() < _FEW:
+    if turning.sum() < _MIN_STEPS:
         return []
     same = np.abs(step[:, 2] - own[:, 2])[turning] < _SAME
     if same.mean() > 0.5 and np.abs(step[:, :2] - own[:, :2]).max(axis=1)[turning].mean() > _SAME:
@@ -91,15 +91,15 @@ def without_course(odometry: Samples, truth: Samples) -> Samples:
     A receiver with one antenna reports the course over ground as heading: it is reversed when backing up and arbitrary
     at rest.
     """
-    if not truth.headed or truth.relative or truth.span_s < _FEW * _STRIDE_S:
+    if not truth.headed or truth.relative or truth.span_s < _MIN_STEPS * _STRIDE_S:
         return truth
     t_s = truth.seconds_since(int(truth.stamps_ns[0]))
     rows = np.unique(np.searchsorted(t_s, np.arange(0.0, t_s[-1], _STRIDE_S)))
     step, own = _steps(odometry, truth.only(rows))
-    straight = np.abs(own[:, 0]) > np.maximum(_BACKS_M, 2.0 * np.abs(own[:, 1]))
+    straight = np.abs(own[:, 0]) > np.maximum(_MIN_BACK_M, 2.0 * np.abs(own[:, 1]))
     ahead, back = straight & (own[:, 0] > 0.0), straight & (own[:, 0] < 0.0)
     forwards = step[:, 0] > 0.5 * np.abs(own[:, 0])
-    if min(back.sum(), ahead.sum()) < _BACKINGS or not (
+    if min(back.sum(), ahead.sum()) < _MIN_BACKINGS or not (
         np.mean(forwards[back]) > _MOSTLY and np.mean(forwards[ahead]) > _NEARLY_ALL
     ):
         return truth
@@ -108,7 +108,7 @@ def without_course(odometry: Samples, truth: Samples) -> Samples:
     )
 
 
-def filter_signs(odometry: Samples, truth: Samples) -> list[str]:
+def filter_warnings(odometry: Samples, truth: Samples) -> list[str]:
     """Return a warning if the odometry appears to be corrected by other sensors, as no motion model describes."""
     signs = []
     last = odometry.frame.rsplit("/", 1)[-1]
@@ -138,7 +138,7 @@ def filter_signs(odometry: Samples, truth: Samples) -> list[str]:
 
 def _shrinks(variance: Array) -> int:
     """Return how often the reported variance drops to less than 70 % from one sample to the next."""
-    if len(variance) < _FEW:
+    if len(variance) < _MIN_STEPS:
         return 0
     falls = variance[1:] < _SHRINKS * variance[:-1]
     return int(falls.sum())
@@ -150,7 +150,7 @@ def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
     own = truth.seconds_since(int(odometry.stamps_ns[0]))
     inside = (t_s >= own[0]) & (t_s <= own[-1])
     t_s, xy = t_s[inside], odometry.xyz[inside, :2]
-    if len(t_s) < _FEW:
+    if len(t_s) < _MIN_STEPS:
         return 0
     real = np.stack([np.interp(t_s, own, truth.xyz[:, i]) for i in (0, 1)], axis=1)
     # Align the odometry with the truth.
@@ -164,7 +164,7 @@ def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
     # A jump also appears in the adjacent steps, half as large.
     beside = np.maximum(np.concatenate(([0.0], sudden[:-1])), np.concatenate((sudden[1:], [0.0])))
     at = np.flatnonzero((sudden > size) & (sudden > beside)) + 1
-    if len(at) < _CORRECTIONS:
+    if len(at) < _MIN_CORRECTIONS:
         return 0
     closer = error[at + 1] < error[at]
     return len(at) if closer.mean() > 0.8 else 0

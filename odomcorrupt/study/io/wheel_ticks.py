@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 __all__ = ["WheelAngles", "Wheels", "find_joints", "odometry_of_wheels", "read_wheels", "wheels_of"]
 
 JOINTS = "sensor_msgs/msg/JointState"
-_FEWEST = 50
+_MIN_SAMPLES = 50
 _SPACING_S = 0.2
 _LAGS_S = np.arange(-0.2, 0.2001, 0.02)
-_FITS = 0.03  # largest relative residual of the regression
+_MAX_RESIDUAL = 0.03  # largest relative residual of the regression
 _RADII_M, _TRACKS_M = (5e-3, 2.0), (0.02, 10.0)  # plausible ranges
-_LATTICE = 0.95  # least mean cosine of steps that are multiples of a count
+_MIN_REGULARITY = 0.95  # least mean cosine of steps that are multiples of a count
 _STILL_RAD = 1e-9
-_MOST_STEPS = 200.0  # larger steps, in counts, do not determine the count
-_FEWEST_COUNTS = 3
+_MAX_COUNTS = 200.0  # larger steps, in counts, do not determine the count
+_MIN_COUNTS = 3
 _ROUNDED_RAD = 1e-5  # smaller differences of steps are rounding
-_LAG_SAID_S = 0.01  # shorter lags are not reported
+_REPORTED_LAG_S = 0.01  # shorter lags are not reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ def read_wheels(path: Path, place: str, joints: tuple[str, str] | None) -> Wheel
     good = np.isfinite(angle).all(axis=1)
     _, index = np.unique(stamps[good], return_index=True)
     stamps, angle = stamps[good][index], angle[good][index]
-    if len(stamps) < _FEWEST:
+    if len(stamps) < _MIN_SAMPLES:
         if joints is None:
             return None
         raise RecordingError(
@@ -155,12 +155,12 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
     names = " and ".join(angles.joints)
     radius = 2.0 * float(slope[0])
     track = radius / float(slope[1]) if abs(slope[1]) > 1e-6 else float("inf")
-    if miss[0] > _FITS or not _RADII_M[0] < radius < _RADII_M[1]:
+    if miss[0] > _MAX_RESIDUAL or not _RADII_M[0] < radius < _RADII_M[1]:
         raise RecordingError(
             f"{angles.place}: {odometry.name} does not travel as {names} turn ({miss[0]:.0%} off, radius {radius:.3f} "
             "m); name its wheels with --joints LEFT RIGHT, or leave it out"
         )
-    heading = bool(miss[1] < _FITS and _TRACKS_M[0] < track < _TRACKS_M[1])
+    heading = bool(miss[1] < _MAX_RESIDUAL and _TRACKS_M[0] < track < _TRACKS_M[1])
     tick = _tick(angles.angle)
     notes = [f"{names}: wheels of {radius:.3g} m by the odometry's own sums"]
     if heading:
@@ -174,10 +174,10 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
             f"{names}: angles come in counts of {tick:.4g} rad ({2 * np.pi / tick:.0f} a turn, "
             f"{1e3 * tick * radius:.2g} mm)"
         )
-    lost = _lost(angles.angle)
+    lost = _late_counts(angles.angle)
     if lost:
         notes.append(f"{names}: {lost} times a wheel stood for one message and made up for it in the next: late counts")
-    if abs(lag_s) > _LAG_SAID_S:
+    if abs(lag_s) > _REPORTED_LAG_S:
         notes.append(
             f"odometry is stamped {abs(lag_s):.2f} s {'after' if lag_s > 0.0 else 'before'} the wheels' angles"
         )
@@ -232,25 +232,25 @@ def _tick(angle: Array) -> float | None:
     """Return the angle per encoder count: the largest of which all steps are multiples, or None."""
     steps = np.abs(np.diff(angle, axis=0)).ravel()
     steps = steps[steps > _STILL_RAD]
-    if len(steps) < _FEWEST:
+    if len(steps) < _MIN_SAMPLES:
         return None
     # Neighbours among the distinct steps differ by one count.
     values = np.unique(np.round(steps, 7))
     gaps = np.diff(values)[np.diff(values) > _ROUNDED_RAD]
-    if len(gaps) < _FEWEST_COUNTS:
+    if len(gaps) < _MIN_COUNTS:
         return None
     tick = float(np.median(gaps))
     for _ in range(3):
         count = np.round(steps / tick)
-        small = (count < _MOST_STEPS) & (count > 0)
+        small = (count < _MAX_COUNTS) & (count > 0)
         if not small.any():
             return None
         tick = float(np.sum(steps[small] * count[small]) / np.sum(count[small] ** 2))
     regular = float(np.mean(np.cos(2.0 * np.pi * steps[small] / tick)))
-    return tick if regular > _LATTICE and len(np.unique(count[small])) > _FEWEST_COUNTS else None
+    return tick if regular > _MIN_REGULARITY and len(np.unique(count[small])) > _MIN_COUNTS else None
 
 
-def _lost(angle: Array) -> int:
+def _late_counts(angle: Array) -> int:
     """Return how often a wheel stops for one message between two with motion, the second about twice the first."""
     step = np.diff(angle, axis=0)
     before, here, after = np.abs(step[:-2]), np.abs(step[1:-1]), np.abs(step[2:])

@@ -20,11 +20,11 @@ __all__ = ["CURVE_M", "HORIZONS_M", "Horizon", "horizon_of"]
 
 HORIZONS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 CURVE_M = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, 70.0, 100.0)
-_FEWEST = 3
+_MIN_WINDOWS = 3
 """Fewest windows for a statement."""
 _DRAWS = 20_000
 _SEED = 1_950_128
-_NO_WEIGHT = 1e-3
+_MIN_WEIGHT = 1e-3
 """Chi-square components with smaller weights are neglected."""
 
 
@@ -62,7 +62,7 @@ class Horizon:
 
 def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Horizon | None:
     """Return the calibration over windows of one path length, pooled over pieces; None if there are too few windows."""
-    if sum(len(errors) for errors, _ in parts) < _FEWEST:
+    if sum(len(errors) for errors, _ in parts) < _MIN_WINDOWS:
         return None
     count = min(errors.error.shape[1] for errors, _ in parts)
     both = WindowErrors(
@@ -74,7 +74,7 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
     low, high = np.quantile(means, [0.025, 0.975])
     below = int(np.searchsorted(means, nees, side="right"))
     above = len(means) - int(np.searchsorted(means, nees, side="left"))
-    if any(doubt.truth.any() for _, doubt in parts):
+    if any(uncertainty.truth.any() for _, uncertainty in parts):
         # Beside a localisation the robot's noise is only bounded above: smaller errors do not contradict the model.
         low, below = 0.0, len(means)
     tail = min(below, above)
@@ -103,19 +103,19 @@ def _chance_means(parts: Sequence[tuple[WindowErrors, ParameterUncertainty]], co
     rng = np.random.default_rng(_SEED)
     total = np.zeros(_DRAWS)
     freedom = sum(len(errors) for errors, _ in parts) * count
-    for errors, doubt in parts:
-        total += _squares(errors, doubt, rng, len(errors) * count, float(doubt.truth.mean()))
+    for errors, uncertainty in parts:
+        total += _squares(errors, uncertainty, rng, len(errors) * count, float(uncertainty.truth.mean()))
     return total / freedom
 
 
 def _squares(
-    errors: WindowErrors, doubt: ParameterUncertainty, rng: np.random.Generator, freedom: int, spread: float
+    errors: WindowErrors, uncertainty: ParameterUncertainty, rng: np.random.Generator, freedom: int, spread: float
 ) -> Array:
     """Return draws of the sum of normalised squares of one part under the model.
 
     freedom : number of squares; spread : their relative standard deviation from errors of the truth
     """
-    scale, offset = doubt.draw(rng, _DRAWS, spread)
+    scale, offset = uncertainty.draw(rng, _DRAWS, spread)
     if errors.shared is None:
         drawn: Array = scale * rng.noncentral_chisquare(freedom, freedom * offset)
         return drawn
@@ -126,7 +126,7 @@ def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
     """Return draws of the sum of all normalised squares of windows with shared errors."""
     total = np.zeros(_DRAWS)
     for weight in errors.spectrum:
-        if weight > _NO_WEIGHT:
+        if weight > _MIN_WEIGHT:
             total += weight * rng.chisquare(1, _DRAWS)
     return total
 
@@ -134,15 +134,16 @@ def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
 def _excess(errors: WindowErrors, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Array:
     """Return the two-sided p-value of each channel's sum of squares, including the parameters' uncertainty."""
     square = np.sum((errors.error / errors.deviation) ** 2, axis=0)
-    if any(part.shared is not None or not doubt.certain for part, doubt in parts):
+    if any(part.shared is not None or not uncertainty.certain for part, uncertainty in parts):
         rng = np.random.default_rng(_SEED)
         above = np.zeros(len(square))
         for i, own in enumerate(square):
             drawn = sum(
-                _squares(part.channel(i), doubt, rng, len(part), float(doubt.truth[i])) for part, doubt in parts
+                _squares(part.channel(i), uncertainty, rng, len(part), float(uncertainty.truth[i]))
+                for part, uncertainty in parts
             )
             above[i] = (np.sum(drawn >= own) + 1.0) / (_DRAWS + 1.0)
-        below = 1.0 if any(doubt.truth.any() for _, doubt in parts) else 1.0 - above + 1.0 / _DRAWS
+        below = 1.0 if any(uncertainty.truth.any() for _, uncertainty in parts) else 1.0 - above + 1.0 / _DRAWS
         return np.minimum(1.0, 2.0 * np.minimum(above, below))
     tail: Array = np.minimum(chi2.sf(square, len(errors)), chi2.cdf(square, len(errors)))
     return np.minimum(1.0, 2.0 * tail)

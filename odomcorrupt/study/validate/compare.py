@@ -23,7 +23,7 @@ from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
 from odomcorrupt.study.io.headings import with_headings, with_recomputed_headings
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
-from odomcorrupt.study.validate.cross_validation import cutting_of
+from odomcorrupt.study.validate.cross_validation import split_of
 from odomcorrupt.study.validate.evaluation import Evaluation, evaluate_stretch, horizons_of
 from odomcorrupt.study.validate.goodness_of_fit import Verdict, pits_of, verdict_of, whiteness_of
 from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
@@ -44,7 +44,7 @@ __all__ = ["Comparison", "JudgedOn", "Judgement", "clocks_beside", "compare"]
 
 JudgedOn = Literal["recordings", "halves", "fitted data"]
 
-_CLOSER = 0.97
+_MAX_ERROR_RATIO = 0.97
 """A clock estimated with a model applied is accepted only if it reduces the 10 s error at least to this ratio."""
 
 
@@ -110,22 +110,20 @@ def compare(
     found = clocks_beside(recordings, approach, list(models.values())[-1], clocks)
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
     fitted = {name for model in models.values() for name in _fitted_on(model)}
-    cutting = cutting_of(on_time, fitted, approach.spacing_s)
-    runs = cutting.pieces(on_time)
+    split = split_of(on_time, fitted, approach.spacing_s)
+    runs = split.pieces(on_time)
     judged = {name: _evaluated(model, runs, approach) for name, model in models.items()}
     first = next(iter(judged.values()))
     # A truth of positions only gets headings, because windows start at a pose.
-    as_it_came = [piece for run in cutting.pieces([aligned(r, Clock()) for r in recordings]) for piece in run.all]
+    raw = [piece for run in split.pieces([aligned(r, Clock()) for r in recordings]) for piece in run.all]
     clock_right = [piece for run in runs for piece in run.all]
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
-        raw_error_m=_ten_seconds(as_it_came),
+        raw_error_m=_ten_seconds(raw),
         clock_error_m=_ten_seconds(clock_right),
         clock_trajectory=trajectory_error(clock_right),
-        judgements=tuple(
-            _judgement(name, models[name], pieces, first, cutting.notes) for name, pieces in judged.items()
-        ),
+        judgements=tuple(_judgement(name, models[name], pieces, first, split.notes) for name, pieces in judged.items()),
     )
 
 
@@ -139,7 +137,7 @@ def clocks_beside(
     plain, effects = plain or find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
     if not any(effect.kind != "noise" for effect in effects):
         return plain
-    applied = find_clocks([_taken_out(recording, effects) for recording in recordings], approach)
+    applied = find_clocks([_without_effects(recording, effects) for recording in recordings], approach)
 
     def error_m(clocks: Sequence[Clock]) -> float:
         on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
@@ -149,12 +147,12 @@ def clocks_beside(
     n = len(recordings)
     none = replace(plain, clocks=(Clock(),) * n, free=((False, False),) * n, errors=((0.0, 0.0),) * n)
     for other in (none, applied):
-        if error_m(other.clocks) < _CLOSER * error_m(found.clocks):
+        if error_m(other.clocks) < _MAX_ERROR_RATIO * error_m(found.clocks):
             found = other
     return found
 
 
-def _taken_out(recording: Recording, effects: Sequence[Effect]) -> Recording:
+def _without_effects(recording: Recording, effects: Sequence[Effect]) -> Recording:
     """Return a recording with effects removed from the odometry and its truth unchanged.
 
     Effects that depend on the heading in the world need headings, which a truth of positions lacks.
@@ -202,7 +200,7 @@ def _judgement(
         pits=pits,
         whiteness=whiteness,
         verdict=verdict_of(horizons, *(({}, {}) if localised else (pits, whiteness))),
-        failures=(*drift_failures(horizons), *_patterns(pieces)),
+        failures=(*drift_failures(horizons), *_all_failures(pieces)),
         trajectory=trajectory_error([piece.left for piece in pieces]),
         notes=(*notes, *_notes(model, pieces)),
         pieces=tuple(pieces),
@@ -216,7 +214,7 @@ def _judged_on(model: MotionModel, pieces: Sequence[Evaluation]) -> JudgedOn:
     return "fitted data" if any(piece.recording.name in fitted for piece in pieces) else "recordings"
 
 
-def _patterns(pieces: Sequence[Evaluation]) -> list[Failure]:
+def _all_failures(pieces: Sequence[Evaluation]) -> list[Failure]:
     """Return the failures of all pieces, with the recording's name if there are several."""
     found = []
     for piece in pieces:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Cutting", "Pieces", "cutting_of"]
+__all__ = ["Pieces", "Split", "split_of"]
 
-_LEAST_SHARE = 0.25
+_MIN_FRACTION = 0.25
 """Least fraction of the distance in a half; with less (the robot rested or crept) a half is not informative."""
 
 
@@ -54,7 +54,7 @@ class _Middle:
 
 
 @dataclass(frozen=True, slots=True)
-class Cutting:
+class Split:
     """Split of recordings, independent of their clocks.
 
     middles : of each run, None if it is evaluated as a whole
@@ -74,7 +74,7 @@ class Cutting:
         return [_pieces(runs[i], self.middles[i], self.spacing_s) for i in self.kept]
 
 
-def cutting_of(recordings: Sequence[Recording], fitted: Collection[str], spacing_s: float) -> Cutting:
+def split_of(recordings: Sequence[Recording], fitted: Collection[str], spacing_s: float) -> Split:
     """Return how to split recordings (clocks corrected): those named in `fitted` in halves, the others not at all.
 
     If no run is long enough, all are evaluated as a whole, on the data that the model was fitted to.
@@ -97,8 +97,8 @@ def cutting_of(recordings: Sequence[Recording], fitted: Collection[str], spacing
             ". Errors and likelihood are those on the fitted data, which every model explains best: record longer, or "
             "judge on another recording"
         )
-        return Cutting((None,) * len(runs), tuple(range(len(runs))), spacing_s, tuple(notes))
-    return Cutting(middles, tuple(kept), spacing_s, tuple(notes))
+        return Split((None,) * len(runs), tuple(range(len(runs))), spacing_s, tuple(notes))
+    return Split(middles, tuple(kept), spacing_s, tuple(notes))
 
 
 def _runs(recordings: Sequence[Recording]) -> list[list[Recording]]:
@@ -111,18 +111,18 @@ def _runs(recordings: Sequence[Recording]) -> list[list[Recording]]:
 
 def _middle(run: Sequence[Recording]) -> _Middle:
     """Return the middle of a run in time, or in distance if one of its halves would hardly move."""
-    stamps, way_m = _way(run)
+    stamps, distance_m = _distance(run)
     if not len(stamps):
         raise RecordingError(f"{run[0].name}: odometry and truth have no time in common; check the two clocks")
     middle = len(stamps) // 2
-    share = way_m[middle] / max(way_m[-1], 1e-9)
-    if way_m[-1] <= 0.0 or _LEAST_SHARE <= share <= 1.0 - _LEAST_SHARE:
+    share = distance_m[middle] / max(distance_m[-1], 1e-9)
+    if distance_m[-1] <= 0.0 or _MIN_FRACTION <= share <= 1.0 - _MIN_FRACTION:
         return _Middle(int(stamps[middle]))
-    by_way = int(np.searchsorted(way_m, way_m[-1] / 2.0))
-    at_s = float(stamps[by_way] - stamps[0]) * 1e-9
-    still = "first" if share < _LEAST_SHARE else "second"
+    by_distance = int(np.searchsorted(distance_m, distance_m[-1] / 2.0))
+    at_s = float(stamps[by_distance] - stamps[0]) * 1e-9
+    still = "first" if share < _MIN_FRACTION else "second"
     note = f"{run[0].name}: hardly moves in the {still} half of its time: cut at half of its way, after {at_s:.0f} s"
-    return _Middle(int(stamps[by_way]), note)
+    return _Middle(int(stamps[by_distance]), note)
 
 
 def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) -> Pieces:
@@ -143,7 +143,7 @@ def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) 
     return Pieces(names, first, second)
 
 
-def _way(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
+def _distance(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
     """Return the truth's stamps (n,) in the time of the odometry, sorted, and the distance travelled (n,), m."""
     stamps, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for recording in run:
@@ -151,9 +151,9 @@ def _way(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
         travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1))))
         own_s, truth_s = recording.odometry_s, truth.seconds_since(recording.origin_ns)
         inside = (truth_s >= own_s[0]) & (truth_s <= own_s[-1])
-        way_m = np.interp(truth_s[inside], own_s, travelled)
+        distance_m = np.interp(truth_s[inside], own_s, travelled)
         stamps.append(truth.stamps_ns[inside])
-        gone.append(np.diff(way_m, prepend=way_m[:1]))
+        gone.append(np.diff(distance_m, prepend=distance_m[:1]))
     every = np.concatenate(stamps)
     order = np.argsort(every, kind="stable")
     return every[order], np.cumsum(np.concatenate(gone)[order])

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Evaluation", "evaluate_stretch", "horizons_of"]
 
-_OTHER_NATS_PER_NODE = 0.3
+_MIN_NATS_PER_NODE = 0.3
 """A recording's truth gets its own noise if that explains this much more per interval; noise half as large again does
 so if it is most of the residual."""
-_SHOWN, _ROBUST_ROUNDS = 5.0, 6
+_MAX_NOISE_RATIO, _ROBUST_ROUNDS = 5.0, 6
 """Bound of a truth's noise relative to that of its samples (a tracker's filter hides some); rounds of the estimate."""
 _LEAST_SQUARE = 1e-12
 _HALF = float(np.sqrt(2.0))
@@ -105,7 +105,7 @@ class Evaluation:
             return None
         errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
         count = errors.error.shape[1]
-        more = random_covariance(_noisy(self.model), windows, self.problem.motions[0])[:, :count, :count]
+        more = random_covariance(_random_effects(self.model), windows, self.problem.motions[0])[:, :count, :count]
         shared = window_roots(self.left, windows)
         shared = None if shared is None else shared[:, :count]
         errors = replace(errors, covariance=errors.covariance + more, shared=shared)
@@ -134,7 +134,7 @@ def evaluate_stretch(
     # A random coefficient acts over the whole run: spread its contribution over all intervals.
     own += (white.log_det - band.log_det) / own.size
     left = with_recomputed_headings(undo(recording, effects))
-    as_it_came = pose_problem([recording], approach=approach).nodes if effects else nodes
+    raw = pose_problem([recording], approach=approach).nodes if effects else nodes
     return Evaluation(
         recording=recording,
         left=left,
@@ -142,10 +142,10 @@ def evaluate_stretch(
         truth=truth if headed else replace(truth, yaw_rad=float(left.heading_error_rad or 0.0)),
         problem=problem,
         whitener=white,
-        q=q + random_covariance(_noisy(model), nodes, problem.motions[0]),
+        q=q + random_covariance(_random_effects(model), nodes, problem.motions[0]),
         innovations=innovations,
         node_nats=-own.reshape(-1, 3).sum(axis=1),
-        node_metres=as_it_came.distance_m,
+        node_metres=raw.distance_m,
         refitted=refitted,
     )
 
@@ -161,7 +161,7 @@ def horizons_of(pieces: Sequence[Evaluation], distances_m: Sequence[float]) -> t
     return tuple(found)
 
 
-def _noisy(model: MotionModel) -> list[Effect]:
+def _random_effects(model: MotionModel) -> list[Effect]:
     """Return the random effects that remain after the odometry is restored."""
     return [effect for effect in model.effects if effect.kind == "noise" and not effect.restorable]
 
@@ -174,17 +174,17 @@ def _own_truth(nodes: Intervals, q: Array, stated: TruthNoise, recording: Record
     the noise that the truth's own samples show.
     """
     own, usual = _robust_truth(nodes, q, recording)
-    most = _most_noise(recording, stated)
+    most = _max_noise(recording, stated)
     own = TruthNoise(*(min(one, bound) for one, bound in zip(_numbers(own), _numbers(most), strict=True)))
 
     def nats(truth: TruthNoise) -> float:
         white = whitener(nodes, usual, truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD))
         return white.log_likelihood(white.whiten(nodes.residual))
 
-    return own if nats(own) - nats(stated) > _OTHER_NATS_PER_NODE * len(nodes) else stated
+    return own if nats(own) - nats(stated) > _MIN_NATS_PER_NODE * len(nodes) else stated
 
 
-def _most_noise(recording: Recording, stated: TruthNoise) -> TruthNoise:
+def _max_noise(recording: Recording, stated: TruthNoise) -> TruthNoise:
     """Return an upper bound of a truth's noise from its own samples; infinite if they do not show it.
 
     Errors of a localisation, of matched scans and of other odometry are correlated from sample to sample. Satellite
@@ -193,7 +193,7 @@ def _most_noise(recording: Recording, stated: TruthNoise) -> TruthNoise:
     truth = recording.truth
     if recording.localised or truth.covariance is not None or not recording.headed:
         return TruthNoise(np.inf, np.inf, np.inf)
-    x, y, yaw = (_SHOWN * truth_noise(truth)).tolist()
+    x, y, yaw = (_MAX_NOISE_RATIO * truth_noise(truth)).tolist()
     xy = float(np.hypot(x, y)) / _HALF
     return TruthNoise(max(xy, stated.xy_m), max(yaw, stated.yaw_rad), max(xy, stated.random_walk))
 
@@ -229,10 +229,10 @@ def _robust_truth(nodes: Intervals, q: Array, recording: Recording) -> tuple[Tru
             break
         own = np.eye(3) * FLOOR + interval_covariance(nodes, usual, truth)
         usual = usual + np.where(worse, np.maximum(square / 3.0 - 1.0, 0.0), 0.0)[:, None, None] * own
-    return _likeliest_truth(nodes, usual, start, headed=recording.headed), usual
+    return _most_likely_truth(nodes, usual, start, headed=recording.headed), usual
 
 
-def _likeliest_truth(nodes: Intervals, q: Array, start: Array, *, headed: bool) -> TruthNoise:
+def _most_likely_truth(nodes: Intervals, q: Array, start: Array, *, headed: bool) -> TruthNoise:
     """Return the maximum-likelihood noise of the truth, given the odometry's covariances (K, 3, 3)."""
 
     def cost(free: Array) -> float:

@@ -87,7 +87,7 @@ class Verdict:
     @property
     def against(self) -> tuple[Check, ...]:
         """The tests that reject the model."""
-        return tuple(look for look in self.checks if look.p < self.threshold)
+        return tuple(check for check in self.checks if check.p < self.threshold)
 
     @property
     def rejected(self) -> bool:
@@ -118,10 +118,10 @@ def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: 
     """Return the joint verdict of all tests."""
     beyond = [h.nees for h in horizons if not h.nees_bounds[0] <= h.nees <= h.nees_bounds[1] and _is_seen(h)]
     misfit = float(np.sqrt(max(beyond, key=lambda nees: abs(np.log(max(nees, 1e-300)))))) if beyond else 1.0
-    looks = [Check(f"size of errors over {h.distance_m:g} m of path (NEES)", h.nees_p) for h in horizons]
-    looks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
-    looks += [Check(f"memory of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()]
-    return Verdict(REJECTION_LEVEL, tuple(sorted(looks, key=lambda look: look.p)), misfit)
+    checks = [Check(f"size of errors over {h.distance_m:g} m of path (NEES)", h.nees_p) for h in horizons]
+    checks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
+    checks += [Check(f"memory of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()]
+    return Verdict(REJECTION_LEVEL, tuple(sorted(checks, key=lambda check: check.p)), misfit)
 
 
 def _is_seen(h: Horizon) -> bool:

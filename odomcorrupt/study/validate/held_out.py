@@ -24,7 +24,7 @@ from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned, clock_leaders
 from odomcorrupt.study.select.confidence import confidence, evidence_of, noise_evidence
 from odomcorrupt.study.validate.compare import clocks_beside
-from odomcorrupt.study.validate.cross_validation import cutting_of
+from odomcorrupt.study.validate.cross_validation import split_of
 from odomcorrupt.study.validate.evaluation import evaluate_stretch
 from odomcorrupt.study.validate.log_score import block_differences
 
@@ -38,13 +38,13 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.evaluation import Evaluation
 
-__all__ = ["HeldOut", "keep_what_holds"]
+__all__ = ["HeldOut", "drop_unsupported_parts"]
 
-_PLAIN = 2.0
+_SIGNIFICANT = 2.0
 """Standard errors beyond which a paired difference counts as significant."""
-_WORSE = {"factor": 1.02, "plain": 1.15, "errors": _PLAIN}
+_WORSE = {"factor": 1.02, "plain": 1.15, "errors": _SIGNIFICANT}
 """Thresholds at which a 10 s error counts as larger, see `Drift.worse_than`."""
-_FEWEST_BLOCKS = 6
+_MIN_BLOCKS = 6
 """Fewest blocks of 15 s for a significance test of the likelihood."""
 
 
@@ -55,7 +55,7 @@ class HeldOut:
     nats, error : gain of held-out log likelihood from the part, and its standard error from blocks of the drive
     ten_second_error_m : without the part, and with it
     drift_nats : gain of log likelihood of the errors over 10 s windows
-    harm : reason why the part was dropped; "" if it was kept
+    failure : reason why the part was dropped; "" if it was kept
     needed : whether the 10 s error is clearly larger without it
     """
 
@@ -64,16 +64,16 @@ class HeldOut:
     error: float
     ten_second_error_m: tuple[float, float]
     drift_nats: float
-    harm: str
+    failure: str
     needed: bool
 
     @property
     def remark(self) -> str:
         """A sentence on why the part was dropped."""
-        return f"{self.name} was found, but is not in the model: {self.harm}"
+        return f"{self.name} was found, but is not in the model: {self.failure}"
 
 
-def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple[Learned, tuple[HeldOut, ...]]:
+def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -> tuple[Learned, tuple[HeldOut, ...]]:
     """Return the learned model without parts that fail on held-out data, and the test of each part.
 
     Parameters
@@ -84,13 +84,13 @@ def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple
     """
     fitted, said = learned.fit, list[HeldOut]()
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
-    once = {law.name for law in learned.laws if law.regressor == "time"} if len(_runs(fitted)) == 1 else set()
+    timed = {law.name for law in learned.laws if law.regressor == "time"} if len(_runs(fitted)) == 1 else set()
     while parts := [(part,) for part in _parts(fitted)]:
         # Also test all parts jointly: each may compensate another's error while all of them are worse than none.
         together = [tuple(part for (part,) in parts)] if len(parts) > 1 else []
         found = _test(fitted, [*parts, *together], others, clocks)
-        found = [(own, _needs_support(one, supported=bool(others)) if one.name in once else one) for own, one in found]
-        worst = max((one for one in found if one[1].harm), key=lambda one: -one[1].nats, default=None)
+        found = [(own, _needs_support(one, supported=bool(others)) if one.name in timed else one) for own, one in found]
+        worst = max((one for one in found if one[1].failure), key=lambda one: -one[1].nats, default=None)
         if worst is None:
             each = [(own, one) for own, one in found if len(own) == 1]
             # A part may show in single intervals or in the drift over seconds: take the larger gain.
@@ -119,9 +119,11 @@ def _runs(fitted: Fit) -> set[int]:
 
 def _needs_support(one: HeldOut, *, supported: bool) -> HeldOut:
     """Return the test of a dependence on the time of one recording, dropped unless another recording supports it."""
-    if one.harm or (supported and one.nats > _PLAIN * one.error):
+    if one.failure or (supported and one.nats > _SIGNIFICANT * one.error):
         return one
-    return replace(one, harm="it says when this one drive went wrong; a second one would show whether it happens again")
+    return replace(
+        one, failure="it says when this one drive went wrong; a second one would show whether it happens again"
+    )
 
 
 def _least_confident(
@@ -139,7 +141,7 @@ def _least_confident(
     if one is None or least >= learned.decisions.least_confidence:
         return None
     return parts, replace(
-        one, harm=f"other causes are likelier by far (confidence {least:.2f}), and the error does not grow"
+        one, failure=f"other causes are likelier by far (confidence {least:.2f}), and the error does not grow"
     )
 
 
@@ -199,8 +201,8 @@ def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) ->
         return [_Fold((), tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True)))]
     problem = fitted.problem
     on_time = [aligned(r, c) for r, c in zip(problem.recordings, problem.clocks, strict=True)]
-    cutting = cutting_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
-    pieces = [run for run in cutting.pieces(on_time) if run.second]
+    split = split_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
+    pieces = [run for run in split.pieces(on_time) if run.second]
     if not pieces:  # too short to be halved
         return []
     first = tuple(r for run in pieces for r in run.first)
@@ -215,21 +217,21 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
     nats = float(gains.sum())
     error = float(np.std(gains, ddof=1) * np.sqrt(len(gains))) if len(gains) > 1 else float("inf")
     farther = with_it.worse_than(base, **_WORSE)
-    unlikelier = len(gains) >= _FEWEST_BLOCKS and nats < -_PLAIN * error
+    unlikelier = len(gains) >= _MIN_BLOCKS and nats < -_SIGNIFICANT * error
     closer = base.worse_than(with_it, **_WORSE)
-    harm = ""
+    failure = ""
     if farther:
-        harm = (
+        failure = (
             f"on held-out data the 10 s error is {1e3 * with_it.rmse:.1f} mm with it, {1e3 * base.rmse:.1f} mm without"
         )
     elif unlikelier and not closer:
-        harm = f"on held-out data the model is {-nats:.0f} nats less likely with it"
+        failure = f"on held-out data the model is {-nats:.0f} nats less likely with it"
     return HeldOut(
         name=" with ".join(part.name for part in parts),
         nats=nats,
         error=error,
         ten_second_error_m=(base.rmse, with_it.rmse),
         drift_nats=with_it.nats_over(base),
-        harm=harm,
+        failure=failure,
         needed=closer,
     )

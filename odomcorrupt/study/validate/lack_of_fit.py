@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 __all__ = ["Failure", "drift_failures", "failures", "sudden_failures"]
 
 LEVEL = 0.01  # significance level after correction for multiple tests
-_MOST = 6
-_MOST_SUDDEN = 3
-_WORTH_SAYING = float(np.log(1.2))
+_MAX_FAILURES = 6
+_MAX_SUDDEN = 3
+_MIN_LOG_RATIO = float(np.log(1.2))
 """Smaller factors between measured and expected errors are not reported, however significant."""
-_LEFT = 0.3
+_MIN_NORM = 0.3
 """A pattern that keeps a smaller part of its norm after projection is redundant with those already found."""
 
 
@@ -90,9 +90,9 @@ def failures(
     family = {kind: 3 * sum(p.kind == kind for p in patterns) for kind in ("motion", "time", "place")}
     cost = np.array([np.log(3.0 * family[p.kind]) for p, _ in tries])
     found: list[Failure] = []
-    while len(found) < _MOST:
+    while len(found) < _MAX_FAILURES:
         length = np.linalg.norm(columns, axis=0)
-        usable = length > np.maximum(_LEFT * own, 1e-12)
+        usable = length > np.maximum(_MIN_NORM * own, 1e-12)
         z = np.where(usable, columns.T @ r / np.where(usable, length, 1.0), 0.0) / inflation
         log_p = norm.logsf(np.abs(z)) + np.log(2.0) + cost
         best = int(np.argmin(log_p))
@@ -137,7 +137,7 @@ def sudden_failures(
     deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     nodes = problem.nodes
     found = []
-    for k in np.argsort(square)[::-1][:_MOST_SUDDEN]:
+    for k in np.argsort(square)[::-1][:_MAX_SUDDEN]:
         if log_p[k] > np.log(LEVEL):
             break
         ratio = (np.abs(nodes.residual[k]) / deviation[k])[:count]
@@ -165,12 +165,12 @@ def sudden_failures(
 def drift_failures(horizons: Sequence[Horizon]) -> list[Failure]:
     """Return, per channel, the longest path after which errors differ from the model's prediction."""
     found = []
-    looks = 3 * len(horizons)
+    tests = 3 * len(horizons)
     for c, channel in enumerate(CHANNELS):
         for h in reversed(horizons):
             ratio = h.measured[c] / h.expected[c]
-            if h.excess_p[c] * looks < LEVEL and abs(np.log(ratio)) > _WORTH_SAYING:
-                log_p = float(np.log(max(h.excess_p[c] * looks, 1e-300)))
+            if h.excess_p[c] * tests < LEVEL and abs(np.log(ratio)) > _MIN_LOG_RATIO:
+                log_p = float(np.log(max(h.excess_p[c] * tests, 1e-300)))
                 found.append(
                     Failure(
                         kind="drift",

@@ -27,7 +27,7 @@ def sequence_comparison(
     """
     steps = learned.steps
     # Terms that were included and dropped again are not steps.
-    before = [look.before for look in (*learned.rounds[:1], *steps[1:])] if steps else []
+    before = [step.before for step in (*learned.rounds[:1], *steps[1:])] if steps else []
     fits = [*before, learned.fit]
-    names = [first, *(f"+ {look.name}" for look in steps)]
+    names = [first, *(f"+ {step.name}" for step in steps)]
     return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})

@@ -27,7 +27,7 @@ __all__ = ["LOCALISED", "ParameterUncertainty", "uncertainty_of"]
 LOCALISED = 0.25
 """Relative standard deviation of the variance of a localisation's errors over windows of one length, in addition to
 its fit: the NEES over 1 to 5 m of nine correct models beside simulated AMCLs scattered by 0.3; chance explains 0.15."""
-_LEAST = 0.05
+_MIN_VARIANCE = 0.05
 """Lower limit of a drawn variance, relative to the model's."""
 
 
@@ -61,7 +61,7 @@ class ParameterUncertainty:
         scale = 1.0 + rng.standard_normal((draws, len(self.scale))) @ self.scale
         scale *= self.drawn_truth(rng, draws, spread)
         by = rng.standard_normal((draws, len(self.gram)))
-        return Drawn(np.maximum(scale, _LEAST), np.maximum(np.einsum("di,ij,dj->d", by, self.gram, by), 0.0))
+        return Drawn(np.maximum(scale, _MIN_VARIANCE), np.maximum(np.einsum("di,ij,dj->d", by, self.gram, by), 0.0))
 
     @staticmethod
     def drawn_truth(rng: np.random.Generator, draws: int, spread: float) -> Array:

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Replay", "overlapping", "replay", "smooth_truth"]
 
-_POSES = 1500
+_MAX_POSES = 1500
 """Poses kept of each path, for plots and statistics."""
-_LEAST_RUNS = 20
+_MIN_RUNS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +71,13 @@ class Replay:
 
 def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     """Return corrupted runs along a stretch's truth, beside its odometry with the measurement's effects removed."""
-    if runs < _LEAST_RUNS:
-        raise ValueError(f"runs: {runs}; give {_LEAST_RUNS} or more: fewer do not determine the covariance of the runs")
+    if runs < _MIN_RUNS:
+        raise ValueError(f"runs: {runs}; give {_MIN_RUNS} or more: fewer do not determine the covariance of the runs")
     model = piece.model
     measured = overlapping(undo(piece.recording, model.setup.effects))
     smooth, truth = smooth_truth(measured)
     stamps = measured.odometry.stamps_ns
-    kept = np.unique(np.linspace(0, len(stamps) - 1, min(_POSES, len(stamps))).astype(np.int64))
+    kept = np.unique(np.linspace(0, len(stamps) - 1, min(_MAX_POSES, len(stamps))).astype(np.int64))
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(smooth[:, :2], axis=0), axis=1))))
     starts = stream(seed, 0, "replay").standard_normal((runs, 3)) * np.array(
         [piece.truth.xy_m, piece.truth.xy_m, piece.truth.yaw_rad]

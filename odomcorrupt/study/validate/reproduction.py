@@ -42,9 +42,9 @@ __all__ = ["LongDrift", "Reproduction", "reproduction_of"]
 _RUNS = 10
 _FACTOR = 2.0
 """Factor beyond which errors differ, unless single runs of the model differ as much."""
-_MOSTLY = 0.5
+_MAIN_CAUSE = 0.5
 """Fraction of the squared error above which outliers are its main cause."""
-_LONG, _LEAST_S = 0.25, 30.0
+_LONG, _MIN_LONG_S = 0.25, 30.0
 """Fraction of the drive for the long-term error, and its shortest duration, seconds."""
 
 
@@ -102,7 +102,7 @@ class Reproduction:
     @property
     def by_outliers(self) -> bool:
         """Whether stretches excluded from the fit cause most of the error."""
-        return self.outlier_share > _MOSTLY
+        return self.outlier_share > _MAIN_CAUSE
 
 
 def reproduction_of(fit: Fit, model: MotionModel, *, runs: int = _RUNS) -> Reproduction:
@@ -144,7 +144,7 @@ def reproduction_of(fit: Fit, model: MotionModel, *, runs: int = _RUNS) -> Repro
 
 def _long_drift(measured: Sequence[Recording], drawn: Sequence[Sequence[Recording]]) -> LongDrift | None:
     after_s = _LONG * max(float(one.odometry_s[-1] - one.odometry_s[0]) for one in measured)
-    if after_s < _LEAST_S or not drawn:
+    if after_s < _MIN_LONG_S or not drawn:
         return None
     each = [_mean_square(one, after_s) for one in drawn]
     squares = (_mean_square(measured, after_s), float(np.mean(each)), min(each))

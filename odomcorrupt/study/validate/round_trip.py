@@ -51,18 +51,18 @@ _LIMITS = (0.5, 0.3, 0.15)
 """Fractions of a motion to which a dependence is limited; the first one with an inverse is used."""
 _PART = re.compile(r"^(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* \((.*)\)$")
 """A dependence as the selection writes it: a fraction of a motion, added to a channel."""
-_HARM = 1.03
+_MAX_WORSE = 1.03
 """Largest factor by which `correct` may increase the error of the fitted data."""
-_BROKEN = 1.25
+_MAX_RATIO = 1.25
 """Ratio of the 10 s error after `correct` to that of the fit from which a dependence is replaced."""
-_KEPT = 0.4
+_MIN_GAIN = 0.4
 """Least fraction of a fit's gain, in mean squares, required of `correct` if effects read accelerations or places."""
-_LEAST_SHARE = 0.05
+_MIN_MEAN = 0.05
 """Least ratio of a dependence's mean to itself for a replacement by the mean."""
 _AT_BOUND = 1e-6
-_OTHER_ERROR = 0.05
+_MIN_DIFFERENCE = 0.05
 """Least relative difference of two errors whose reason is reported."""
-_MANY_TIMES = 1.5
+_MAX_NOMINAL = 1.5
 """Ratio of the true turn to the odometry's, or its inverse, from which a nominal value is reported as wrong."""
 
 
@@ -99,14 +99,14 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording], *, runs:
     changes: list[str] = []
     model = _within_bounds(model, changes)
     while True:
-        failure = _failure(model, drives, runs) or _harm(model, drives)
+        failure = _failure(model, drives, runs) or _worse(model, drives)
         if not failure:
             break
-        mended = next((m for m in _mended(model) if not (_failure(m[0], drives, runs) or _harm(m[0], drives))), None)
+        repair = next((m for m in _repairs(model) if not (_failure(m[0], drives, runs) or _worse(m[0], drives))), None)
         # If no single change helps, drop the weakest effect and try again.
-        model, change = mended or _without(model, _weakest(model))
+        model, change = repair or _without(model, _weakest(model))
         changes.append(f"{change}: {failure}")
-    model, notes = _as_delivered(model, drives, runs)
+    model, notes = _correctable(model, drives, runs)
     said = (*changes, *notes, *bound_notes(model), *_setup_note(model, recordings))
     if said:
         model = replace(model, source=dict(model.source) | {"remarks": list(said)})
@@ -127,7 +127,7 @@ def bound_notes(model: MotionModel) -> tuple[str, ...]:
                 )
         if effect.name == "wheelbase":
             factor = 1.0 / (1.0 + getattr(effect, "e", 0.0))
-            if not 1.0 / _MANY_TIMES < factor < _MANY_TIMES:
+            if not 1.0 / _MAX_NOMINAL < factor < _MAX_NOMINAL:
                 notes.append(
                     f"the robot turns {factor:.2g} times as far as its odometry says: its nominal track or gear ratio "
                     f"is wrong by a factor of {factor:.2g}, unless its wheels skid as it turns"
@@ -146,7 +146,7 @@ def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str
         phased_rmse([with_recomputed_headings(undo(r, effects)) for r in on_time])
         for effects in (model.effects, (*model.effects, *model.setup.effects))
     )
-    if not abs(robot - both) > _OTHER_ERROR * both:
+    if not abs(robot - both) > _MIN_DIFFERENCE * both:
         return []
     said = (
         f"`correct` with this model leaves {robot * 1e3:.1f} mm after 10 s on the fitted data, the fit "
@@ -228,7 +228,7 @@ def _driven(drives: Sequence[_Drive], run: int, runs: int) -> Iterator[tuple[_Dr
             return
 
 
-def _harm(model: MotionModel, drives: Sequence[_Drive]) -> str:
+def _worse(model: MotionModel, drives: Sequence[_Drive]) -> str:
     """Return a message if `correct` increases the error of the fitted data though the fit did not; otherwise "".
 
     The fit uses motion smoothed from both sides; the correction uses the raw motion.
@@ -236,12 +236,12 @@ def _harm(model: MotionModel, drives: Sequence[_Drive]) -> str:
     if not any(effect.reads_truth for effect in model.effects):
         return ""
     left_m, plain_m = (_corrected_error(effects, model, drives) for effects in (model.effects, ()))
-    if not left_m > _HARM * plain_m or not left_m > _HARM * _fitted_error(model, drives):
+    if not left_m > _MAX_WORSE * plain_m or not left_m > _MAX_WORSE * _fitted_error(model, drives):
         return ""
     return f"`correct` with it leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, {plain_m * 1e3:.1f} without"
 
 
-def _as_delivered(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tuple[MotionModel, list[str]]:
+def _correctable(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tuple[MotionModel, list[str]]:
     """Return the model with the least error after `correct` if that clearly exceeds the fit's error, and a sentence.
 
     The fit uses accelerations of smoothed motion, the correction those between successive poses. If stamps jitter, a
@@ -251,20 +251,20 @@ def _as_delivered(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tu
     if not reading:
         return model, []
     left_m, fitted_m = _corrected_error(model.effects, model, drives), _fitted_error(model, drives)
-    if not left_m > (1.0 + _OTHER_ERROR) * fitted_m:
+    if not left_m > (1.0 + _MIN_DIFFERENCE) * fitted_m:
         return model, []
     errors = f"leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, the fit {fitted_m * 1e3:.1f} mm"
     plain_m = _corrected_error([e for e in model.effects if e not in reading], model, drives)
     # A small remaining gain is specific to these data and does not transfer.
-    hardly = left_m**2 > _KEPT * fitted_m**2 + (1.0 - _KEPT) * plain_m**2
-    if hardly or left_m > _BROKEN * fitted_m:
+    little = left_m**2 > _MIN_GAIN * fitted_m**2 + (1.0 - _MIN_GAIN) * plain_m**2
+    if little or left_m > _MAX_RATIO * fitted_m:
         means = [_mean_of(model, law, drives) for law in reading if isinstance(law, UserEffect)]
         others = [*(m for m in means if m is not None), *(_without(model, effect) for effect in reversed(reading))]
         usable = [one for one in others if not _failure(one[0], drives, runs)]
         errors_m = [_corrected_error(other.effects, other, drives) for other, _ in usable]
-        if errors_m and (hardly or min(errors_m) < left_m):
+        if errors_m and (little or min(errors_m) < left_m):
             other, change = usable[int(np.argmin(errors_m))]
-            other, more = _as_delivered(other, drives, runs)
+            other, more = _correctable(other, drives, runs)
             return other, [f"{change}, which leaves {min(errors_m) * 1e3:.1f} mm: `correct` with it {errors}", *more]
     names = " and ".join(effect.name for effect in reading)
     why = "reads accelerations or places, and from one pose to the next these are rougher than the fit's smooth ones"
@@ -282,7 +282,7 @@ def _mean_of(model: MotionModel, law: UserEffect, drives: Sequence[_Drive]) -> t
     motions = [MotionSmoother([drive.recording], "odometry").recorded for drive in drives]
     moved = [np.concatenate([error_of(one, m) * m.dt_s[:, None] for m in motions]) for one in (law, even)]
     share = float(np.sum(moved[0] * moved[1]) / max(np.sum(moved[1] ** 2), 1e-300))
-    if not abs(share) > _LEAST_SHARE:
+    if not abs(share) > _MIN_MEAN:
         return None
     mean = user_effect(law.name, even.expression.text, {"k": share * values["k"]}, {}, words)
     errors = dict(model.standard_errors)
@@ -315,7 +315,7 @@ def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequ
     return phased_rmse(runs)
 
 
-def _mended(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
+def _repairs(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
     """Yield models with one kind of change, the slightest first, and a description of the change."""
     laws = [effect for effect in model.effects if isinstance(effect, UserEffect)]
     for limit in _LIMITS:

@@ -19,10 +19,10 @@ __all__ = ["Pattern", "all_patterns"]
 
 _SHARES = (4, 8, 16)
 """Divisors of a run's duration for stretches of time, and of the width of the place for radii of discs."""
-_LEAST, _MOST = 0.02, 0.6
+_MIN_SHARE, _MAX_SHARE = 0.02, 0.6
 """Least fraction of the drive in a pattern, and largest fraction in a stretch of time or disc."""
 _TURN_PER_M = 0.1  # least curvature of a turn, rad/m
-_SPEEDING = 0.1  # least acceleration, m/s^2
+_MIN_ACCELERATION = 0.1  # least acceleration, m/s^2
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def all_patterns(motion: NodeMotion) -> list[Pattern]:
     kept = []
     for pattern in wanted:
         share = pattern.amount / (total if pattern.per == "m" else float(motion.seconds.sum()))
-        if share >= _LEAST and (pattern.kind == "motion" or share <= _MOST):
+        if share >= _MIN_SHARE and (pattern.kind == "motion" or share <= _MAX_SHARE):
             kept.append(pattern)
     return kept
 
@@ -70,8 +70,8 @@ def _kinds_of_motion(m: NodeMotion) -> list[Pattern]:
         "in reverse": m.v < -MOVING,
         "at the faster speeds": moving & (speed > fast),
         "at the slower speeds": moving & (speed <= fast),
-        "while speeding up": moving & (speeding > _SPEEDING),
-        "while braking": moving & (speeding < -_SPEEDING),
+        "while speeding up": moving & (speeding > _MIN_ACCELERATION),
+        "while braking": moving & (speeding < -_MIN_ACCELERATION),
     }
     found = [_pattern("motion", where, mask, m.metres) for where, mask in kinds.items()]
     spot = ~moving & (np.abs(m.omega) > 0.1)
