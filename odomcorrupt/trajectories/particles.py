@@ -56,7 +56,7 @@ def places_along(drive: Drive, every_m: float) -> NDArray[np.intp]:
     travelled = drive.distance_m
     total = float(travelled[-1])
     if not total > 0.0:
-        raise RecordingError(f"{drive.topic}: the robot does not move; a cloud takes a drive")
+        raise RecordingError(f"{drive.topic}: the robot does not move; particles need a drive with motion")
     marks = np.arange(every_m, total, every_m)
     # drop the last mark if it coincides with the end
     marks = marks[total - marks > 0.3 * every_m]

@@ -162,7 +162,7 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
     grid = np.arange(first + _MAX_LAG_S, last - _MAX_LAG_S, _GRID_S)
     turned = _rate_on(odo_s, heading, grid)
     if float(np.std(turned)) < 5.0 * _STILL_RADPS:
-        raise RecordingError(f"{odometry.place}: hardly turns; a gyro has nothing to witness: leave --imu out")
+        raise RecordingError(f"{odometry.place}: hardly turns, so that a gyro shows nothing: leave --imu out")
     angles = _integrated(own_s, gyro.rates)
     lag_s, coefficients, corr = _lagged(own_s, angles, grid, turned)
     if corr < _MIN_CORR:
@@ -199,10 +199,10 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
 
 
 _SOURCES = {
-    "gyro": "the odometry's heading comes from this gyro: of a wrong gain of turns, gyro_scale is meant",
-    "wheels": "the odometry's heading comes from the wheels (at rest it says exactly nothing, the gyro does not): of a "
-    "wrong gain of turns, wheelbase is meant",
-    "": "whether the odometry's heading comes from the wheels or from a gyro does not show",
+    "gyro": "the odometry's heading comes from this gyro: a wrong gain of turns is gyro_scale",
+    "wheels": "the odometry's heading comes from the wheels (at rest it is exactly constant, the gyro's is not): a "
+    "wrong gain of turns is wheelbase",
+    "": "whether the odometry's heading comes from the wheels or from a gyro is not known",
 }
 
 
@@ -217,7 +217,7 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
     """
     if gyro.heading_source == "gyro":
         raise RecordingError(
-            f"{gyro.place}: the odometry's heading comes from this gyro, which is no witness against itself; give a "
+            f"{gyro.place}: the odometry's heading comes from this gyro, so the two cannot be compared; give a "
             "truth or a laser (--truth, --scan)"
         )
     inside = (odometry.stamps_ns >= gyro.stamps_ns[0]) & (odometry.stamps_ns <= gyro.stamps_ns[-1])

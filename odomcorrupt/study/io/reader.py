@@ -129,10 +129,10 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
             if len(parts) == 1:
                 raise
     if not found:
-        raise RecordingError(f"{_place(source)}: no part of the laser's map carries a study; drive slower or longer")
-    chosen = "" if source.scan else f"no truth: the laser on {scan} is learned from; --scan says so without this line"
+        raise RecordingError(f"{_place(source)}: no part of the laser's map is long enough; drive slower or longer")
+    chosen = "" if source.scan else f"no truth: the laser on {scan} is used instead (as with --scan {scan})"
     error = source.truth_scale_error
-    said = f"the laser is a ruler good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
+    said = f"the laser as a ruler is accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
     runs = [
         replace(
             r,
@@ -167,9 +167,9 @@ def _by_motions(source: Source, path: Path) -> list[Recording]:
             if len(chains) == 1:
                 raise
     if not found:
-        raise RecordingError(f"{place}: no chain of motions carries a study; record longer")
+        raise RecordingError(f"{place}: no chain of motions is long enough; record longer")
     error = source.truth_scale_error
-    said = f"lengths of the motions are good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
+    said = f"lengths of the motions are accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
     runs = [
         replace(
             r,
@@ -199,7 +199,7 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
             f"no truth, no laser: wheels and the gyro on {imu} alone. What they disagree about is an error of one of "
             "them; travel cannot be known (not testable: wheel_scale, speed_scale and all else that is travel)"
         ),
-        f"the gyro's turns are good to {error:.2%}: no gain of turns is known better (--gyro-scale-accuracy)",
+        f"the gyro's turns are accurate to {error:.2%}, which limits any gain of turns (--gyro-scale-accuracy)",
     )
     return [
         replace(

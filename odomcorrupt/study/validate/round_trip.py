@@ -207,7 +207,7 @@ def _failure(model: MotionModel, drives: Sequence[_Drive], runs: int) -> str:
             try:
                 moved = NoisyPath(model, 0, run).feed(drive.stamps_ns[rows], drive.true_xyt[rows]).error_xyt
             except OdomCorruptError:
-                return "no odometry obeys it on the fitted drive"
+                return "no odometry satisfies it on the fitted drive"
             if not np.isfinite(moved).all():
                 return "the fitted drive corrupted with it is not finite"
     return ""
