@@ -2,8 +2,7 @@
 
 The expected log likelihood ratio between A and the best-fitting B is half the squared norm of the whitened residuals
 caused by A, after projection orthogonal to the columns of B and of all free parameters (clocks and included effects).
-Columns of recorded and planned drives are stacked, so that existing information counts; each clock belongs to one drive
-only.
+Columns of recorded and planned drives are stacked, so that existing information counts. A clock belongs to one drive.
 """
 
 from __future__ import annotations

@@ -155,8 +155,7 @@ class EdgeReader:
 def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | None:
     """Return the edge of a localisation with each correction once, at its time of sending; None if there is none.
 
-    This edge repeats itself while the others move, or is rare compared with them. It must not be interpolated between
-    its messages.
+    This edge repeats itself while the others move, or is rarer than they are. It must not be interpolated.
     """
     for edge, own in moving.items():
         others = [other for e, other in moving.items() if e != edge]

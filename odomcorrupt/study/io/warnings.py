@@ -88,8 +88,7 @@ def without_constant_heading(odometry: Samples, truth: Samples) -> Samples:
 def without_course(odometry: Samples, truth: Samples) -> Samples:
     """Return the truth without headings if these are the direction of travel.
 
-    A receiver with one antenna reports the course over ground as heading: it is reversed when backing up and arbitrary
-    at rest.
+    A receiver with one antenna reports its course over ground: reversed when backing up, and arbitrary at rest.
     """
     if not truth.headed or truth.relative or truth.span_s < _MIN_STEPS * _STRIDE_S:
         return truth

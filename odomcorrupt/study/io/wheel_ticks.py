@@ -1,8 +1,7 @@
 """Wheel angles from JointState, and the nominal wheel radius and track with which the odometry integrates them.
 
 Increments of pure wheel odometry are linear in the wheel angles: travel = (r/2)(right + left), turn = (r/b)(right -
-left). Regression gives the driver's r and b; its residual shows whether the heading really comes from the
-wheels.
+left). Regression gives the driver's r and b; its residual shows whether the heading comes from the wheels.
 """
 
 from __future__ import annotations
