@@ -53,7 +53,7 @@ _RUNAWAY = 1e6
 
 
 class LineFits:
-    """Line fits to samples in windows around given times, with everything that depends on the times only precomputed.
+    """Line fits to samples in windows around given times; sums that depend only on the times are precomputed.
 
     Running sums make the cost linear in the number of samples; stamps may be uneven. Sums restart every `_BLOCK`
     windows, because over an hour they would lose a thousandth of a speed. If a window has fewer than two samples, the
