@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["CREEP_MPS", "axles_parameter", "on_every_axle_distance", "steepness"]
 
 CREEP_MPS = 0.05 - 1e-9
-"""Speed below which a path does not show the steering angle, m/s. A round 0.05 m/s is above it, however it is rounded."""
+"""Speed below which a path does not show the steering angle, m/s; just below a round 0.05, which rounding may reach."""
 _STEEP = (0.3, 0.55)
 """Tangents of the largest steering angle that give trial distances between the axles: 17 and 29 degrees."""
 _TIGHTEST = 0.99
