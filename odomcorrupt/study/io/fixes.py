@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Origin
+    from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["Fixes", "Resolved", "resolved"]
+__all__ = ["Fixes", "Resolved", "resolved", "without_float_episodes"]
 
 FLOAT_TIMES, _SETTLED_TIMES = 5.0, 2.5
 """Ratios to the best fixes' standard deviation: above the first a float episode begins; it ends below the second,
@@ -90,6 +91,20 @@ def resolved(fixes: Fixes) -> Resolved:
     notes += _outages(stamps_s)
     notes.append("metres east and north of its first fix")
     return Resolved(rows, east_north_up(fixes.lla[rows]), origin_of(fixes.lla[rows[0]]), tuple(notes))
+
+
+def without_float_episodes(truth: Samples) -> Samples:
+    """Return a truth of positions without float episodes by its reported variances: a receiver's poses, not fixes.
+
+    A truth with headings is returned as it is: variances of a localisation vary for other reasons.
+    """
+    if truth.headed or truth.geodetic_origin is not None or not len(truth.variance_m2):
+        return truth
+    stamps_s = truth.seconds_since(int(truth.stamps_ns[0]))
+    poor = _joined(stamps_s, _poor(np.full(len(truth), UNKNOWN, dtype=np.int8), truth.variance_m2))
+    if not poor.any() or np.mean(~poor) <= _MIN_GOOD:
+        return truth
+    return truth.only(~poor, *_episodes(stamps_s, poor))
 
 
 def _poor(status: NDArray[np.int8], variance_m2: Array) -> NDArray[np.bool_]:

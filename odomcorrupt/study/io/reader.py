@@ -15,6 +15,7 @@ from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import pull_of
+from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_warnings
 from odomcorrupt.study.io.jumps import without_outliers
@@ -304,7 +305,7 @@ def recordings_of(
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    truth = without_course(odometry, without_constant_heading(odometry, truth))
+    truth = without_float_episodes(without_course(odometry, without_constant_heading(odometry, truth)))
     if not truth.relative:
         truth = without_excursions(odometry, corrections_alone(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
