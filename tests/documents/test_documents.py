@@ -27,7 +27,7 @@ def test_every_relative_link_leads_to_a_file(page):
 
 @pytest.mark.parametrize("page", ["glossary.md", "architecture.md"])
 def test_every_module_and_room_that_is_named_exists(page):
-    text = (ROOT / "docs" / page).read_text(encoding="utf8").split("## Module names before", 1)[0]
+    text = (ROOT / "docs" / page).read_text(encoding="utf8")
     named = re.findall(r"`([a-z_]+(?:/[a-z_]+)*(?:/|\.py))`", text)
     assert len(named) > 10
     assert [name for name in named if not (ROOT / "odomcorrupt" / name).exists()] == []

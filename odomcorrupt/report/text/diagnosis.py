@@ -144,7 +144,7 @@ def _unknown_lines(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fit
 
 def dependence(unknown: Dependence) -> str:
     """Return the regressors that an error depends on, as a clause."""
-    regressor = unknown.regressor.replace("_", " ")
+    regressor = ": ".join(filter(None, (unknown.regressor.replace("_", " "), unknown.place)))
     if unknown.wavelength_m is not None:
         return f"the {unknown.channel} error comes back every {unknown.wavelength_m:.3g} m driven"
     if unknown.wheels:

@@ -117,6 +117,11 @@ class Dependence:
         """Of an error that is periodic over the travelled distance: its period, m."""
         return self.best.term.function.wavelength_m or None if self.best is not None else None
 
+    @property
+    def place(self) -> str:
+        """Where the error is, in words, as in "within 2 m of (1.0, -0.5)"; "" if it is not confined to a place."""
+        return self.best.term.function.place if self.best is not None else ""
+
 
 def basis_scores(fit: Fit, decisions: Decisions, design: CoarseDesign | None = None) -> list[BasisScore]:
     """Return the best basis function of each regressor and channel, scored exactly, whether or not it is significant.

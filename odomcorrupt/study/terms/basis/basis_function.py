@@ -35,6 +35,7 @@ class BasisFunction:
     shape, steps : shape parameters that may be refined, and the first step of a search over each
     with_shape : returns the function with other shape parameters
     related : functions of other shapes to try where this one explains much
+    place : where in the truth's plane it acts, in words; "" if it is not confined
     """
 
     regressor: str
@@ -48,3 +49,4 @@ class BasisFunction:
     steps: tuple[float, ...] = ()
     with_shape: Callable[[tuple[float, ...]], BasisFunction] | None = field(default=None, compare=False)
     related: tuple[BasisFunction, ...] = field(default=(), compare=False)
+    place: str = field(default="", compare=False)

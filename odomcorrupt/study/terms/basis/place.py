@@ -58,6 +58,7 @@ def _disc(shape: tuple[float, ...]) -> BasisFunction:
         shape=shape,
         steps=(0.4, 0.4, 0.3),
         with_shape=_disc,
+        place=f"within {radius:.2g} m of ({x:.1f}, {y:.1f})",
         related=tuple(_box((angle, x, y, radius, radius)) for angle in _BOX_ANGLES),
     )
 
@@ -113,6 +114,7 @@ def _strip(shape: tuple[float, ...]) -> BasisFunction:
         shape=(angle, x, y, half),
         steps=(0.2, 0.4, 0.4, 0.2),
         with_shape=_strip,
+        place=f"in a strip {2.0 * half:.2g} m wide through ({x:.1f}, {y:.1f})",
     )
 
 
@@ -132,6 +134,7 @@ def _box(shape: tuple[float, ...]) -> BasisFunction:
         shape=(angle, x, y, half, side),
         steps=(0.2, 0.4, 0.4, 0.4, 0.4),
         with_shape=_box,
+        place=f"in a rectangle of {2.0 * half:.2g} by {2.0 * side:.2g} m around ({x:.1f}, {y:.1f})",
     )
 
 
