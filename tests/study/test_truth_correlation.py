@@ -12,6 +12,7 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import accumulate
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import NODE_S, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import lay_nodes
@@ -81,11 +82,14 @@ def test_the_noise_of_a_localisation_is_not_learned_as_the_robots(run):
 @pytest.mark.slow
 def test_a_bias_that_walks_is_told_from_one_that_stays_although_nodes_lie_seconds_apart():
     """Noise of every step takes on what a walk does over seconds: the test is beside the noise that a walk leaves."""
-    seed, count = 3, int(260.0 * RATE_HZ)
-    walk = np.cumsum(np.random.default_rng(seed).normal(0.0, 1e-3 / np.sqrt(RATE_HZ), count))
+    seed, count = 5, int(260.0 * RATE_HZ)
+    walk = np.cumsum(np.random.default_rng(seed).normal(0.0, 3e-4 / np.sqrt(RATE_HZ), count))
     found = {}
     for name, yaw_rate in (("walks", walk), ("stays", np.full(count, 0.01)), ("none", np.zeros(count))):
         run = localised(length_m=1.0, seed=seed, yaw_rate=yaw_rate)
         fitted = fit([run], [effect_from_values("gyro_bias", {})], approach=choose_approach([run]))
         found[name] = [one.effect.name for one in random_coefficients(fitted, DECISIONS)]
+        walking = fitted.refit(random=[effect_from_values("gyro_bias_walk", {"density": 3e-4})])
+        bounds = coefficient_intervals(walking, walking.design_matrix)
+        assert all(one.high < 0.03 for one in bounds), "a process in the model is no noise of every step"
     assert found == {"walks": ["gyro_bias_walk"], "stays": [], "none": []}
