@@ -5,20 +5,18 @@ from __future__ import annotations
 import copy
 from bisect import bisect_right
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter, stacked
-from odomcorrupt.geometry.motion import TRAIL_S
+from odomcorrupt.geometry.motion import TRAIL_S, accelerations
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _COLUMN = {"along": 0, "yaw": 2}
 _SPEED = {"along": "v", "yaw": "omega"}
-_LONGEST_S = 0.25
-"""Points of the way from which a speed is taken are an interval apart, no closer than `TRAIL_S` and no farther."""
 _UNSEEN = 10.0
 """Change of speed that a delay may hide before a recording ends, m/s^2 and rad/s^2."""
 
@@ -60,9 +58,10 @@ class ChannelLag(Effect):
         if self.by == "delay":
             later = self.tau * motion.acceleration[:, _COLUMN[self.channel]]
             return TwistError(stacked(*self._either(later), later), state)
-        led, way = _led(getattr(motion, _SPEED[self.channel]), motion.dt_s, state)
-        f = self.tau * led
-        return TwistError(stacked(*self._either(f), f), way)
+        twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+        faster = accelerations(twist, motion.dt_s, state)
+        f = self.tau * faster.rate[:, _COLUMN[self.channel]]
+        return TwistError(stacked(*self._either(f), f), faster.memory)
 
     def _either(self, f: Array) -> tuple[Array | float, float, Array | float]:
         return (0.0, 0.0, f) if self.channel == "yaw" else (f, 0.0, 0.0)
@@ -133,67 +132,29 @@ class _DelayState(_LateState):
         return self.shown - before
 
 
-def _led(speed: Array, dt_s: Array, way: _Way | None) -> tuple[Array, _Way | None]:
-    """Return the accelerations (n,) of a reported speed (n,), and the way from which to go on.
-
-    They are changes of the speed at the ends of the intervals, of which each is that of the parabola through the last
-    three points of the way: no later than the interval itself, as a mean speed over the last points would be, and
-    still of the past alone, so that a filter is stable to put in (backward differentiation of second order, Gear 1971).
-    """
-    rate, moving = np.zeros(len(dt_s)), dt_s > 0.0
-    if not moving.any():
-        return rate, way
-    dt_s, speed = dt_s[moving], speed[moving]
-    way = way or _Way.before(float(speed[0]))
-    # sums go on from the last one, so that any division of a motion gives the same bits
-    clock_s, gone = (
-        np.concatenate((old[:-1], np.cumsum(np.concatenate((old[-1:], new)))))
-        for old, new in ((way.clock_s, dt_s), (way.gone, speed * dt_s))
-    )
-    here, apart = len(way.clock_s), np.clip(dt_s, TRAIL_S, _LONGEST_S)
-    once, twice = (np.interp(clock_s[here:] - k * apart, clock_s, gone) for k in (1.0, 2.0))
-    last = (3.0 * gone[here:] - 4.0 * once + twice) / (2.0 * apart)
-    rate[moving] = np.diff(last, prepend=way.speed) / dt_s
-    kept = max(int(np.searchsorted(clock_s, clock_s[-1] - 2.0 * _LONGEST_S, side="right")) - 1, 0)
-    return rate, _Way(clock_s[kept:], gone[kept:], float(last[-1]))
-
-
-class _Way(NamedTuple):
-    """The way gone by one channel (m or rad) at times (s), as far as it is needed still, and its speed at the last."""
-
-    clock_s: Array
-    gone: Array
-    speed: float
-
-    @classmethod
-    def before(cls, speed: float) -> _Way:
-        """Return the way before the first interval, in which the robot moved as in it."""
-        return cls(np.array([-2.0 * _LONGEST_S, 0.0]), np.array([-2.0 * _LONGEST_S * speed, 0.0]), speed)
-
-
 class _FilterState(_LateState):
-    """The way that a filtered channel reported, and its speed at the last point: see `_led`."""
+    """The last `TRAIL_S` of what a filtered channel reported, and its mean speed over them."""
 
     speed = 0.0
 
     def reported(self, step: float, now_s: float, tau_s: float) -> float:
-        """Return what is reported of a step that ends then: r with r + tau (change of the speed at its end) = step."""
+        """Return what is reported of a step that ends then: r with r + tau (change of the mean speed) = step."""
         dt_s = self.elapsed_s(now_s)
         if not dt_s > 0.0:
             return step
-        if not self.clock_s:
-            clock_s, gone, self.speed = _Way.before(step / dt_s)
-            self.clock_s, self.gone = clock_s.tolist(), gone.tolist()
-        now, apart = self.clock_s[-1] + dt_s, min(max(dt_s, TRAIL_S), _LONGEST_S)
-        # what is r's own of the way at each of the three points, and what was reported before
-        parts = np.array([1.0, max(1.0 - apart / dt_s, 0.0), max(1.0 - 2.0 * apart / dt_s, 0.0)])
-        points = np.interp(now - apart * np.arange(3), self.clock_s, self.gone)
-        weights = np.array([3.0, -4.0, 1.0]) / (2.0 * apart)
-        known = float(weights @ points)
-        step = (step + tau_s * (self.speed - known)) / (1.0 + tau_s * float(weights @ parts))
-        self.speed = known + float(weights @ parts) * step
+        if not self.clock_s:  # before the first interval the robot moved as in it
+            before, self.speed = 2.0 * TRAIL_S, step / dt_s
+            self.clock_s, self.gone = [-before, 0.0], [-before * self.speed, 0.0]
+        now = self.clock_s[-1] + dt_s
+        if dt_s < TRAIL_S:
+            since = self.gone[-1] - float(np.interp(now - TRAIL_S, self.clock_s, self.gone))
+            step = (step + tau_s * (self.speed - since / TRAIL_S)) / (1.0 + tau_s / TRAIL_S)
+            self.speed = (step + since) / TRAIL_S
+        else:
+            step = (step + tau_s * self.speed) / (1.0 + tau_s / dt_s)
+            self.speed = step / dt_s
         self.clock_s.append(now)
         self.gone.append(self.gone[-1] + step)
-        while len(self.clock_s) > 2 and self.clock_s[1] < now - 2.0 * _LONGEST_S:
+        while len(self.clock_s) > 2 and self.clock_s[1] < now - TRAIL_S:
             del self.clock_s[0], self.gone[0]
         return step
