@@ -152,7 +152,7 @@ def test_a_coefficient_that_nothing_bounds_is_profiled_no_further_than_a_coeffic
         return free
 
     flat = SimpleNamespace(maximise=lambda free, **_: free, evaluate=evaluate, posterior=lambda _: 0.0)
-    fitted = SimpleNamespace(noise=SimpleNamespace(free=np.log([0.5, 0.02])))
-    low, high = (confidence_intervals._edge(flat, fitted, 0, np.log(0.5), way, 0.0) for way in (-1.0, 1.0))
+    start = np.log([0.5, 0.02])
+    low, high = (confidence_intervals._edge(flat, start, 0, way, 0.0) for way in (-1.0, 1.0))
     assert (low, high) == (0.0, np.inf)
     assert Interval("rot_rot", 0.5, low, high).standard_error == pytest.approx(0.5 / 1.96)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from odomcorrupt.study.estimate.outliers import events, odd_steps, slip_bursts
 from odomcorrupt.study.estimate.tails import heavy_tails, log_density_of_sums
 from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.confidence import confidence, noise_evidence
+from odomcorrupt.study.select.random_effects import RandomCoefficient
 from odomcorrupt.study.select.stepwise import learn
 
 
@@ -98,6 +101,14 @@ def test_what_the_form_of_an_effect_leaves_is_no_noise_of_every_step(monkeypatch
     assert heavy_tails(beside) is None
     monkeypatch.setattr(tails, "_STRONG", np.inf)
     assert heavy_tails(beside) is not None
+
+
+@pytest.mark.parametrize(("lag_nats", "sure"), [(744.0, False), (100.0, True)])
+def test_tails_that_a_strong_lag_may_leave_have_even_odds_at_most(lag_nats, sure):
+    lag = SimpleNamespace(added="steering_lag", candidates=[SimpleNamespace(gain=lag_nats)])
+    learned = SimpleNamespace(held_out={}, unknown=(), steps=[lag])
+    tails_found = RandomCoefficient(effect_from_values("heavy_tails", {"inverse_dof": 0.375}), 44.0)
+    assert (confidence(noise_evidence(tails_found, learned)) > 0.5) == sure
 
 
 @pytest.mark.slow

@@ -6,27 +6,32 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wandering import noisy_path, recording, wander
+from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import accumulate
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import NODE_S, choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import lay_nodes
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.truth_correlation import independent_spacing_s
 from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.random_effects import random_coefficients
 
 QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
 EVERY = 20
 """Samples of the odometry between two corrections: 0.4 s."""
 
 
-def localised(*, length_m, seed=3, seconds=260.0):
-    """Return a drive whose truth errs by 2 cm and 10 mrad, alike over a length of path, and its true poses."""
+def localised(*, length_m, seed=3, seconds=260.0, yaw_rate=0.0):
+    """Return a drive whose truth errs by 2 cm and 10 mrad, alike over a length of path, and its gyro by a yaw rate."""
     rng, steps = np.random.default_rng(seed), wander(seed, seconds)
-    run = recording(steps, noisy_path(steps, QUIET, seed), seed=seed)
+    seen = replace(steps, dtheta_rad=steps.dtheta_rad + yaw_rate / RATE_HZ)
+    run = recording(steps, noisy_path(seen, QUIET, seed), seed=seed)
     true = accumulate(np.zeros(3), steps)[::EVERY]
     way = np.concatenate(([0.0], np.cumsum(np.abs(steps.ds_m) + 0.2 * np.abs(steps.dtheta_rad))))[::EVERY]
     errors = rng.normal(0.0, [0.02, 0.02, 0.01], true.shape)
@@ -72,3 +77,19 @@ def test_the_noise_of_a_localisation_is_not_learned_as_the_robots(run):
     for name in ("rot_trans", "trans_trans"):
         assert getattr(k, name) < getattr(QUIET, name) + 3.0 * errors.get(name, 0.002)
         assert getattr(k, name) < 0.012
+
+
+@pytest.mark.slow
+def test_a_bias_that_walks_is_told_from_one_that_stays_although_nodes_lie_seconds_apart():
+    """Noise of every step takes on what a walk does over seconds: the test is beside the noise that a walk leaves."""
+    seed, count = 5, int(260.0 * RATE_HZ)
+    walk = np.cumsum(np.random.default_rng(seed).normal(0.0, 3e-4 / np.sqrt(RATE_HZ), count))
+    found = {}
+    for name, yaw_rate in (("walks", walk), ("stays", np.full(count, 0.01)), ("none", np.zeros(count))):
+        run = localised(length_m=1.0, seed=seed, yaw_rate=yaw_rate)
+        fitted = fit([run], [effect_from_values("gyro_bias", {})], approach=choose_approach([run]))
+        found[name] = [one.effect.name for one in random_coefficients(fitted, DECISIONS)]
+        walking = fitted.refit(random=[effect_from_values("gyro_bias_walk", {"density": 3e-4})])
+        bounds = coefficient_intervals(walking, walking.design_matrix)
+        assert all(one.high < 0.03 for one in bounds), "a process in the model is no noise of every step"
+    assert found == {"walks": ["gyro_bias_walk"], "stays": [], "none": []}

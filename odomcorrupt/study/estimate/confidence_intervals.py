@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
+from odomcorrupt.study.estimate.noise_fit import without_process
 from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NoiseLikelihood
 from odomcorrupt.study.estimate.variance_components import NAMES
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.estimate.intervals import Intervals
 
 __all__ = ["Interval", "coefficient_intervals"]
 
@@ -53,29 +55,30 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
 
     One that the drive never asked for, such as noise of turns where nothing turned, has no bounds.
     """
-    likelihood = NoiseLikelihood(
-        fitted.problem.nodes,
-        fitted.components,
-        columns,
-        fitted.noise.weights,
-        headings=fitted.problem.headings,
-    )
-    free = fitted.noise.free
+    problem, noise = fitted.problem, fitted.noise
+
+    def over(nodes: Intervals) -> NoiseLikelihood:
+        return NoiseLikelihood(nodes, fitted.components, columns, noise.weights, headings=problem.headings)
+
+    likelihood, free = over(problem.nodes), noise.free
     # the noise was fitted without a localisation's field and with a prior, and its profile is compared with that fit
-    localised = any(r.localised for r in fitted.problem.recordings)
-    top = likelihood.posterior(likelihood.evaluate(free)) if localised else fitted.log_likelihood
+    alone = any(r.localised for r in problem.recordings)
+    if fitted.random:  # what these did would pass for noise of every step, whichever coefficient is moved
+        likelihood = over(without_process(likelihood.evaluate(free), problem, columns, fitted.random))
+        free, alone = likelihood.maximise(free), True
+    top = likelihood.posterior(likelihood.evaluate(free)) if alone else fitted.log_likelihood
     found = []
     for position, index in enumerate(fitted.components.active):
-        best = float(free[position])
-        low, high = (_edge(likelihood, fitted, position, best, direction, top) for direction in (-1.0, 1.0))
-        found.append(Interval(NAMES[index], float(getattr(fitted.noise.coefficients, NAMES[index])), low, high))
+        value = float(getattr(noise.coefficients, NAMES[index]))
+        low, high = (_edge(likelihood, free, position, direction, top) for direction in (-1.0, 1.0))
+        found.append(Interval(NAMES[index], value, min(low, value), max(high, value)))
     found += [Interval(NAMES[index], 0.0, 0.0, float("inf")) for index in fitted.components.unseen]
     return sorted(found, key=lambda interval: NAMES.index(interval.name))
 
 
-def _edge(likelihood: NoiseLikelihood, fitted: Fit, position: int, best: float, direction: float, top: float) -> float:
+def _edge(likelihood: NoiseLikelihood, start: Array, position: int, direction: float, top: float) -> float:
     """Return where the profile has dropped by the quantile, in steps that double and then by interpolation."""
-    free = fitted.noise.free.copy()
+    free, best = start.copy(), float(start[position])
     inside, inside_drop = max(best, np.log(1e-4)) if direction > 0 else best, 0.0
     step = 0.1
     for _ in range(_STEPS + 3):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.random_process import Root
     from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
-__all__ = ["CHANCE", "OUTLIER", "NoiseStart", "fit_noise", "fit_noise_beside"]
+__all__ = ["CHANCE", "OUTLIER", "NoiseStart", "fit_noise", "fit_noise_beside", "without_process"]
 
 _ROBUST_ROUNDS = 5
 CHANCE, _SIGNAL = 0.002, 0.05
@@ -107,7 +107,7 @@ def fit_noise_beside(
     if not random:
         return noise
     root = joined([root_of(effect, problem) for effect in random])
-    for normal in np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, root.mixing.shape[1])):
+    for normal in _normals(root):
         before = noise.free
         rest = replace(nodes, residual=nodes.residual - _drawn(noise, problem, columns, root, normal))
         again = NoiseStart(before, weights, bursts=start.bursts)
@@ -117,6 +117,20 @@ def fit_noise_beside(
         if np.abs(noise.free - before)[plain].max(initial=0.0) < _SETTLED:
             break
     return noise
+
+
+def without_process(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> Intervals:
+    """Return the intervals with a draw of what random coefficients did taken out: the noise of every step is left."""
+    if not random:
+        return problem.nodes
+    root = joined([root_of(effect, problem) for effect in random])
+    drawn = _drawn(noise, problem, columns, root, _normals(root)[0])
+    return replace(problem.nodes, residual=problem.nodes.residual - drawn)
+
+
+def _normals(root: Root) -> Array:
+    """Return what the rounds draw from, one row each: the same for the same process."""
+    return np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, root.mixing.shape[1]))
 
 
 def _drawn(noise: NoiseFit, problem: Problem, columns: Array, root: Root, normal: Array) -> Array:

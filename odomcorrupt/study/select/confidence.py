@@ -39,6 +39,8 @@ _USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5
 """A track on which to see whether an effect acts on single wheels, and what it then does."""
 _MISFIT = 0.2
 """Part of what an effect explains up to which another one of its kind may be an imperfection of it."""
+_LATE = (*RIVALS, "steering_lag")
+"""Effects that are late or slip where speeds change, none of them exactly so."""
 _FORM = 0.03
 """Part of what the largest effect moves the odometry by in 10 s up to which another may be an imperfection of it."""
 HELD_OUT_ERRORS = 2.0
@@ -125,9 +127,15 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
 
 
 def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
-    """Return the evidence for a random effect; any dependence resembles a slow gain, or heavy tails."""
+    """Return the evidence for a random effect; any dependence resembles a slow gain, or heavy tails.
+
+    What the form of a lag leaves stands out where speeds or angles change quickly, as tails do.
+    """
     left = 0.0 if gain.effect.layer == "record" else max((u.nats for u in learned.unknown), default=0.0)
-    return Evidence(held_out_limit(gain.effect.name, gain.nats, learned), left=left)
+    own = held_out_limit(gain.effect.name, gain.nats, learned)
+    late = [step.candidates[0].gain for step in learned.steps if step.added in _LATE]
+    misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT * max(late, default=0.0)
+    return Evidence(own, (own,) if misfit else (), left=left)
 
 
 def _may_be_remainder(name: str, learned: Learned) -> bool:

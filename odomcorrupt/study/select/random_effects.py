@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from odomcorrupt.effects.effect import parameters
+from odomcorrupt.study.estimate.config import NODE_S
 from odomcorrupt.study.estimate.gauss_newton import orthonormal
 from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
 from odomcorrupt.study.estimate.random_process import (
@@ -100,9 +101,39 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
         key = (effect.name, getattr(effect, "channel", ""))
         if key not in found or one.nats > found[key][0].nats:
             found[key] = one, least
-    named = [one for key, (one, least) in found.items() if one.nats > least and key not in have]
-    named = [one for one in named if not is_remainder(fit, one.effect) and _in_both_halves(fit, one.effect)]
+    named = []
+    for key, (one, least) in found.items():
+        if key in have or is_remainder(fit, one.effect):
+            continue
+        beside, measured = _measured(fit, one)
+        if measured.nats > least and _in_both_halves(beside, measured.effect):
+            named.append(measured)
     return sorted(named, key=lambda one: one.nats, reverse=True)
+
+
+def _measured(fit: Fit, one: RandomCoefficient) -> tuple[Fit, RandomCoefficient]:
+    """Return a fit with the noise that is left beside a random bias, and that bias with what it gains in a refit.
+
+    Where nodes lie seconds apart, as they do with the poses of a localisation, noise of every step takes on most of
+    what a bias does as it walks: a test beside that noise sees little of it, or nothing. It is the same fit elsewhere.
+    """
+    (process,) = processes_like(one.effect)
+    if process.unit is not bias_of or fit.problem.approach.spacing_s <= NODE_S:
+        return fit, one
+    (usual,) = (p.typical for p in parameters(process.kind) if p.name == process.scale)
+    start = process.kind(**{process.scale: max(getattr(one.effect, process.scale), usual), **process.fixed})
+    effect = remeasured(fit.refit(random=(*fit.random, start)), start)
+    calmer = fit.refit(random=(*fit.random, effect))
+    nats = calmer.log_likelihood - fit.log_likelihood
+    nats -= 0.5 * process.numbers * float(np.log(len(fit.problem.nodes)))
+    return (_beside(calmer, effect), RandomCoefficient(effect, nats)) if nats > one.nats else (fit, one)
+
+
+def _beside(fit: Fit, effect: Effect) -> Fit:
+    """Return a fit without one of its random coefficients, and with the noise that it has beside that."""
+    others, design = tuple(e for e in fit.random if e is not effect), fit.design_matrix
+    noise = with_random(without_random(fit.noise, fit.problem, design), fit.problem, design, others)
+    return replace(fit, noise=noise, random=others)
 
 
 def is_remainder(fit: Fit, effect: Effect) -> bool:
@@ -148,10 +179,7 @@ def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:
 
 def remeasured(fit: Fit, effect: Effect) -> Effect:
     """Return a random coefficient of a fit with its parameters estimated beside the noise of the fit."""
-    design = fit.design_matrix
-    others = [e for e in fit.random if e is not effect]
-    noise = with_random(without_random(fit.noise, fit.problem, design), fit.problem, design, others)
-    evidence = _Evidence(replace(fit, noise=noise, random=tuple(others)))
+    evidence = _Evidence(_beside(fit, effect))
     best = max(
         (
             (evidence.of(rooted(fit.problem, process, FINELY), process), process)
