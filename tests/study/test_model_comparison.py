@@ -22,6 +22,9 @@ def test_a_term_whose_first_estimate_is_too_far_off_to_be_fitted_is_passed_over(
     form = SimpleNamespace(term=SimpleNamespace(name="along over acceleration"), estimated="a step of -140 %")
     found = SimpleNamespace(best=SimpleNamespace(score=form, others=()), name="along over acceleration", nats=50.0)
     assert best_dependence(Unfit(), [found], DECISIONS) is None
-    effect = SimpleNamespace(name="wheel_scale")
-    compared = SimpleNamespace(better=lambda _: [SimpleNamespace(**vars(found), channel="along")], penalty=0.0)
-    assert best_replacement(Unfit(), [(effect, compared)], DECISIONS) is None
+    compared = SimpleNamespace(
+        effects=[SimpleNamespace(name="wheel_scale")],
+        better=lambda *_: [SimpleNamespace(**vars(found), channel="along")],
+        penalty=0.0,
+    )
+    assert best_replacement(Unfit(), [compared], DECISIONS) is None

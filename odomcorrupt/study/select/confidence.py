@@ -118,15 +118,14 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
         rivals = (*rivals, own)  # lost increments are the same on average
     if _may_be_remainder(step.added or "", learned) or _may_be_misfit(step, learned):
         rivals = (*rivals, own)
-    left = max((u.nats for u in learned.unknown), default=0.0)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
     margin = learned.margins.get(step.added or "", inf)
-    return Evidence(own, rivals, left, correlated, margin)
+    return Evidence(own, rivals, learned.left_nats, correlated, margin)
 
 
 def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
     """Return the evidence for a random effect; any dependence resembles a slow gain, or heavy tails."""
-    left = 0.0 if gain.effect.layer == "record" else max((u.nats for u in learned.unknown), default=0.0)
+    left = 0.0 if gain.effect.layer == "record" else learned.left_nats
     return Evidence(held_out_limit(gain.effect.name, gain.nats, learned), left=left)
 
 
