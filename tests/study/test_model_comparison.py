@@ -5,8 +5,9 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from odomcorrupt.errors import FitError
+from odomcorrupt.study.select import model_comparison
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.model_comparison import best_dependence, best_replacement
+from odomcorrupt.study.select.model_comparison import ModelComparison, best_dependence, best_replacement
 
 
 class Unfit:
@@ -28,3 +29,15 @@ def test_a_term_whose_first_estimate_is_too_far_off_to_be_fitted_is_passed_over(
         penalty=0.0,
     )
     assert best_replacement(Unfit(), [compared], DECISIONS) is None
+
+
+def test_a_basis_function_that_explains_nearly_as_much_is_a_rival_and_replaces_nothing(monkeypatch):
+    monkeypatch.setattr(model_comparison, "dependences", lambda _, scores, __: scores)
+    basis = SimpleNamespace(score=SimpleNamespace(nats=41.0))
+    near = SimpleNamespace(best=basis, nats=41.0, score=basis.score)
+    own = ModelComparison(effects=(), bare=None, nats=43.0, penalty=3.0, scores=[near])
+    assert own.better(DECISIONS, -DECISIONS.alternative_nats) == [near]
+    assert own.better(DECISIONS, DECISIONS.replacement_nats) == []
+    assert ModelComparison(effects=(), bare=None, nats=30.0, penalty=3.0, scores=[near]).better(
+        DECISIONS, DECISIONS.replacement_nats
+    ) == [near]

@@ -332,40 +332,35 @@ class _Selection:
         no clock, what resembles one may be its own: stamps that are rounded are late by half of what they are rounded
         to. Of the two the one that is left out stays a rival.
         """
-        fit, clocks = self.fit, self.clocks
-        clocked = bool(np.any(fit.free_clocks))
-        late = [one.name for one in self.included if one.follows_acceleration]
-        like = [e.name for e in fit.effects if e.name in _LIKE_CLOCKS and e.name not in self.given]
-        if not clocked:
-            least = bool(like)
-        else:
-            offset_s = max(abs(clock.offset_s) for clock in fit.problem.clocks)
-            least = offset_s < _LIKE_SKIDS_S and any(one.follows_acceleration for one in (*self.included, *self.open))
-        if not least:
+        fit, clocked = self.fit, bool(np.any(self.fit.free_clocks))
+        late = {one.name for one in (*self.included, *self.open) if one.follows_acceleration}
+        like = {e.name for e in fit.effects if e.name in _LIKE_CLOCKS and e.name not in self.given}
+        small = max(abs(clock.offset_s) for clock in fit.problem.clocks) < _LIKE_SKIDS_S
+        if not (late and small if clocked else like):
             return False
         others = [e for e in fit.effects if e.name not in (late if clocked else like)]
-        free = ((not clocked, False),) * len(clocks.clocks)
+        free = ((not clocked, False),) * len(fit.free_clocks)
         other = fit.refit(others, clocks=(Clock(),) * len(free), free_clocks=free)
         candidates = library_candidates(other, self.decisions) if clocked else []
         best = candidates[0] if candidates and not candidates[0].refused else None
         if best is not None and best.fit is not None:
             other = with_shape_refined(best.fit.refit(), best.score, self.decisions)[0]
         more = _more_nats(other, fit) + self._penalty(fit) - self._penalty(other)
-        accepted = more > 0.0 and not self._had(other)
-        if accepted:
-            self.included = [one for one in self.included if one.name not in late] if clocked else self.included
-            self.clocks = clocks = replace(clocks, clocks=other.problem.clocks, free=free, ambiguous_nats=0.0)
+        better = more > 0.0 and not self._had(other)
+        if better:
+            self.clocks = replace(self.clocks, clocks=other.problem.clocks, free=free, ambiguous_nats=0.0)
             if best is not None:
                 self._record(candidates, added=best.name)
+            self.included = [one for one in self.included if one.name not in late or not clocked]
             self._continue_from(without_redundant(other, self.given, self.decisions))
         if np.any(self.fit.free_clocks):
-            rival = clock_nats(self.fit) - abs(more)
-            self.clocks = replace(clocks, rival_nats=(*clocks.rival_nats, rival))
+            rivals = (*self.clocks.rival_nats, clock_nats(self.fit) - abs(more))
+            self.clocks = replace(self.clocks, rival_nats=rivals)
         else:
-            gains = [step.candidates[0].gain for step in self.steps if step.added in _LIKE_CLOCKS]
+            gains = (step.candidates[0].gain for step in self.steps if step.added in _LIKE_CLOCKS)
             nats = max(gains, default=0.0) - abs(more)
-            self.clocks = replace(clocks, ambiguous_nats=max(nats, clocks.ambiguous_nats, 0.0))
-        return accepted
+            self.clocks = replace(self.clocks, ambiguous_nats=max(nats, self.clocks.ambiguous_nats, 0.0))
+        return better
 
     def _penalty(self, fit: Fit) -> float:
         """Return the nats that the effects of a model must gain."""
