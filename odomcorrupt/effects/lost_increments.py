@@ -167,10 +167,13 @@ def losses(motion: Motion) -> Losses:
 
 
 def _usual_change(going: NDArray[np.int64], way: Array) -> float:
-    """Return what an increment that moves usually differs by from the next one, metres, where it does: a tick."""
+    """Return what an increment that moves usually differs by from the next one, metres, where it does: a tick.
+
+    Where none ever differs, starts and stops included, each is a tick itself: zeros come between two of them anyhow.
+    """
     change = np.abs(np.diff(way))[np.diff(going) == 1]
     change = change[change > _ROUNDING_M]
-    return float(np.quantile(change, _USUALLY)) if len(change) else 0.0
+    return float(np.quantile(change, _USUALLY) if len(change) else way.max(initial=0.0))
 
 
 def _around(way: Array) -> Array:
