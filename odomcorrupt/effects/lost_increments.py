@@ -44,6 +44,8 @@ _MANY = 1.5
 """A neighbour of a lost increment is more than so many ticks: two, of whole ones."""
 _USUALLY, _ROUNDING_M = 0.8, 1e-7
 """Part of the changes between increments that are no larger than the usual one, and what is no change."""
+_ALIKE = 1e-3
+"""Part by which increments differ that are as long: a chord is shorter than its arc by a 24th of the turn squared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,11 +171,13 @@ def losses(motion: Motion) -> Losses:
 def _usual_change(going: NDArray[np.int64], way: Array) -> float:
     """Return what an increment that moves usually differs by from the next one, metres, where it does: a tick.
 
-    Where none ever differs, starts and stops included, each is a tick itself: zeros come between two of them anyhow.
+    Where all are alike, starts and stops included, each is a tick itself: zeros come between two of them anyhow.
     """
+    if np.ptp(way) < _ALIKE * way.max():
+        return float(way.max())
     change = np.abs(np.diff(way))[np.diff(going) == 1]
     change = change[change > _ROUNDING_M]
-    return float(np.quantile(change, _USUALLY) if len(change) else way.max(initial=0.0))
+    return float(np.quantile(change, _USUALLY)) if len(change) else 0.0
 
 
 def _around(way: Array) -> Array:
