@@ -44,6 +44,8 @@ _LEAST_TICKS = 1.5
 """Smallest neighbour of a lost increment, in ticks: more than 1.5, i.e. two whole ticks."""
 _USUAL_QUANTILE, _ROUNDING_M = 0.8, 1e-7
 """Quantile of the changes between increments taken as the usual change; change that counts as zero, metres."""
+_ALIKE = 1e-3
+"""Relative difference of increments of equal length: a chord is shorter than its arc by a 24th of the turn squared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +169,12 @@ def losses(motion: Motion) -> Losses:
 
 
 def _usual_change(going: NDArray[np.int64], way: Array) -> float:
-    """Return the usual non-zero change between consecutive moving increments, metres: about one tick."""
+    """Return the usual non-zero change between consecutive moving increments, metres: about one tick.
+
+    If all are equally long, also while starting and stopping, each is one tick, and zeros between ticks are no losses.
+    """
+    if np.ptp(way) < _ALIKE * way.max():
+        return float(way.max())
     change = np.abs(np.diff(way))[np.diff(going) == 1]
     change = change[change > _ROUNDING_M]
     return float(np.quantile(change, _USUAL_QUANTILE)) if len(change) else 0.0

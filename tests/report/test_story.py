@@ -128,6 +128,15 @@ def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
     assert f"fitted: {UNKNOWNS[0].expression}" in text
     assert f"suggested: {UNKNOWNS[1].expression}" in text
     assert "the yaw error per radian turned depends on yaw rate" in text
+
+
+def test_what_explains_about_as_much_as_a_name_is_said_beside_it(rich):
+    rival = replace(UNKNOWNS[0], instead_of="unequal_wheels")
+    both = replace(rich, unknown=(rival,), laws=())
+    text = found_text(both, ADVICE)
+    assert "or instead of unequal_wheels: the yaw error depends on speed (40 nats), and these data do not" in text
+    assert both.unexplained == ()
+    assert both.left_nats == 0.0
     assert "nan" not in text
     alone = found_text(replace(rich, unknown=UNKNOWNS[4:]), NONE)
     assert "the along error comes back every 0.52 m driven" in alone

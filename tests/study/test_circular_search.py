@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from odomcorrupt.study.estimate.clocks import Clocks
+from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select import stepwise
 from odomcorrupt.study.select.decisions import DECISIONS
 
 
 def model(*names):
-    fit = SimpleNamespace(effects=tuple(SimpleNamespace(name=name) for name in names), random=())
+    effects = tuple(SimpleNamespace(name=name) for name in names)
+    fit = SimpleNamespace(effects=effects, random=(), free_clocks=((False, False),))
     fit.refit = lambda *_, **__: fit
     return fit
 
 
+NO_CLOCK = Clocks((Clock(),), ((False, False),), ((0.0, 0.0),))
 NOTHING, SLIP, LAG = model(), model("accel_slip"), model("channel_lag")
 NEXT = {(): ("accel_slip", SLIP), ("accel_slip",): ("channel_lag", LAG), ("channel_lag",): ("accel_slip", SLIP)}
 """Of each model what is best beside it, and what the two end in: either makes the other redundant."""
@@ -31,11 +35,12 @@ def test_what_leads_back_to_an_earlier_model_is_passed_over(monkeypatch):
     monkeypatch.setattr(stepwise, "without_redundant", lambda fit, *_: fit)
     for name, does in {
         "_correlated": lambda *_: None,
-        "propose": lambda *_, **__: None,
+        "_propose": lambda *_, **__: None,
         "_finish": lambda _: None,
+        "_swap_clock": lambda _: False,
     }.items():
         monkeypatch.setattr(stepwise._Selection, name, does)
-    found = stepwise._Selection(NOTHING, [], set(), DECISIONS).run()
+    found = stepwise._Selection(NOTHING, [], set(), NO_CLOCK, DECISIONS).run()
     assert found.fit is LAG
     assert [step.added for step in found.steps] == ["accel_slip", "channel_lag", None]
 
@@ -57,9 +62,9 @@ def test_a_law_that_physics_contradicts_does_not_come_again_for_ever(monkeypatch
         "without_redundant": lambda fit, *_: fit,
     }.items():
         monkeypatch.setattr(stepwise, name, does)
-    for name in ("_correlated", "_finish", "_compare"):
+    for name in ("_correlated", "_finish", "_compare", "_swap_clock"):
         monkeypatch.setattr(stepwise._Selection, name, lambda *_: None)
     bare.problem = law.problem = None
-    found = stepwise._Selection(bare, [], set(), DECISIONS).run()
+    found = stepwise._Selection(bare, [], set(), NO_CLOCK, DECISIONS).run()
     assert found.fit is bare
     assert [step.name for step in found.contradictions] == ["accel_slip"]

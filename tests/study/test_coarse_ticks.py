@@ -57,7 +57,7 @@ def test_restored_travel_is_what_was_lost():
     assert travel[2] == pytest.approx(travel[0], rel=0.002)
 
 
-@pytest.mark.parametrize("tick_m", [1e-4, 2e-3, 5e-3, 2e-2])
+@pytest.mark.parametrize("tick_m", [1e-4, 2e-3, 5e-3, 2e-2, 3e-2])
 def test_ticks_alone_lose_nothing(tick_m):
     assert "lost_increments" not in effects_of(counted(tick_m)[0])
 

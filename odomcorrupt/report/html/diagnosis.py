@@ -14,7 +14,7 @@ from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_
 from odomcorrupt.report.plots.model_sequence import draw_errors
 from odomcorrupt.report.plots.residuals import draw_residuals
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
-from odomcorrupt.report.text.diagnosis import NOTHING, dependence, unnamed
+from odomcorrupt.report.text.diagnosis import NOTHING, evidence_words, unnamed
 from odomcorrupt.report.text.lack_of_fit import SIGNS, rejection, size
 from odomcorrupt.report.text.numbers import (
     clock_lines,
@@ -112,7 +112,7 @@ def _verdict(story: SearchReport) -> str:
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
     if learned.unknown:
-        parts.append(f"{dependence(learned.unknown[0])}, and no known effect does that")
+        parts.append(evidence_words(learned.unknown[0]))
     # the sequence contains no noise term: its lack of fit may be due to the noise found
     last = story.sequence.judgements[-1]
     why = rejection(last) if last.verdict.fails and not (learned.unknown or learned.noise) else ""
@@ -222,7 +222,6 @@ def _noise(gain: RandomCoefficient, learned: Learned) -> str:
 
 def _unknown(unknown: Dependence, learned: Learned) -> str:
     expression = fitted_expression(unknown, law_numbers(unknown, learned))
-    what = f"{dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
     then = "fitted" if unknown in learned.laws else "suggested"
-    lines = [f"<p>{escape(what)}; {then}:</p>", f"<p><code>{escape(expression)}</code></p>"]
+    lines = [f"<p>{escape(evidence_words(unknown))}; {then}:</p>", f"<p><code>{escape(expression)}</code></p>"]
     return _card("unknown", "unknown", lines)

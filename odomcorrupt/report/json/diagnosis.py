@@ -76,7 +76,7 @@ def learned_json(
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
             "unknown": [
                 _unknown(u, law_numbers(u, learned, fit), fitted=u in learned.laws)
-                | {"negligible": u not in learned.unexplained}
+                | {"negligible": u in learned.laws and learned.is_negligible(u.name)}
                 for u in learned.unknown
             ],
             "not_testable": [
@@ -240,6 +240,7 @@ def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: b
             for name, number in numbers.items()
         },
         "in_model": fitted,
+        "instead_of": unknown.instead_of or None,
     }
 
 

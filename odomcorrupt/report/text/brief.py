@@ -166,8 +166,9 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
     lines.sort(key=lambda line: bool(line.label))
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
-        if unknown in search.unexplained:
-            lines.append(Line("", f"{dependence(unknown)}: {expression}"))
+        if unknown in search.unexplained or unknown.instead_of:
+            other = f"or, instead of {unknown.instead_of}, " if unknown.instead_of else ""
+            lines.append(Line("", f"{other}{dependence(unknown)}: {expression}"))
         else:
             small.append(expression)
     for gain in search.noise:

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Judgement
 
 __all__ = [
-    "NOTHING", "candidates_table", "contradiction", "dependence", "found_text", "position_error", "shares_text",
-    "unnamed",
+    "NOTHING", "candidates_table", "contradiction", "dependence", "evidence_words", "found_text", "position_error",
+    "shares_text", "unnamed",
 ]  # fmt: skip
 
 NOTHING = "nothing is missing: no known effect explains more than chance"
@@ -136,10 +136,18 @@ def unnamed(why: str, *, found: bool) -> str:
 
 
 def _unknown_lines(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: bool) -> list[str]:
-    finding = f"unknown: {dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
+    finding = f"{f'or instead of {other}' if (other := unknown.instead_of) else 'unknown'}: {evidence_words(unknown)}"
     spread = ", ".join(f"{name} {value_text(*number)}" for name, number in numbers.items())
     shown = f"{fitted_expression(unknown, numbers)}{f'  ({spread})' if spread else ''}"
     return [finding, f"  {'fitted' if fitted else 'suggested'}: {shown}"]
+
+
+def evidence_words(unknown: Dependence) -> str:
+    """Return on what an error depends, how plainly, and whether an effect may explain it as well, as a clause."""
+    rest = "no known effect explains it"
+    if unknown.instead_of:
+        rest = f"these data do not separate that from {unknown.instead_of}"
+    return f"{dependence(unknown)} ({unknown.nats:.0f} nats), and {rest}"
 
 
 def dependence(unknown: Dependence) -> str:

@@ -94,6 +94,7 @@ class Fit:
         *,
         random: Sequence[Effect] | None = None,
         weights: Array | None = None,
+        clocks: Sequence[Clock] | None = None,
         free_clocks: Sequence[tuple[bool, bool]] | None = None,
     ) -> Fit:
         """Return a fit of the same recordings, started from this one's clocks and noise.
@@ -102,6 +103,7 @@ class Fit:
         ----------
         effects, random : systematic effects at their starting values, and random ones; default those of this fit
         weights : (K,) robust weights to keep, so that likelihoods can be compared; default estimated again
+        clocks : (R,) to start from, and to stay at where they are not free
         free_clocks : (R, 2), default as in this fit
 
         """
@@ -109,7 +111,7 @@ class Fit:
         return fit(
             problem.recordings,
             self.effects if effects is None else effects,
-            clocks=problem.clocks,
+            clocks=problem.clocks if clocks is None else clocks,
             free_clocks=self.free_clocks if free_clocks is None else free_clocks,
             approach=problem.approach,
             start=self.noise.free,

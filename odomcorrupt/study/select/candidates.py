@@ -110,8 +110,9 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
 
 
 def terms_of(fit: Fit) -> frozenset[str]:
-    """Return what a model has, by name and channel."""
-    return frozenset(f"{e.name} {getattr(e, 'channel', '')}" for e in (*fit.effects, *fit.random))
+    """Return what a model has, by name and channel, clocks that are off too."""
+    clocks = ["clock"] if np.any(fit.free_clocks) else []
+    return frozenset([*clocks, *(f"{e.name} {getattr(e, 'channel', '')}" for e in (*fit.effects, *fit.random))])
 
 
 def library_candidates(fit: Fit, decisions: Decisions, withdrawn: Container[str] = ()) -> list[Candidate]:

@@ -39,7 +39,7 @@ _USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5
 """A track on which to see whether an effect acts on single wheels, and what it then does."""
 _MISFIT = 0.2
 """Part of what an effect explains up to which another one of its kind may be an imperfection of it."""
-_LATE = (*RIVALS, "steering_lag")
+_LATE = (*RIVALS, "motor_lag", "steering_lag", "steering_play")
 """Effects that are late or slip where speeds change, none of them exactly so."""
 _FORM = 0.03
 """Part of what the largest effect moves the odometry by in 10 s up to which another may be an imperfection of it."""
@@ -120,10 +120,9 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
         rivals = (*rivals, own)  # lost increments are the same on average
     if _may_be_remainder(step.added or "", learned) or _may_be_misfit(step, learned):
         rivals = (*rivals, own)
-    left = max((u.nats for u in learned.unknown), default=0.0)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
     margin = learned.margins.get(step.added or "", inf)
-    return Evidence(own, rivals, left, correlated, margin)
+    return Evidence(own, rivals, learned.left_nats, correlated, margin)
 
 
 def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
@@ -131,7 +130,7 @@ def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
 
     What the form of a lag leaves stands out where speeds or angles change quickly, as tails do.
     """
-    left = 0.0 if gain.effect.layer == "record" else max((u.nats for u in learned.unknown), default=0.0)
+    left = 0.0 if gain.effect.layer == "record" else learned.left_nats
     own = held_out_limit(gain.effect.name, gain.nats, learned)
     late = [step.candidates[0].gain for step in learned.steps if step.added in _LATE]
     misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT * max(late, default=0.0)

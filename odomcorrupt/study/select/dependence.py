@@ -77,6 +77,7 @@ class Dependence:
     nats : log likelihood that it gains, less the penalty
     best : the basis function that explains most of it, if one does
     expression : a simple effect of that shape, ready to be edited
+    instead_of : name of the included effect in whose place it explains about as much; else ""
 
     Two are the same finding only if they are the same object.
     """
@@ -91,6 +92,7 @@ class Dependence:
     nats: float
     best: BasisScore | None
     expression: str
+    instead_of: str = ""
 
     @property
     def follows_acceleration(self) -> bool:

@@ -55,13 +55,15 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelComparison:
-    """An included effect against the basis functions that might stand in its place.
+    """Included effects, one or several together, against the basis functions that might stand in their place.
 
-    bare : the fit without the effect, see `drop_term`
-    nats, penalty : what the effect gains less its penalty, and that penalty
-    scores : the best basis function of each regressor and channel, those left out that only copy the effect
+    effects : those of the fit that are compared
+    bare : the fit without them, see `drop_term`
+    nats, penalty : what they gain less their penalties, and these
+    scores : the best basis function of each regressor and channel, those left out that only copy the effects
     """
 
+    effects: tuple[Effect, ...]
     bare: Fit
     nats: float
     penalty: float
@@ -69,32 +71,36 @@ class ModelComparison:
 
     @property
     def margin(self) -> float:
-        """By how many nats the effect explains more than the best basis function, both less their penalties."""
+        """By how many nats the effects explain more than the best basis function, both less their penalties."""
         return self.nats - max((one.score.nats for one in self.scores), default=0.0)
 
-    def better(self, decisions: Decisions) -> list[Dependence]:
-        """Return the dependence that explains plainly more than the effect, and those nearly as plain."""
-        if self.margin > -decisions.replacement_nats:
+    def better(self, decisions: Decisions, by_nats: float) -> list[Dependence]:
+        """Return the dependence that explains more than the effects by so many nats, and those nearly as plain."""
+        if self.margin > -by_nats:
             return []
-        least = self.nats + decisions.replacement_nats
         found = dependences(self.bare, self.scores, decisions)
-        found = [one for one in found if one.best is not None and one.best.score.nats > least]
+        found = [one for one in found if one.best is not None and one.best.score.nats > self.nats + by_nats]
         return [one for one in found if one.nats > found[0].nats - decisions.alternative_nats]
 
 
-def compare_with_basis(fit: Fit, effect: Effect, decisions: Decisions, design: CoarseDesign) -> ModelComparison:
-    """Compare an effect of a fit with every basis function in its place."""
-    bare = drop_term(fit, effect)
-    columns = fit.problem.columns(effect)
+def compare_with_basis(
+    fit: Fit, effects: Sequence[Effect], decisions: Decisions, design: CoarseDesign
+) -> ModelComparison:
+    """Compare effects of a fit together with every basis function in their place."""
+    bare = fit
+    for effect in effects:
+        bare = drop_term(bare, effect)
+    columns = np.concatenate([fit.problem.columns(effect) for effect in effects], axis=2)
     (own,) = score_columns(bare, [columns])
-    worth = penalty(LibraryTerm.of(effect, fit.problem.motions), len(fit.problem.nodes), decisions)
+    motions, count = fit.problem.motions, len(fit.problem.nodes)
+    worth = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
     nats = 0.5 * own.statistic - worth
     rest, whiten = project_out(bare), bare.noise.whitener.whiten
     explained = rest.of(whiten(columns))
     explained = explained @ np.linalg.lstsq(explained, rest.residual, rcond=None)[0]
 
     def copies(score: Score) -> bool:
-        """Return whether it does what the effect does: a fringe of it that fits by chance is no other cause."""
+        """Return whether it does what the effects do: a fringe of it that fits by chance is no other cause."""
         if score.nats < nats - decisions.replacement_nats:  # what explains far less needs no closer look
             return False
         basis = np.linalg.qr(rest.of(whiten(score.term.columns(bare.problem))))[0]
@@ -102,7 +108,7 @@ def compare_with_basis(fit: Fit, effect: Effect, decisions: Decisions, design: C
         return share > decisions.copy_share
 
     scores = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
-    return ModelComparison(bare, nats, worth, scores)
+    return ModelComparison(tuple(effects), bare, nats, worth, scores)
 
 
 def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | None:
@@ -136,16 +142,29 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     return None
 
 
-def best_dependence(fit: Fit, found: Sequence[Dependence], decisions: Decisions) -> Proposal | None:
-    """Return the dependence that gains most and does not spoil the path, of those nearly as plain as the plainest."""
-    have = {effect.name for effect in fit.effects}
+def best_dependence(
+    fit: Fit,
+    found: Sequence[Dependence],
+    decisions: Decisions,
+    *,
+    instead_of: ModelComparison | None = None,
+) -> Proposal | None:
+    """Return the dependence that gains most and does not spoil the path, of those nearly as plain as the plainest.
+
+    instead_of : effects that it comes in the place of, of which it has to explain plainly more
+    """
+    others, spared, least = fit.effects, 0.0, 0.0
+    if instead_of is not None:
+        others = tuple(e for e in fit.effects if e not in instead_of.effects)
+        spared, least = instead_of.penalty, decisions.replacement_nats
+    have = {effect.name for effect in others}
     possible = [(one, one.best) for one in found if one.best is not None and one.name not in have]
     best, plainest = None, -np.inf
     for one, basis in possible[: decisions.shortlist]:
         if one.nats < plainest - decisions.alternative_nats:
             break
         forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
-        fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*fit.effects, score.estimated)))]
+        fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*others, score.estimated)))]
         if not fits:
             continue
         # a step and a hinge are each compared at their own best threshold
@@ -153,7 +172,8 @@ def best_dependence(fit: Fit, found: Sequence[Dependence], decisions: Decisions)
         near = max(decisions.replacement_nats, _NEAR_FORM * (most - fit.log_likelihood))
         refined = [with_shape_refined(*pair, decisions) for pair in fits if _worth(pair) >= most - near]
         with_it, score = max(refined, key=_worth)
-        candidate = tried(fit, with_it, score, decisions, least=best.candidate.gain if best else 0.0)
+        gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + spared
+        candidate = tried(fit, with_it, score, decisions, gain=gain, least=best.candidate.gain if best else least)
         if not candidate.refused:
             best, plainest = Proposal(_reshaped(one, score), candidate), max(plainest, one.nats)
     return best
@@ -181,30 +201,14 @@ def _reshaped(one: Dependence, score: Score) -> Dependence:
 
 
 def best_replacement(
-    fit: Fit,
-    compared: Iterable[tuple[Effect, ModelComparison]],
-    decisions: Decisions,
-    contradicted: Container[str] = (),
+    fit: Fit, compared: Iterable[ModelComparison], decisions: Decisions, contradicted: Container[str] = ()
 ) -> Proposal | None:
-    """Return a dependence that explains plainly more than an included effect, and the fit with it instead.
+    """Return a dependence that explains plainly more than included effects, and the fit with it instead.
 
     contradicted : channels on which no dependence is named
     """
-    for effect, own in compared:
-        others = [e for e in fit.effects if e is not effect]
-        best = None
-        for one in own.better(decisions):
-            if one.best is None or one.channel in contradicted or one.name in {e.name for e in others}:
-                continue
-            score = one.best.score
-            with_it = _with(fit, (*others, score.estimated))
-            if with_it is None:
-                continue
-            gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + own.penalty
-            least = best.candidate.gain if best else decisions.replacement_nats
-            candidate = tried(fit, with_it, score, decisions, gain=gain, least=least)
-            if not candidate.refused:
-                best = Proposal(one, candidate)
-        if best is not None:
+    for own in compared:
+        better = [one for one in own.better(decisions, decisions.replacement_nats) if one.channel not in contradicted]
+        if best := best_dependence(fit, better, decisions, instead_of=own):
             return best
     return None

@@ -65,7 +65,7 @@ class Learned:
     clocks : those of the recordings
     rounds : all steps in order; the last one included nothing, or a limit was reached
     noise : what encoders did, and random effects that were found
-    unknown : dependences that no effect of the library explains
+    unknown : dependences that no effect of the library explains, and those that may stand in the place of one
     laws : those of them that are in the model as basis functions
     margins : by how many nats each included effect explains more than the best basis function would in its place
     fit : the final fit
@@ -118,8 +118,14 @@ class Learned:
 
     @property
     def unexplained(self) -> tuple[Dependence, ...]:
-        """Dependences that no effect of the library explains, without those that are in the model and negligible."""
-        return tuple(one for one in self.unknown if one not in self.laws or not self.is_negligible(one.name))
+        """Dependences that no effect of the model explains, without those that are in it and negligible."""
+        left = [one for one in self.unknown if not one.instead_of]
+        return tuple(one for one in left if one not in self.laws or not self.is_negligible(one.name))
+
+    @property
+    def left_nats(self) -> float:
+        """What the plainest dependence gains that nothing else in the model explains."""
+        return max((one.nats for one in self.unknown if not one.instead_of), default=0.0)
 
     @property
     def drive_type(self) -> DriveType:

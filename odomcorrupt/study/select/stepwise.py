@@ -117,21 +117,18 @@ def learn(
     )
     noise = [RandomCoefficient(e, decisions.counted_nats) for e in encoders]
     given = {e.name for e in start}
-    found = _Selection(fitted, noise, given, decisions, work).run()
-    if (other := _dependence_first(found, noise)) is not None and _explains_more(other, found):
-        found = other
-    found, clocks = _with_other_clock(found, clocks, noise)
+    found = _Selection(fitted, noise, given, clocks, decisions, work).run()
     late_nats = sum(one.nats for one in (*found.included, *found.open) if one.follows_acceleration)
     kept = {effect.name for effect in found.fit.effects}
     included = tuple(one for one in found.included if one.name in kept)
     final = with_robust_errors(found.fit, kept - given)
-    errors = with_rounding(final.clock_errors.tolist(), clocks.free, recordings)
+    errors = with_rounding(final.clock_errors.tolist(), found.clocks.free, recordings)
     return Learned(
-        clocks=replace(clocks, clocks=final.problem.clocks, errors=errors, left_nats=late_nats),
+        clocks=replace(found.clocks, clocks=final.problem.clocks, errors=errors, left_nats=late_nats),
         first_clocks=clocks if same_data else None,
         rounds=tuple(found.steps),
         noise=tuple(found.noise),
-        unknown=(*included, *found.open),
+        unknown=(*included, *found.open, *found.rivals()),
         laws=included,
         margins={name: own.margin for name, own in found.compared.items()},
         fit=final,
@@ -149,6 +146,7 @@ class _Selection:
 
     fit, noise : the model as it is, and its random effects
     given, work : names of effects that are not dropped; what takes note of every step
+    clocks : as they are in the model, and what speaks for others
     steps : so far
     included, open : dependences that are in the model, and those that it leaves
     contradictions : effects that would explain the data with a sign that physics forbids
@@ -160,6 +158,7 @@ class _Selection:
     fit: Fit
     noise: list[RandomCoefficient]
     given: set[str]
+    clocks: Clocks
     decisions: Decisions
     work: Work = field(default_factory=Work)
     steps: list[Step] = field(default_factory=list)
@@ -175,13 +174,13 @@ class _Selection:
         self.noise = list(self.noise)
 
     def run(self) -> _Selection:
-        """Take steps until one includes nothing, then finish; return itself."""
-        while self._step() or self._name_laws():
+        """Take steps until one changes nothing, then finish; return itself."""
+        while self._step() or self._name_laws() or self._swap_clock():
             pass
         self._finish()
         return self
 
-    def include(self, proposal: Proposal, candidates: Sequence[Candidate]) -> None:
+    def _include(self, proposal: Proposal, candidates: Sequence[Candidate]) -> None:
         """Include a dependence, and drop what it makes redundant."""
         self.included.append(proposal.dependence)
         self._record(candidates, dependence=proposal.dependence)
@@ -224,13 +223,13 @@ class _Selection:
         proposal = None
         if best is None or correlated is not None:
             self.work.within_step("screening dependences")
-            proposal = self.propose(alone=best is None)
+            proposal = self._propose(alone=best is None)
         if correlated is not None:
             explained = max((proposal.candidate.gain if proposal else 0.0, *(one.nats for one in self.open)))
             if self._include_correlated(correlated, explained):
                 return True
         if proposal is not None and (best is None or proposal.candidate.gain > best.gain + decisions.replacement_nats):
-            self.include(proposal, candidates)
+            self._include(proposal, candidates)
             return True
         full = len([step for step in self.steps if step.added is not None]) >= decisions.max_effects
         if best is None or best.fit is None or full:
@@ -262,7 +261,7 @@ class _Selection:
         found = random_coefficients(self.fit, self.decisions)
         return found[0] if found and found[0].nats > gain + self.decisions.alternative_nats else None
 
-    def propose(self, *, alone: bool) -> Proposal | None:
+    def _propose(self, *, alone: bool) -> Proposal | None:
         """Return the dependence that may come next; where no effect is left (`alone`), in place of one first."""
         decisions, design = self.decisions, CoarseDesign(self.fit.problem)
         found = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
@@ -272,9 +271,13 @@ class _Selection:
             self._compare(design)
         if len(self.included) >= decisions.max_dependences:
             return None
-        effects = [(e, self.compared[e.name]) for e in self.fit.effects if alone and e.name in self.compared]
+        compared = list(self.compared.values()) if alone else []
+        if len(compared) > 1:
+            # several effects may stand in for one cause together, and none of them gives way to it alone
+            together = [e for own in compared for e in own.effects]
+            compared.append(compare_with_basis(self.fit, together, decisions, design))
         # what the data contradict in one place is no better in another: it would come and go
-        replacement = best_replacement(self.fit, effects, decisions, self._contradicted())
+        replacement = best_replacement(self.fit, compared, decisions, self._contradicted())
         proposal = replacement or best_dependence(self.fit, self.open, decisions)
         return None if proposal is None or self._had(proposal.candidate.fit) else proposal
 
@@ -285,7 +288,7 @@ class _Selection:
     def _compare(self, design: CoarseDesign) -> None:
         added = {step.added for step in self.steps}
         effects = [e for e in self.fit.effects if e.name in added]
-        self.compared = {e.name: compare_with_basis(self.fit, e, self.decisions, design) for e in effects}
+        self.compared = {e.name: compare_with_basis(self.fit, [e], self.decisions, design) for e in effects}
         self.compared_at = self.fit
 
     def _include_correlated(self, one: RandomCoefficient, explained: float) -> bool:
@@ -315,86 +318,63 @@ class _Selection:
         if self.compared_at is not self.fit:
             self._compare(CoarseDesign(self.fit.problem))
 
-    @property
-    def penalty(self) -> float:
-        """Nats that its effects must gain."""
+    def rivals(self) -> list[Dependence]:
+        """Return of each included effect the dependence that explains about as much in its place, if one does."""
+        nearly = -self.decisions.alternative_nats
+        found = {name: own.better(self.decisions, nearly)[:1] for name, own in self.compared.items()}
+        return [replace(one, instead_of=name) for name, nearest in found.items() for one in nearest]
+
+    def _swap_clock(self) -> bool:
+        """Put a clock in the place of what wheels do at changes of speed, or that in its, where it explains more.
+
+        Clocks come before everything else, and a small offset does about what a wheel does that skids, or whose play is
+        crossed, whenever the speed changes. What it leaves of that is a dependence on the acceleration. Where there is
+        no clock, what resembles one may be its own: stamps that are rounded are late by half of what they are rounded
+        to. Of the two the one that is left out stays a rival.
+        """
+        fit, clocked = self.fit, bool(np.any(self.fit.free_clocks))
+        late = {one.name for one in (*self.included, *self.open) if one.follows_acceleration}
+        like = {e.name for e in fit.effects if e.name in _LIKE_CLOCKS and e.name not in self.given}
+        small = max(abs(clock.offset_s) for clock in fit.problem.clocks) < _LIKE_SKIDS_S
+        if not (late and small if clocked else like):
+            return False
+        others = [e for e in fit.effects if e.name not in (late if clocked else like)]
+        free = ((not clocked, False),) * len(fit.free_clocks)
+        other = fit.refit(others, clocks=(Clock(),) * len(free), free_clocks=free)
+        candidates = library_candidates(other, self.decisions) if clocked else []
+        best = candidates[0] if candidates and not candidates[0].refused else None
+        if best is not None and best.fit is not None:
+            other = with_shape_refined(best.fit.refit(), best.score, self.decisions)[0]
+        more = _more_nats(other, fit) + self._penalty(fit) - self._penalty(other)
+        better = more > 0.0 and not self._had(other)
+        if better:
+            self.clocks = replace(self.clocks, clocks=other.problem.clocks, free=free, ambiguous_nats=0.0)
+            if best is not None:
+                self._record(candidates, added=best.name)
+            self.included = [one for one in self.included if one.name not in late or not clocked]
+            self._continue_from(without_redundant(other, self.given, self.decisions))
+        if np.any(self.fit.free_clocks):
+            rivals = (*self.clocks.rival_nats, clock_nats(self.fit) - abs(more))
+            self.clocks = replace(self.clocks, rival_nats=rivals)
+        else:
+            gains = (step.candidates[0].gain for step in self.steps if step.added in _LIKE_CLOCKS)
+            nats = max(gains, default=0.0) - abs(more)
+            self.clocks = replace(self.clocks, ambiguous_nats=max(nats, self.clocks.ambiguous_nats, 0.0))
+        return better
+
+    def _penalty(self, fit: Fit) -> float:
+        """Return the nats that the effects of a model must gain."""
         forms = {one.name: one.best.score.penalty for one in self.included if one.best is not None}
-        motions, count = self.fit.problem.motions, len(self.fit.problem.nodes)
-        clocks = 0.5 * float(np.log(count) * np.sum(self.fit.free_clocks))
+        motions, count = fit.problem.motions, len(fit.problem.nodes)
+        clocks = 0.5 * float(np.log(count) * np.sum(fit.free_clocks))
         return clocks + sum(
             forms[e.name] if e.name in forms else penalty(LibraryTerm.of(e, motions), count, self.decisions)
-            for e in self.fit.effects
+            for e in fit.effects
         )
 
 
-def _dependence_first(found: _Selection, noise: list[RandomCoefficient]) -> _Selection | None:
-    """Return the selection that begins with a basis function, where one explains more than the effect that came first.
-
-    Several effects together may stand in for one cause that the library does not have, and none of them then gives way
-    to it alone. Where effects did suffice there is no second start.
-    """
-    first, decisions = found.steps[0], found.decisions
-    outdone = any(own.margin < 0.0 for own in found.compared.values())
-    if first.added is None or not (found.included or found.open or outdone):
-        return None
-    other = _Selection(first.before, noise, found.given, decisions, found.work)
-    proposal = other.propose(alone=False)
-    if proposal is None or proposal.candidate.gain < first.candidates[0].gain + decisions.replacement_nats:
-        return None
-    other.include(proposal, first.candidates)
-    return other.run()
-
-
-def _with_other_clock(found: _Selection, clocks: Clocks, noise: list[RandomCoefficient]) -> tuple[_Selection, Clocks]:
-    """Return the selection with a clock or that without, whichever explains more, and the clocks, the other a rival.
-
-    Clocks come before everything else, and a small offset does about what a wheel does that skids, or whose play is
-    crossed, whenever the speed changes. What it leaves of that is a dependence on the acceleration. Where there is no
-    clock, what resembles one may be its own: stamps that are rounded are late by half of what they are rounded to.
-    """
-    late = any(one.follows_acceleration for one in (*found.included, *found.open))
-    offset_s = max(abs(clock.offset_s) for clock in clocks.clocks)
-    rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
-    alike = bool(rivals) and not np.any(clocks.free)
-    if not alike and not (late and 0.0 < offset_s < _LIKE_SKIDS_S):
-        return found, clocks
-    other = replace(
-        clocks, clocks=(Clock(),) * len(clocks.clocks), free=((alike, False),) * len(clocks.free), ambiguous_nats=0.0
-    )
-    problem, first = found.fit.problem, found.steps[0].before
-    begin = fit(
-        problem.recordings,
-        first.effects,
-        clocks=other.clocks,
-        free_clocks=other.free,
-        approach=problem.approach,
-        start=first.noise.free,
-        random=[e for e in first.random if e.name in found.given],
-    )
-    second = _Selection(begin, noise, found.given, found.decisions, found.work).run()
-    more = _more_nats(second, found)
-    if more > 0.0:
-        found, clocks = second, other
-    if np.any(found.fit.free_clocks):
-        return found, replace(clocks, rival_nats=(*clocks.rival_nats, clock_nats(found.fit) - abs(more)))
-    rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
-    nats = max(rivals, default=0.0) - abs(more)
-    return found, replace(clocks, ambiguous_nats=max(nats, clocks.ambiguous_nats, 0.0))
-
-
-def _explains_more(one: _Selection, other: _Selection) -> bool:
-    """Return whether one model explains plainly more than another.
-
-    Known effects are the likelier a priori; not where the other model needed a basis function besides.
-    """
-    least = other.decisions.alternative_nats if other.included else other.decisions.replacement_nats
-    return _more_nats(one, other) > least
-
-
-def _more_nats(one: _Selection, other: _Selection) -> float:
+def _more_nats(here: Fit, there: Fit) -> float:
     """Return by how much one model explains more than another, whichever stretches are set apart as outliers."""
-    here, there = one.fit, other.fit
     same = there.refit(weights=carried(here.noise.weights, here.problem, there.problem))
     turned = here.refit(weights=carried(there.noise.weights, there.problem, here.problem))
-    gains = (here.log_likelihood - same.log_likelihood, turned.log_likelihood - there.log_likelihood)
-    return min(gains) + other.penalty - one.penalty
+    return min(here.log_likelihood - same.log_likelihood, turned.log_likelihood - there.log_likelihood)

@@ -110,7 +110,10 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     noise = tuple(
         gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or gain.effect.name in kept
     )
-    return replace(learned, fit=fitted, laws=laws, noise=noise, error_m=ten_second_error(fitted)), tuple(said)
+    # what stood in for an effect that has gone is all there is
+    unknown = tuple(one if one.instead_of in {"", *kept} else replace(one, instead_of="") for one in learned.unknown)
+    errors_m = ten_second_error(fitted)
+    return replace(learned, fit=fitted, laws=laws, noise=noise, unknown=unknown, error_m=errors_m), tuple(said)
 
 
 def _runs(fitted: Fit) -> set[int]:
