@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.laser.deskewing import Motion
-from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_view_errors
+from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_view_errors, without_spikes
 from odomcorrupt.laser.trajectory import UNKNOWN_M, LaserPath
 from odomcorrupt.study.io.recording import Trajectory
 
@@ -50,6 +50,20 @@ def test_a_pose_on_the_way_may_err_more_than_one_at_rest():
     path, motion = straight(noise_m=1e-4)
     deviation = np.sqrt(with_view_errors(path, motion).covariance[:, 0, 0])
     assert np.median(deviation[path.t_s < 60.0]) > 5.0 * np.median(deviation[path.t_s > 61.0])
+
+
+@pytest.mark.parametrize("long", [1, 3])
+def test_a_run_of_wrong_matches_is_left_out_and_nothing_else(long):
+    path, motion = straight()
+    path.xyt[100 : 100 + long, 1] += 0.1
+    kept = without_spikes(path, motion).row
+    assert set(path.row) - set(kept) == set(range(100, 100 + long))
+
+
+def test_a_slip_of_the_odometry_costs_no_pose():
+    path, motion = straight()
+    path.xyt[100:, 0] += 0.1
+    assert len(without_spikes(path, motion)) == len(path)
 
 
 def test_the_level_leaves_an_axis_that_is_not_seen_alone():
