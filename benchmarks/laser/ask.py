@@ -14,7 +14,7 @@ from laboratory.information import expected_information
 from laser.cases import world_of
 from laser.drives import EXACT, drive, laser_recordings, mocap_recording
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.se2 import between, compose, wrap
+from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
 from odomcorrupt.simulation import simulate
 from odomcorrupt.simulation.fault_draws import SIZES
 from odomcorrupt.study.design.identifiability import is_untestable
@@ -81,11 +81,18 @@ def ask(case: Case) -> dict[str, Any]:
 
 
 def _in_the_map(judged: Recording, seen: Seen, taught: Recording) -> Recording:
-    """Return a recording whose exact truth is in the frame of the laser's map, where places and slopes were learned."""
+    """Return a recording whose exact truth is in the frame of the laser's map, where places and slopes were learned.
+
+    The frame is that of least squares over all poses of the drive that was taught: one pose errs by millimetres.
+    """
     origin_ns = int(seen.exact.stamps_ns[0])
-    exact = seen.exact.at((taught.truth.stamps_ns[:1] - origin_ns) * 1e-9 - seen.lag_s, origin_ns)
-    moved = compose(taught.truth.xyt[:1], between(exact, judged.truth.xyt))
-    return replace(judged, truth=replace(judged.truth, xyt=moved))
+    exact = seen.exact.at((taught.truth.stamps_ns - origin_ns) * 1e-9 - seen.lag_s, origin_ns)[:, :2]
+    centre, laid = exact.mean(axis=0), taught.truth.xyt[:, :2].mean(axis=0)
+    (x, y), (u, v) = (exact - centre).T, (taught.truth.xyt[:, :2] - laid).T
+    turn = float(np.arctan2(x @ v - y @ u, x @ u + y @ v))
+    xyt = judged.truth.xyt
+    moved = laid + rotate(xyt[:, :2] - centre, np.full(len(xyt), turn))
+    return replace(judged, truth=replace(judged.truth, xyt=np.column_stack((moved, xyt[:, 2] + turn))))
 
 
 def _robots(learned: Learned) -> list[Any]:

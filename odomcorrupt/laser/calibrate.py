@@ -8,7 +8,7 @@ plane, linear in the position and in cosine and sine of the yaw).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,8 @@ _PLAIN_RATIO = 0.05
 _DIFFERS_RAD = np.radians(15.0)
 _FEWER = 0.8
 _BETTER = 0.93
-"""Times that sweeps do not say are taken where they make the deviation of matched pairs this share of it or less."""
+"""Times that sweeps do not say are taken where they make the deviation of matched pairs this share of it or less, and
+even stamps where they make that of the odometry so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +93,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     flipped = by_tf is not None and float(np.linalg.det(by_tf.plane)) < 0.0
     if by_tf is not None:
         mount = np.array([*by_tf.position_xy, np.arctan2(by_tf.plane[1, 0], by_tf.plane[0, 0])])
+    known = mount if by_tf is not None else None
     motion = Motion(odometry, origin_ns, 0.0, mount)
     pairs, mirrored = _sense(sweeps, motion, flipped=flipped, sure=by_tf is not None)
     said = []
@@ -99,7 +101,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
         said.append(f"{sweeps.topic}: turns against the odometry: it hangs upside down; mirrored")
     found = None
     for _ in range(2):
-        motion, found = _refined(pairs, motion, by_tf=mount if by_tf is not None else None)
+        motion, found = _refined(pairs, motion, by_tf=known)
         pairs = _matched(sweeps, motion, mirrored=mirrored)
     best_s = turn_s = _turning_time(sweeps, motion, pairs, stated_s, mirrored=mirrored)
     if best_s:
@@ -110,7 +112,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
             sweeps, motion = stated, replace(motion, lag_s=motion.lag_s - later_s)
             turn_s = 0.0 if best_s == stated_s else best_s
         pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=turn_s)
-        motion, found = _refined(pairs, motion, by_tf=mount if by_tf is not None else None)
+        motion, found = _refined(pairs, motion, by_tf=known)
         said.append(
             f"{sweeps.topic}: {why}; sweeps fit each other best if a turn takes {abs(best_s):.2f} s "
             f"({'counter-clockwise' if best_s > 0.0 else 'clockwise'})"
@@ -120,13 +122,11 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
             f"{sweeps.topic}: time_increment is 0, and sweeps fit each other no better spread over scan_time "
             f"({abs(stated_s):.2f} s): all beams of a sweep count as taken at once"
         )
-    if found is not None and by_tf is not None:
-        yaw = float(np.degrees(wrap(np.asarray(found[2] - mount[2]))))
-        if abs(yaw) > np.degrees(_DIFFERS_RAD):
-            said.append(f"{sweeps.topic}: turned by {yaw:.0f} deg against what TF says; mounting taken from the motion")
-    if by_tf is None:
-        where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
-        said.append(f"{sweeps.topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot")
+    evenly = _taken_evenly(pairs, Calibration(sweeps, motion, mirrored, (), turn_s), by_tf=known)
+    if evenly is not None:
+        sweeps, motion, found, why = evenly
+        said.append(why)
+    said += _said_of_mounting(sweeps.topic, found, motion, by_tf=known)
     return Calibration(sweeps, motion, mirrored, tuple(said), turn_s)
 
 
@@ -164,6 +164,43 @@ def _refined(pairs: _Pairs, motion: Motion, *, by_tf: Array | None) -> tuple[Mot
     return motion, found
 
 
+class _Evenly(NamedTuple):
+    """Sweeps on even stamps, the motion and the mounting (3,) that go with them, and what is said of it."""
+
+    sweeps: Sweeps
+    motion: Motion
+    mount: Array | None
+    said: str
+
+
+def _taken_evenly(pairs: _Pairs, plain: Calibration, *, by_tf: Array | None) -> _Evenly | None:
+    """Return what is known of a laser that is stamped on arrival and turns evenly; None where its stamps are as good.
+
+    The odometry between matched pairs says which: it follows the stamps, or it does not.
+    """
+    even = plain.sweeps.evened()
+    if even is None:
+        return None
+    matched = _matched(even, plain.motion, mirrored=plain.mirrored, turn_s=plain.turn_s)
+    motion, mount = _refined(matched, plain.motion, by_tf=by_tf)
+    if not _astray(matched, motion) < _BETTER * _astray(pairs, plain.motion):
+        return None
+    off_ms = float(np.std(plain.sweeps.stamps_ns - even.stamps_ns)) * 1e-6
+    said = f"{even.topic}: stamped on arrival, off by about {off_ms:.0f} ms each; the odometry fits even stamps better"
+    return _Evenly(even, motion, mount, said)
+
+
+def _said_of_mounting(topic: str, found: Array | None, motion: Motion, *, by_tf: Array | None) -> list[str]:
+    """Return what should be known of where the laser sits; by_tf and found (3,) by TF, None where it does not say."""
+    if by_tf is None:
+        where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
+        return [f"{topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot"]
+    yaw = 0.0 if found is None else float(wrap(np.asarray(found[2] - by_tf[2])))
+    if abs(yaw) <= _DIFFERS_RAD:
+        return []
+    return [f"{topic}: turned by {np.degrees(yaw):.0f} deg against what TF says; mounting taken from the motion"]
+
+
 def _stated_turn_s(sweeps: Sweeps) -> float:
     """Return the time of a whole turn by the sweeps' own times, negative where clockwise; 0 where they have none."""
     turns = []
@@ -194,6 +231,14 @@ def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, stated_s: float
         if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < min(best, share * known):
             best, turn_s = _misfit(pairs), candidate
     return turn_s
+
+
+def _astray(pairs: _Pairs, motion: Motion) -> float:
+    """Return how far the odometry's motion between the sweeps of a pair usually is from that of the match, m."""
+    if not len(pairs.pose):
+        return np.inf
+    miss = between(between(motion.laser(pairs.first_s), motion.laser(pairs.second_s)), pairs.pose)
+    return float(np.median(np.hypot(miss[:, 0], miss[:, 1]) + _APART_M / _APART_RAD * np.abs(wrap(miss[:, 2]))))
 
 
 def _misfit(pairs: _Pairs) -> float:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.geometry.se2 import between, compose, wrap
 from odomcorrupt.laser.trajectory import UNKNOWN_M
 
 if TYPE_CHECKING:
@@ -29,7 +29,9 @@ _TURNS_RADPS, _MOVES_MPS = 0.1, 0.05
 _YAW = 2
 _LEAST_S = 1e-3
 _SMALLEST, _LARGEST = 0.04, 400.0
-_SPIKE = 6.0
+_SPIKE, _NEIGHBOURS, _NEAR_S = 6.0, 3, 0.7
+"""How far aside a spike lies, in usual deviations, from the median of so many sweeps on each side, the next one and
+those so near that the odometry between is good to a few millimetres."""
 _AROUND_S, _NEW_VIEW_M, _TURN_M = 0.5, 0.1, 0.3
 """What is seen is another thing after 0.1 m, a radian counting as 0.3 m; who moves less in a second sees less new."""
 _VIEW_M, _VIEW_RAD = 1e-3, 2e-4
@@ -127,20 +129,27 @@ def _scaled(covariance: Array, deviation: Array) -> Array:
 
 
 def without_spikes(path: LaserPath, motion: Motion) -> LaserPath:
-    """Return the path without poses that lie aside of their neighbours on both sides, by the odometry between them."""
+    """Return the path without poses that lie aside of the median of what their neighbours say, by the odometry between.
+
+    A median of so many keeps steps, which are the odometry's, and finds a run of wrong matches (Hampel 1974, Journal of
+    the American Statistical Association 69).
+    """
     if len(path) < _FEW:
         return path
-    robot = motion.robot(path.t_s)
-    miss = between(path.xyt[:-1], path.xyt[1:]) - between(robot[:-1], robot[1:])
-    miss[:, 2] = wrap(miss[:, 2])
-    aside = 0.5 * np.abs(miss[:-1] - miss[1:])
-    unseen = path.weak[1:-1]
-    usual = 1.4826 * np.median(aside[~unseen] if (~unseen).any() else aside, axis=0)
+    robot, rows = motion.robot(path.t_s), np.arange(len(path))
+    miss = np.full((2 * _NEIGHBOURS + 1, len(path), 3), np.nan)
+    for said, shift in zip(miss, range(-_NEIGHBOURS, _NEIGHBOURS + 1), strict=True):
+        other = np.clip(rows + shift, 0, len(path) - 1)
+        near = (np.abs(path.t_s[other] - path.t_s) < _NEAR_S) | (abs(shift) <= 1)
+        k = np.flatnonzero((other == rows + shift) & (path.part[other] == path.part) & near)
+        said[k] = between(compose(path.xyt[other[k]], between(robot[other[k]], robot[k])), path.xyt[k])
+    miss[:, :, 2] = wrap(miss[:, :, 2])
+    aside = np.abs(np.nanmedian(miss, axis=0))
+    step = np.abs(miss[_NEIGHBOURS + 1])
+    usual = 1.4826 * np.nanmedian(step[~path.weak] if (~path.weak[:-1]).any() else step, axis=0)
     out = aside > _SPIKE * np.maximum(usual, _USUAL)
-    out[unseen, :2] = False
-    kept = np.ones(len(path), dtype=bool)
-    kept[1:-1] = ~out.any(axis=1)
-    return path.only(kept)
+    out[path.weak, :2] = False
+    return path.only(~out.any(axis=1))
 
 
 def _rate(path: LaserPath, motion: Motion) -> Array:

@@ -17,6 +17,10 @@ __all__ = ["MOST_RETURNS", "Sweep", "Sweeps"]
 
 MOST_RETURNS = 720
 """Denser sweeps are thinned to this many returns: more cost time and say little more."""
+_EVEN_OVER, _GAP = 10, 2.5
+"""Sweeps on each side over which a laser keeps its rate, and a gap, in usual times between two sweeps."""
+_LEAST_S = 2e-3
+"""A laser's stamps are as good as even where they are off by less: a robot moves a millimetre or two meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +71,26 @@ class Sweeps:
     def at_once(self) -> Sweeps:
         """Return the sweeps with all returns of each taken at its stamp."""
         return replace(self, sweeps=tuple(replace(s, after_s=np.zeros_like(s.after_s)) for s in self.sweeps))
+
+    def evened(self) -> Sweeps | None:
+        """Return the sweeps stamped as by a laser that turns evenly; None where nearly all of them are so.
+
+        Stamps of arrival come late by what each sweep waited: the mean over as many sweeps before as after is what they
+        were taken at, later by as much for all.
+        """
+        stamps, rows = self.stamps_ns, np.arange(len(self))
+        if not len(self):
+            return None
+        broken = np.flatnonzero(np.diff(stamps) > _GAP * 1e9 * self.period_s)
+        first, last = np.append(0, broken + 1), np.append(broken, len(self) - 1)
+        stretch = np.searchsorted(last, rows)
+        half = np.minimum(_EVEN_OVER, np.minimum(rows - first[stretch], last[stretch] - rows))
+        total = np.concatenate(([0], np.cumsum(stamps - stamps[0])))
+        even = stamps[0] + (total[rows + half + 1] - total[rows - half]) // (2 * half + 1)
+        if np.median(np.abs(even - stamps)) < _LEAST_S * 1e9 or np.any(np.diff(even) <= 0):
+            return None
+        moved = zip(self.sweeps, even.tolist(), strict=True)
+        return replace(self, sweeps=tuple(replace(sweep, stamp_ns=stamp) for sweep, stamp in moved))
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from odomcorrupt.laser.deskewing import Motion
-from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_view_errors
+from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_view_errors, without_spikes
+from odomcorrupt.laser.sweep import Sweep, Sweeps
 from odomcorrupt.laser.trajectory import UNKNOWN_M, LaserPath
 from odomcorrupt.study.io.recording import Trajectory
 
@@ -52,9 +53,41 @@ def test_a_pose_on_the_way_may_err_more_than_one_at_rest():
     assert np.median(deviation[path.t_s < 60.0]) > 5.0 * np.median(deviation[path.t_s > 61.0])
 
 
+@pytest.mark.parametrize("long", [1, 3])
+def test_a_run_of_wrong_matches_is_left_out_and_nothing_else(long):
+    path, motion = straight()
+    path.xyt[100 : 100 + long, 1] += 0.1
+    kept = without_spikes(path, motion).row
+    assert set(path.row) - set(kept) == set(range(100, 100 + long))
+
+
+def test_a_slip_of_the_odometry_costs_no_pose():
+    path, motion = straight()
+    path.xyt[100:, 0] += 0.1
+    assert len(without_spikes(path, motion)) == len(path)
+
+
 def test_the_level_leaves_an_axis_that_is_not_seen_alone():
     path, motion = straight()
     path.covariance[::2, 1, 1] += UNKNOWN_M**2
     noisy = with_noise(path, motion, WhiteNoise(0.04, 1.0, 0.0))
     assert noisy.covariance[::2, 1, 1] == pytest.approx(UNKNOWN_M**2, rel=1e-3)
     assert noisy.covariance[:, 0, 0] == pytest.approx(0.04 * path.covariance[:, 0, 0])
+
+
+def stamped(at_s):
+    sweeps = tuple(Sweep(round(1e9 * t), np.zeros((0, 2), np.float32), np.zeros(0, np.float32)) for t in at_s)
+    return Sweeps("run", "/scan", "laser", sweeps, 6.0, np.zeros(len(at_s), np.int64), None)
+
+
+def test_stamps_of_arrival_are_evened_on_both_sides_of_a_gap():
+    taken_s = np.concatenate((np.arange(0.0, 30.0, 0.1), np.arange(41.23, 70.0, 0.1)))
+    late_s = np.random.default_rng(0).uniform(0.0, 0.08, len(taken_s))
+    off_s = 1e-9 * stamped(taken_s + late_s).evened().stamps_ns - taken_s - 0.04
+    assert np.median(np.abs(off_s)) < 0.3 * np.median(np.abs(late_s - 0.04))
+
+
+def test_a_clock_that_is_even_already_is_left_alone_gaps_or_not():
+    taken_s = np.arange(0.0, 60.0, 0.2)
+    assert stamped(taken_s).evened() is None
+    assert stamped(np.delete(taken_s, slice(100, 150))).evened() is None
