@@ -131,6 +131,7 @@ class Effect:
     odd : near the identity f is exactly odd in the amplitudes, so that one evaluation gives its slope there
     twin_of : name of an effect with the same f (an alias: no recording can separate the two)
     unsteered : for a steered robot's effect, the differential-drive effect that equals it at small steering angles
+    in_place_of : name of the clock effect with the same f to first order, in whose place alone a study tests it
     """
 
     name: ClassVar[str]
@@ -149,6 +150,7 @@ class Effect:
     odd: ClassVar[bool] = False
     twin_of: ClassVar[str | None] = None
     unsteered: ClassVar[str | None] = None
+    in_place_of: ClassVar[str | None] = None
 
     __slots__ = ()
 

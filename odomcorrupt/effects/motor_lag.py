@@ -32,6 +32,7 @@ class MotorLag(Effect):
 
     name = "motor_lag"
     layer = "record"
+    in_place_of = "time_offset"
     summary = "the robot follows late the velocity commands that its odometry integrates"
     about = About(
         equation="f = w - u, tau dw / dt + w = u: the true twist w follows the odometry's twist u",

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
-from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, hobby
+from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, hobby, lagged
 
 from odomcorrupt.api.recordings import Recordings
 from odomcorrupt.model.model_file import format_model, parse_model
@@ -117,6 +117,15 @@ def test_wheels_show_their_flaw_and_their_track_where_nobody_said_it(true_of, re
         assert effect.track == pytest.approx(HOBBY_TRACK_M, rel=0.1)
     else:
         assert learned.steps[0].alternatives == ("battery_sag",)
+
+
+@pytest.mark.slow
+def test_motors_that_follow_commands_late_are_no_late_clock():
+    tau_s = 0.2
+    learned = learn([hobby(1, lambda u, _t_s: lagged(u, tau_s))])
+    effect, error = only(learned)
+    assert effect.name == "motor_lag"
+    assert effect.tau == pytest.approx(tau_s, abs=max(SURE * error, 0.01))
 
 
 @pytest.mark.slow

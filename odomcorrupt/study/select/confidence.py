@@ -108,7 +108,7 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     own = held_out_limit(step.added or "", gain, learned)
     # what chance gave to the effect on the fitted data it gave to its rivals, too
     rivals = tuple(c.gain - (gain - own) for c in step.candidates[1:] if not c.refused)
-    if step.added in RIVALS and learned.clocks.ambiguous_nats > 0.0:
+    if step.added in (*RIVALS, "motor_lag") and learned.clocks.ambiguous_nats > 0.0:
         # the clock that was left out is a rival like any other; it explains no more than all of what this one does
         rivals = (*rivals, min(own, learned.clocks.ambiguous_nats))
     if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):

@@ -18,7 +18,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import mounting_of
-from odomcorrupt.study.estimate.gauss_newton import Fit, carried, fit
+from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.clock import Clock
@@ -30,6 +30,7 @@ from odomcorrupt.study.select.candidates import (
     terms_of,
     with_shape_refined,
 )
+from odomcorrupt.study.select.clock_rivals import late_motors, more_nats
 from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
@@ -175,7 +176,8 @@ class _Selection:
 
     def run(self) -> _Selection:
         """Take steps until one changes nothing, then finish; return itself."""
-        while self._step() or self._name_laws() or self._swap_clock():
+        self._replace_leading_clock()
+        while self._step() or self._name_laws() or self._swap_clock() or self._replace_leading_clock():
             pass
         self._finish()
         return self
@@ -324,6 +326,23 @@ class _Selection:
         found = {name: own.better(self.decisions, nearly)[:1] for name, own in self.compared.items()}
         return [replace(one, instead_of=name) for name, nearest in found.items() for one in nearest]
 
+    def _replace_leading_clock(self) -> bool:
+        """Put motors that follow commands late in the place of a clock that is ahead, where that explains more."""
+        found = late_motors(self.fit, self.decisions)
+        if found is None:
+            return False
+        better = found.more_nats > self.decisions.replacement_nats and not self._had(found.fit)
+        if not better:
+            rivals = (*self.clocks.rival_nats, clock_nats(self.fit) - abs(found.more_nats))
+            self.clocks = replace(self.clocks, rival_nats=rivals)
+            return False
+        clocks, free = found.fit.problem.clocks, found.fit.free_clocks
+        left_nats = max(found.candidate.gain - found.more_nats, 0.0)
+        self.clocks = replace(self.clocks, clocks=clocks, free=free, ambiguous_nats=left_nats)
+        self._record([found.candidate], added=found.candidate.name)
+        self._continue_from(found.fit)
+        return True
+
     def _swap_clock(self) -> bool:
         """Put a clock in the place of what wheels do at changes of speed, or that in its, where it explains more.
 
@@ -345,7 +364,7 @@ class _Selection:
         best = candidates[0] if candidates and not candidates[0].refused else None
         if best is not None and best.fit is not None:
             other = with_shape_refined(best.fit.refit(), best.score, self.decisions)[0]
-        more = _more_nats(other, fit) + self._penalty(fit) - self._penalty(other)
+        more = more_nats(other, fit) + self._penalty(fit) - self._penalty(other)
         better = more > 0.0 and not self._had(other)
         if better:
             self.clocks = replace(self.clocks, clocks=other.problem.clocks, free=free, ambiguous_nats=0.0)
@@ -371,10 +390,3 @@ class _Selection:
             forms[e.name] if e.name in forms else penalty(LibraryTerm.of(e, motions), count, self.decisions)
             for e in fit.effects
         )
-
-
-def _more_nats(here: Fit, there: Fit) -> float:
-    """Return by how much one model explains more than another, whichever stretches are set apart as outliers."""
-    same = there.refit(weights=carried(here.noise.weights, here.problem, there.problem))
-    turned = here.refit(weights=carried(there.noise.weights, there.problem, here.problem))
-    return min(here.log_likelihood - same.log_likelihood, turned.log_likelihood - there.log_likelihood)

@@ -200,7 +200,7 @@ def mountings(recordings: Sequence[Recording]) -> tuple[str, ...]:
 
 def _leads(kind: type[Effect], drive: DriveType) -> bool:
     """Tell whether an effect is tested itself, and is not named as another reading of one that is."""
-    if not drive.admits(kind):
+    if not drive.admits(kind) or kind.in_place_of is not None:
         return False
     # a lever arm has a second number, so what a steered robot's has one of is tested beside it; not of an antenna,
     # which is likelier off the axle than the base frame is

@@ -1,0 +1,71 @@
+"""Comparison of a clock with effects that are the same to first order."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.gauss_newton import carried
+from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.select.candidates import tried
+from odomcorrupt.study.select.score import score_terms
+from odomcorrupt.study.terms.heading_source import sees_travel
+from odomcorrupt.study.terms.term import LibraryTerm
+
+if TYPE_CHECKING:
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.candidates import Candidate
+    from odomcorrupt.study.select.decisions import Decisions
+
+__all__ = ["InPlaceOfClock", "late_motors", "more_nats"]
+
+_LEAD_S = 0.04
+"""Least lead of the odometry's clock that may be motors behind their commands: they take 50 ms and more."""
+
+
+class InPlaceOfClock(NamedTuple):
+    """An effect that was fitted in the place of a clock.
+
+    candidate : the effect, beside the model without a clock
+    fit : the model with the effect and without the clock
+    more_nats : log likelihood gained over the model with the clock, nats
+    """
+
+    candidate: Candidate
+    fit: Fit
+    more_nats: float
+
+
+def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
+    """Return a fit with motors that follow commands late in the place of a clock that is ahead; None if not possible.
+
+    A lag is a delay to first order, so that the clock, which is estimated before everything else, takes its part.
+    """
+    clocks = fit.problem.clocks
+    lead_s = min(-clock.offset_s for clock in clocks)
+    have = {effect.name for effect in fit.effects}
+    if not np.any(fit.free_clocks) or lead_s < _LEAD_S or not sees_travel(fit.problem.recordings):
+        return None
+    kind = next(k for k in registry().values() if k.in_place_of == "time_offset")
+    if kind.name in have:
+        return None
+    (term,) = LibraryTerm.family(kind, fit.problem.motions)
+    without = fit.refit(clocks=(Clock(),) * len(clocks), free_clocks=((False, False),) * len(clocks))
+    (score,) = score_terms(without, [term], decisions, family=1)
+    late = term.effect([min(lead_s, amplitudes(kind)[0].high)])
+    with_it = without.refit([*without.effects, late], weights=without.noise.weights)
+    candidate = tried(without, with_it, score, decisions)
+    if candidate.refused:
+        return None
+    other = with_it.refit()
+    return InPlaceOfClock(candidate, other, more_nats(other, fit))
+
+
+def more_nats(here: Fit, there: Fit) -> float:
+    """Return by how many nats one model explains more than another, whichever of their robust weights are used."""
+    same = there.refit(weights=carried(here.noise.weights, here.problem, there.problem))
+    turned = here.refit(weights=carried(there.noise.weights, there.problem, here.problem))
+    return min(here.log_likelihood - same.log_likelihood, turned.log_likelihood - there.log_likelihood)
