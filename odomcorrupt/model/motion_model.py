@@ -116,6 +116,8 @@ class Setup:
     drive_type : how the wheels steer the robot, see `drive_types`; "" where nothing is said
     clocks : by recording, offset (s) and rate of the odometry's clock; for the reader, every run has its own
     origin : of the truth's frame where it was satellite fixes; places of effects are metres east and north of it
+    pose_corrections : whether a filter steps towards poses that it is given; the model is of the odometry between these
+        steps, and correction takes them out
     """
 
     effects: tuple[Effect, ...] = ()
@@ -123,6 +125,7 @@ class Setup:
     clocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     origin: Origin | None = None
     drive_type: str = ""
+    pose_corrections: bool = False
 
 
 @dataclass(frozen=True, slots=True)

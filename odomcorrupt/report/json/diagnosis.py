@@ -117,9 +117,15 @@ def learned_json(
 
 
 def recordings_json(recordings: Iterable[Recording]) -> list[dict[str, Any]]:
-    """Return what reading noticed of each recording, and how fast a filter pulls its odometry to poses (0: none)."""
+    """Return what reading noticed of each recording, and what a filter that is given poses does to its odometry."""
     return [
-        {"name": one.name, "odometry_pulled_per_s": one.pulled_per_s, "notes": list(one.notes)} for one in recordings
+        {
+            "name": one.name,
+            "odometry_pulled_per_s": one.pulled_per_s,
+            "odometry_pose_corrections": one.pose_corrections,
+            "notes": list(one.notes),
+        }
+        for one in recordings
     ]
 
 

@@ -10,21 +10,26 @@ Errors of a localisation are alike for longer than that, and come back, too: odo
 towards them, wheels never do, unless the robot drives sideways: then nothing shows it beside a localisation. And one
 slip is no filter: what fades has to fade all along the drive, so that standard errors are those of clustered data
 (Liang & Zeger 1986), a stretch of the drive being a cluster.
+
+A pose that comes once in a while moves the odometry at one message, which wheels never do. Where nothing fades any more
+without such steps, what is left is free odometry, and everything can be learned of it.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.correction.pose_corrections import pose_corrections
 from odomcorrupt.geometry.se2 import between, rotate, wrap
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["Pull", "pull_of"]
+__all__ = ["Feedback", "Pull", "feedback_of", "pull_of"]
 
 _STEP_S, _EARLIER = 1.0, (2, 5)
 """Steps are so long, and errors are taken so many of them earlier."""
@@ -47,6 +52,34 @@ class Pull(NamedTuple):
 
     position: float
     heading: float
+
+
+class Feedback(NamedTuple):
+    """What poses from outside do to odometry.
+
+    free : the odometry without steps towards them, the same where they do not show as steps
+    corrections : how many were taken out
+    per_s, left_per_s : how fast errors fade, and those that are left, per second
+    """
+
+    free: Samples
+    corrections: int
+    per_s: float
+    left_per_s: float
+
+
+def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
+    """Return what poses from outside do to odometry: `calm` is the same without outliers, see `pull_of`."""
+    per_s = max(pull_of(calm, truth))
+    if not per_s:
+        return Feedback(odometry, 0, 0.0, 0.0)
+    xyt = np.column_stack((odometry.xyz[:, :2], odometry.yaw_rad))
+    found = pose_corrections(odometry.seconds_since(int(odometry.stamps_ns[0])), xyt)
+    moved = found.error_xyt * [1.0, 1.0, 0.0]
+    free = replace(odometry, xyz=odometry.xyz + moved, yaw_rad=odometry.yaw_rad + found.error_xyt[:, 2])
+    if not found.steps or max(pull_of(free, truth)):
+        return Feedback(odometry, 0, per_s, per_s)
+    return Feedback(free, found.steps, per_s, 0.0)
 
 
 def pull_of(odometry: Samples, truth: Samples) -> Pull:

@@ -14,7 +14,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.excursions import without_excursions
-from odomcorrupt.study.io.feedback import pull_of
+from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
@@ -312,9 +312,11 @@ def recordings_of(
         check_itself(path)
     check_pair(calm, real)
     said = check_identity(calm, real) or heading_signs(calm, real)
+    feedback = feedback_of(odometry, calm, real)
     # a laser's reader has looked at its stamps already
-    said += filter_signs(calm, real) + jitter_signs(calm, real)
+    said += filter_signs(calm, real, feedback) + jitter_signs(calm, real)
     said += jitter_signs(real, calm) if truth.covariance is None else []
+    odometry = feedback.free
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
@@ -325,7 +327,8 @@ def recordings_of(
             stamp_error_s=rounded_s / math.sqrt(12.0),
             localised=truth.localised,
             of_base=is_of_base(truth, odometry),
-            pulled_per_s=max(pull_of(calm, real)),
+            pulled_per_s=feedback.left_per_s,
+            pose_corrections=feedback.corrections,
             odometry_topic=odometry.name if odometry.name.startswith("/") else "",
         )
         for r in recordings

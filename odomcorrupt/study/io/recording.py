@@ -122,6 +122,7 @@ class Recording:
         of each other; None: not estimated yet, and taken for 0
     truth_field : which of the truth's errors belong to places, where that explains them better
     pulled_per_s : how fast the odometry's errors fade towards the truth, as those of a filter do that is given poses
+    pose_corrections : steps of such a filter that were found in the odometry and taken out of it
     truth_level : by how much its truth is noisier than that of the first recording of a study, position and heading
     odometry_topic : where its odometry was found; "" where it was no topic
     stamp_error_s : standard deviation of an offset between the two clocks that rounded stamps hide, seconds
@@ -159,6 +160,7 @@ class Recording:
     truth_correlation_m: float | None = None
     truth_field: TruthField | None = None
     pulled_per_s: float = 0.0
+    pose_corrections: int = 0
     drive_type: str = AUTO
     odometry_topic: str = ""
 
