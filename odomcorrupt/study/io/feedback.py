@@ -11,8 +11,8 @@ towards them, wheels never do, unless the robot drives sideways: then nothing sh
 slip is no filter: what fades has to fade all along the drive, so that standard errors are those of clustered data
 (Liang & Zeger 1986), a stretch of the drive being a cluster.
 
-A pose that comes once in a while moves the odometry at one message, which wheels never do. Where nothing fades any more
-without such steps, what is left is free odometry, and everything can be learned of it.
+A pose that comes once in a while moves the odometry at one message, which wheels never do. Where such steps lead towards
+the truth they are taken out: what is left is free odometry, and everything can be learned of it.
 """
 
 from __future__ import annotations
@@ -70,20 +70,23 @@ class Feedback(NamedTuple):
 
 def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
     """Return what poses from outside do to odometry: `calm` is the same without outliers, see `pull_of`."""
-    per_s = max(pull_of(calm, truth))
-    if not per_s:
-        return Feedback(odometry, 0, 0.0, 0.0)
     xyt = np.column_stack((odometry.xyz[:, :2], odometry.yaw_rad))
     found = pose_corrections(odometry.seconds_since(int(odometry.stamps_ns[0])), xyt)
-    moved = found.error_xyt * [1.0, 1.0, 0.0]
-    free = replace(odometry, xyz=odometry.xyz + moved, yaw_rad=odometry.yaw_rad + found.error_xyt[:, 2])
-    if not found.steps or max(pull_of(free, truth)):
-        return Feedback(odometry, 0, per_s, per_s)
-    return Feedback(free, found.steps, per_s, 0.0)
+    if found.steps:
+        moved = found.error_xyt * [1.0, 1.0, 0.0]
+        free = replace(odometry, xyz=odometry.xyz + moved, yaw_rad=odometry.yaw_rad + found.error_xyt[:, 2])
+        per_s = max(pull_of(odometry, truth, free))
+        if per_s:
+            return Feedback(free, found.steps, per_s, max(pull_of(free, truth)))
+    per_s = max(pull_of(calm, truth))
+    return Feedback(odometry, 0, per_s, per_s)
 
 
-def pull_of(odometry: Samples, truth: Samples) -> Pull:
+def pull_of(odometry: Samples, truth: Samples, free: Samples | None = None) -> Pull:
     """Return how odometry is pulled towards a truth with headings; both by growing stamps, on nearly one clock.
+
+    Where sudden steps were found, it is they that have to lead towards the truth: no gain or bias, no noise of the truth
+    is in them, and wheels make none. `free` is the odometry without them.
 
     Headings have no such witness as steps sideways: where the truth is a localisation, which is corrected itself, they
     count only beside positions that are pulled.
@@ -103,7 +106,11 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
     if len(picked) < _FEW:
         return nothing
     step, own = between(real_xyt[:-1], real_xyt[1:]), between(own_xyt[:-1], own_xyt[1:])
-    error = own - step
+    rest = step
+    if free is not None:
+        without = free.trajectory().at(real_s[picked], origin)
+        rest = between(without[:-1], without[1:])
+    error = own - rest
     error[:, 2] = wrap(error[:, 2])
     off = _off(own_xyt, real_xyt)
     off[:, :2] = rotate(off[:, :2], -real_xyt[:, 2])
@@ -122,7 +129,9 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
     swing = np.column_stack((own[:, :1], sides)) * own[:, 2:]
     aside = np.column_stack((moves, np.abs(moves[:, 1:]), dt_s, swing, changes, later))
     position, heading = 0.0, 0.0
-    for earlier in _EARLIER:
+    if free is not None:
+        aside = aside[:, :0]
+    for earlier in _EARLIER if free is None else (0,):
         rows = np.flatnonzero(usual)[earlier:]
         before = off[rows - earlier]
         # an error of some steps ago, as the robot has it before it now
@@ -133,7 +142,7 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
         across = _fading(sideways[rows, None], before[:, 1:2], aside[rows], dt_s[rows])
         alone = _fading(error[rows, 2:], before[:, 2:], aside[rows], dt_s[rows])
         itself = across.rate + _SURELY * max(across.usual, across.clustered) > _OWN * both.rate
-        if both.plain(span_s) and (not truth.localised if omni else itself):
+        if both.plain(span_s) and (free is not None or (not truth.localised if omni else itself)):
             position = max(position, both.rate)
         if alone.plain(span_s):
             heading = max(heading, alone.rate)
