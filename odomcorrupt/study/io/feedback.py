@@ -11,8 +11,8 @@ towards them, wheels never do, unless the robot drives sideways: then nothing sh
 slip is no filter: what fades has to fade all along the drive, so that standard errors are those of clustered data
 (Liang & Zeger 1986), a stretch of the drive being a cluster.
 
-A pose that comes once in a while moves the odometry at one message, which wheels never do. Where such steps lead towards
-the truth they are taken out: what is left is free odometry, and everything can be learned of it.
+A pose that comes once in a while moves the odometry at one message, which wheels never do. Where such steps lead
+towards the truth they are taken out: what is left is free odometry, and everything can be learned of it.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
 def pull_of(odometry: Samples, truth: Samples, free: Samples | None = None) -> Pull:
     """Return how odometry is pulled towards a truth with headings; both by growing stamps, on nearly one clock.
 
-    Where sudden steps were found, it is they that have to lead towards the truth: no gain or bias, no noise of the truth
-    is in them, and wheels make none. `free` is the odometry without them.
+    Where sudden steps were found, it is they that have to lead towards the truth: no gain or bias, no noise of the
+    truth is in them, and wheels make none. `free` is the odometry without them.
 
     Headings have no such witness as steps sideways: where the truth is a localisation, which is corrected itself, they
     count only beside positions that are pulled.
