@@ -38,6 +38,8 @@ _ACTIVE = 1e-3
 _MOSTLY = 0.95
 _LATE_S, _PULLED = 0.05, 2.0
 """Odometry of a filter is late by so much even where its clock is right; and how much more than that pulls may do."""
+_LATEST_S = 0.15
+"""What is later than this is late by its clock, not by a filter of odometry (30 Hz, lags of 40 to 120 ms)."""
 _PLAIN_TURNS = 4.0
 """Information of a drive's turns per interval: on the root of their mean square, two standard errors of the noise."""
 
@@ -110,9 +112,9 @@ def may_be_of_lags(fit: Fit, score: Score) -> bool:
     """
     problem = fit.problem
     lags = [effect for effect in problem.effects if effect.name == "channel_lag"]
-    if not lags:
+    if not (lags or any(recording.pose_corrections for recording in problem.recordings)):
         return False
-    clock_s = max(abs(clock.offset_s) for clock in problem.clocks)
+    clock_s = max((abs(c.offset_s) for c in problem.clocks if abs(c.offset_s) < _LATEST_S), default=0.0)
     rest, made = project_out(fit), np.zeros(len(score.estimate))
     own = rest.of(fit.noise.whitener.whiten(score.term.columns(problem)))
     for channel, column in (("along", 0), ("yaw", 2)):
