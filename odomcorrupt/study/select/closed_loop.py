@@ -119,12 +119,8 @@ def may_be_of_lags(fit: Fit, score: Score) -> bool:
     own = rest.of(fit.noise.whitener.whiten(score.term.columns(problem)))
     for channel, column in (("along", 0), ("yaw", 2)):
         late_s = clock_s + sum(getattr(lag, "tau", 0.0) for lag in lags if getattr(lag, "channel", "") == channel)
-        parts = []
-        for m in problem.motions:
-            part = np.zeros((len(m), 3))
-            part[:, column] = np.gradient(m.acceleration[:, column], np.cumsum(m.dt_s)) * m.dt_s
-            parts.append(part)
-        form = problem.nodes.column(np.concatenate(parts))[:, :, None]
+        bends = np.concatenate([np.gradient(m.acceleration[:, column]) for m in problem.motions])
+        form = problem.nodes.column(bends[:, None] * np.eye(3)[column])[:, :, None]
         other = rest.of(fit.noise.whitener.whiten(form))
         made += 0.5 * late_s**2 * np.abs(np.linalg.lstsq(own, other, rcond=None)[0][:, 0])
     return bool(np.all(np.abs(score.estimate) < made + 2.0 * score.standard_error))
