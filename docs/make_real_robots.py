@@ -33,7 +33,7 @@ from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import compare
-from odomcorrupt.study.validate.held_out import keep_what_holds
+from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 from odomcorrupt.study.validate.predictive_check import Replay, replay
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def recordings(folder: Path, robot: Robot) -> tuple[list[Recording], Recording]:
 def section(folder: Path, robot: Robot) -> list[str]:
     """Learn, corrupt, judge, draw; return the robot's part of the page."""
     learning, judging = recordings(folder, robot)
-    learned = keep_what_holds(learn(learning))[0]
+    learned = drop_unsupported_parts(learn(learning))[0]
     random = [gain.effect for gain in learned.noise]
     known = {"noise alone": [], "with what was learned": [*learned.fit.effects, *random]}
     fits = {
@@ -272,7 +272,7 @@ def verdict(robot: Robot, judgement: Judgement, paths: Replay, judging: Recordin
     lines = [f"**Not covered** over {where}. What is left, odometry minus truth:", ""]
     rates = [f for f in judgement.failures if f.kind in {"motion", "place", "time"}]
     lines += [f"- {sentence(f)}" for f in rates[:4]]
-    own = keep_what_holds(learn([judging]))[0]
+    own = drop_unsupported_parts(learn([judging]))[0]
     names = [*own.added, *(gain.effect.name for gain in own.noise)]
     unknown = [dependence(u) for u in own.unknown[:3]]
     known = f"**What would explain it**, learned on the judged run itself: {', '.join(names) or 'no known effect'}"

@@ -1,6 +1,6 @@
 """Add realistic, repeatable drift to the odometry in ROS bags and MCAP; find out what makes your robot drift.
 
-The Python interface; each name is imported when it is first used, so that `import odomcorrupt` is instant.
+The Python interface; each name is imported on first use, so that `import odomcorrupt` is fast.
 
 >>> import odomcorrupt as oc
 >>> oc.Model.preset("typical").parameters["rot_trans"]
@@ -10,7 +10,7 @@ The Python interface; each name is imported when it is first used, so that `impo
 from __future__ import annotations
 
 TYPE_CHECKING = False
-"""As in `typing`, whose import would take half the time until Ctrl-C is quiet (`__main__`)."""
+"""As in `typing`, whose import would double the time until Ctrl-C is handled quietly (`__main__`)."""
 
 if TYPE_CHECKING:
     from typing import Any

@@ -1,11 +1,11 @@
 """The console script, and `python -m odomcorrupt`.
 
-From here on until the command line takes over, Ctrl-C ends the program without a word: a console script compiles a
-regular expression, and the command line is imported, for a tenth of a second. A shell that starts a program in the
-background has it ignore Ctrl-C; that stays.
+Until the command line takes over, Ctrl-C ends the program silently: a console script compiles a regular expression,
+and importing the command line takes a tenth of a second. A program started in the background by a shell ignores
+Ctrl-C; that is left unchanged.
 """
 
-# Python's `signal` is this with names as enumerations, which take a tenth of the program's start to import.
+# Python's `signal` is this module with names as enumerations, which take a tenth of the start-up time to import.
 import _signal  # type: ignore[import-not-found]
 
 if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:

@@ -1,4 +1,4 @@
-"""The command line: a group of commands of which `corrupt` needs no name.
+"""The command line: a group of commands with `corrupt` as the default.
 
 Commands are found by the names of the modules in `commands`; nothing heavy is imported before a command runs.
 """
@@ -34,19 +34,19 @@ _OWN_FLAGS = frozenset({"-h", "--help", "--version"})
 
 
 class _Group(click.Group):
-    """A group that takes the default command's arguments where the first one names no command."""
+    """A group that passes the arguments to the default command if the first is not a command."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
         """Return the names of the commands."""
         return list(command_names())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - as above
-        """Import the module of a command."""
+        """Return a command, importing its module."""
         module = command_names().get(cmd_name)
         return None if module is None else importlib.import_module(module).command
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Let the first token decide: a command, a flag of the group, or else the default command."""
+        """Select by the first token: a command, a flag of the group, or else the default command."""
         if args and args[0] not in command_names() and args[0] not in _OWN_FLAGS:
             if not ctx.resilient_parsing:
                 _suggest(args[0], alone=len(args) == 1)
@@ -55,7 +55,7 @@ class _Group(click.Group):
         return super().parse_args(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Complete commands, and what the default command takes."""
+        """Complete commands, and arguments of the default command."""
         found = super().shell_complete(ctx, incomplete)
         default = self.get_command(ctx, DEFAULT)
         if default is not None:
@@ -67,7 +67,7 @@ class _Group(click.Group):
         return found
 
     def format_usage(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write both ways of calling."""
+        """Write the usage with and without a command."""
         formatter.write_usage(ctx.command_path, "[OPTIONS] INPUT OUTPUT")
         formatter.write_usage(ctx.command_path, "COMMAND ...", prefix="       ")
 
@@ -86,7 +86,7 @@ class _Group(click.Group):
 
 
 def _suggest(word: str, *, alone: bool) -> None:
-    """Raise where a first token is neither a file nor an option, but nearly a command, or all there is."""
+    """Raise if a first token is neither a file nor an option, but similar to a command, or the only argument."""
     if word.startswith("-") or Path(word).exists():
         return
     near = difflib.get_close_matches(word, command_names(), 1, 0.75)
@@ -108,23 +108,23 @@ INPUT and OUTPUT are bags; - is a pipe (MCAP). A bag that is called like a comma
 @click.group(cls=_Group, help=_HELP, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="odomcorrupt", message="%(prog)s %(version)s")
 def cli() -> None:
-    """Be the group."""
+    """Define the command group."""
 
 
 def run(args: Sequence[str]) -> int:
     """Run the command line and return its exit code.
 
-    0 done, 1 failed, 2 wrong usage, 3 data lost, 130 interrupted, 141 nobody reads stdout any more.
+    0 done, 1 failed, 2 wrong usage, 3 data lost, 130 interrupted, 141 stdout closed by its reader.
     """
     try:
         result = cli.main(args=list(args), prog_name="odomcorrupt", standalone_mode=False)
     except (click.ClickException, click.Abort, KeyboardInterrupt, OdomCorruptError, OSError, MemoryError) as error:
-        return _told(error, args)
+        return _report_error(error, args)
     return result if isinstance(result, int) else 0
 
 
-def _told(error: BaseException, args: Sequence[str]) -> int:
-    """Say what went wrong in a line, and return the exit code."""
+def _report_error(error: BaseException, args: Sequence[str]) -> int:
+    """Print an error in one line, and return the exit code."""
     code = 1
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         error.show()
@@ -147,13 +147,13 @@ def _told(error: BaseException, args: Sequence[str]) -> int:
 
 
 def _path(args: Sequence[str]) -> str:
-    """Return what to type before --help."""
+    """Return the words to type before --help."""
     named = args and args[0] in command_names() and args[0] != DEFAULT
     return f"odomcorrupt {args[0]}" if named else "odomcorrupt"
 
 
 def _warn(message: Warning | str, *_where: object, **_more: object) -> None:
-    """Say a warning in a line, without the place in the source."""
+    """Print a warning in one line, without its place in the source."""
     _say(f"warning: {message}")
 
 
@@ -166,15 +166,15 @@ def _terminated(number: int, _frame: object) -> NoReturn:
 
 
 def main() -> NoReturn:
-    """Run the command line with the arguments of the program, and end the program."""
+    """Run the command line with the arguments of the program, and exit."""
     install()
     warnings.showwarning = _warn
-    # threads of a linear algebra library only wait for each other on matrices as narrow as ours
+    # threads of a linear algebra library only wait for each other on matrices as small as ours
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # a kill unwinds like an error, so that a half-written output is removed
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _terminated)
-    # imports make many objects and little rubbish
+    # imports create many objects and little garbage
     gc.set_threshold(50_000)
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as in the background of a shell
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -182,6 +182,6 @@ def main() -> NoReturn:
         code = run(sys.argv[1:])
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else 1
-    # at its end the interpreter looks for rubbish once more, for a tenth of a short run's time
+    # the final garbage collection of the interpreter takes a tenth of a short run's time
     gc.freeze()
     leave(code)

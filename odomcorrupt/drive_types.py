@@ -1,13 +1,13 @@
-"""Drive types: how a robot's wheels steer it, and so which effects it can have."""
+"""Drive types: wheel layouts of robots, which determine the possible effects."""
 
 from __future__ import annotations
 
 __all__ = ["AUTO", "DRIVE_TYPES", "PIVOTING", "STEERED"]
 
 AUTO = "auto"
-"""Guessed from the motion, see `study.terms.drive_type`."""
+"""Inferred from the motion, see `study.terms.drive_type`."""
 DRIVE_TYPES = ("differential", "skid", "car", "tricycle", "omni")
 STEERED = frozenset({"car", "tricycle"})
-"""A steering angle turns them: one travel and one angle make the odometry, and no two wheels are compared."""
+"""Drive types with a steering angle: the odometry is one travel and one angle, without a comparison of two wheels."""
 PIVOTING = frozenset(DRIVE_TYPES) - STEERED
-"""They turn on the spot: the difference of wheels turns them."""
+"""Drive types that turn on the spot, by the difference of their wheels."""

@@ -1,4 +1,4 @@
-"""Optional libraries: what to type where one is missing."""
+"""Optional libraries, with an error that states how to install a missing one."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ __all__ = ["require"]
 
 
 def require(library: str, purpose: str, extra: str) -> None:
-    """Import an optional library, or say how to install it.
+    """Import an optional library; if it is missing, raise an error with the command to install it.
 
     Parameters
     ----------
     library : str
         Name of the module.
     purpose : str
-        What needs it, as in "pictures need it".
+        Purpose of the library, as in "pictures need it".
     extra : str
-        Extra of this package that brings it: "study", "dask" or "pandas".
+        Extra of this package that includes it: "study", "dask" or "pandas".
 
     Raises
     ------
     OdomCorruptError
-        Where it is not installed.
+        If it is not installed.
 
     """
     try:

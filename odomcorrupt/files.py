@@ -1,7 +1,7 @@
-"""Small input files, which must be regular files, and result files, written whole or not at all.
+"""Small input files, which must be regular files, and result files, written completely or not at all.
 
-Maps, models, trajectories, tables of defaults, metadata and a batch's own files are opened here: a pipe, device or
-socket in their place is refused, where reading would wait for it or never end. Bags are opened in `bags`.
+Maps, models, trajectories, tables of defaults, metadata and a batch's own files are opened here. A pipe, device or
+socket in their place is refused, because reading it could block for ever. Bags are opened in `bags`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def open_input(path: Path, error: type[Exception] = OdomCorruptError) -> BinaryI
 
     """
     try:
-        # Before it is opened: that alone makes some devices act, and waits for the writer of a pipe.
+        # checked before opening: opening alone triggers some devices, and blocks until a pipe has a writer
         mode = path.stat().st_mode
         if stat.S_ISREG(mode):
             stream = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - Path has no opener
@@ -51,13 +51,13 @@ def open_input(path: Path, error: type[Exception] = OdomCorruptError) -> BinaryI
             if stat.S_ISREG(mode):
                 return stream
             stream.close()
-    except (OSError, ValueError) as failure:  # a ValueError is a name with a zero byte
+    except (OSError, ValueError) as failure:  # ValueError: a name with a zero byte
         raise error(f"{path}: cannot be read: {getattr(failure, 'strerror', None) or failure}") from failure
     raise error(f"{path}: is {_KINDS.get(stat.S_IFMT(mode), 'no file')}; name a regular file")
 
 
 def _open_at_once(path: str, flags: int) -> int:
-    """Open without waiting: it may be a pipe by now."""
+    """Open without blocking, because the file may have been replaced by a pipe."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
@@ -71,14 +71,14 @@ def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCo
     most : int
         Largest size, bytes.
     what : str
-        What it should be, as in "model file", for the error.
+        Expected content, as in "model file", for the error.
     error : type
         Class of the error.
 
     Raises
     ------
     OdomCorruptError
-        (`error`) If it cannot be read, is larger, or no regular file.
+        (`error`) If it cannot be read, is larger, or not a regular file.
 
     """
     with open_input(path, error) as stream:
@@ -92,7 +92,7 @@ def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCo
 
 
 def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
-    """Raise before any work is done, where an output would replace something, or has no place to be."""
+    """Raise, before any work is done, if an output would replace a file, or its directory does not exist."""
     if path is not None and path.exists() and not overwrite:
         raise OdomCorruptError(f"{path}: exists already; choose another name or pass --overwrite")
     if path is not None and not path.parent.is_dir():
@@ -100,7 +100,7 @@ def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write text as UTF-8, whole or not at all."""
+    """Write text as UTF-8, completely or not at all."""
     write_bytes(path, text.encode())
 
 

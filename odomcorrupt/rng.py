@@ -16,7 +16,7 @@ from odomcorrupt.errors import ModelError
 __all__ = ["SEED_LIMIT", "draw_seed", "stream"]
 
 SEED_LIMIT = 2**63
-"""Seeds are below this: they fit a signed 64-bit field wherever they are stored."""
+"""Exclusive upper limit of seeds, so that they fit a signed 64-bit field wherever they are stored."""
 
 
 def draw_seed() -> int:

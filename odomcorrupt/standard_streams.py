@@ -1,8 +1,8 @@
-"""stdin, stdout and stderr of a program that may be closed, full, or read by nobody any more.
+"""Standard streams that may be closed, full, or disconnected from their reader.
 
-What is printed for people goes through `TextStream`: names of topics and frames are a stranger's, so control
-characters in them are shown escaped. The first failure to print is kept and what follows is dropped, so that a file
-which a command writes beside its words is written all the same; `leave` then ends the program as `cat` would.
+Text for people is printed through `TextStream`. Names of topics and frames are untrusted, so control characters in
+them are escaped. The first failure to print is recorded and later text is dropped, so that a file written by the
+command is still completed; `leave` then ends the program as `cat` would.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from typing import BinaryIO, NoReturn
 __all__ = ["TextStream", "install", "leave", "visible"]
 
 _ERASE = "\r\x1b[K"
-"""What a line of progress begins with; it stays as it is."""
+"""Prefix of a progress line, printed unescaped."""
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-"""C0, C1, separators, and what turns the direction of writing."""
+"""C0, C1, separators, and characters that change the direction of writing."""
 _COLOUR = r"\x1b\[(?:0|1|3[1236])m"
-"""The colours of a summary; text within them is escaped before it is coloured."""
+"""Colour codes of a summary, printed unescaped; text between them is escaped before it is coloured."""
 _CONTROLS_IN_TEXT = re.compile(f"(?![\n\t])(?!{_COLOUR}){_CONTROLS.pattern}")
 
 
@@ -37,9 +37,9 @@ def _escaped(found: re.Match[str]) -> str:
 
 
 class TextStream(io.TextIOWrapper):
-    """Text for people.
+    """Text output for people, with control characters escaped.
 
-    failure : why no more can be printed, None as long as it can
+    failure : error of the first failure to print, None before it
     """
 
     failure: OSError | None = None
@@ -55,7 +55,7 @@ class TextStream(io.TextIOWrapper):
         return len(text)
 
     def flush(self) -> None:
-        """Print what was held back."""
+        """Print buffered text."""
         if self.failure is None:
             try:
                 super().flush()
@@ -64,22 +64,22 @@ class TextStream(io.TextIOWrapper):
 
 
 def install() -> None:
-    """Put text streams in the place of stdout and stderr, and something in that of those that are closed.
+    """Replace stdout and stderr by text streams, and open substitutes for closed streams.
 
-    Without it the next file that is opened would get their numbers: what is printed would end up in a bag.
+    Otherwise the next file opened would get the number of a closed stream, and printed text would end up in a bag.
     """
     for number, mode in enumerate((os.O_WRONLY, os.O_RDONLY, os.O_WRONLY)):
         try:
             os.fstat(number)
         except OSError:
-            # stdin and stdout fail when they are used, stderr does not
+            # stdin and stdout then fail on use, stderr does not
             opened = os.open(os.devnull, mode)
             if opened != number:
                 os.dup2(opened, number)
                 os.close(opened)
     if sys.stdin is None:
         sys.stdin = io.TextIOWrapper(io.BufferedReader(io.FileIO(0, closefd=False)))
-    # shutil.get_terminal_size asks sys.__stdout__ for the width
+    # shutil.get_terminal_size queries sys.__stdout__ for the width
     sys.stdout = sys.__stdout__ = _text_stream(sys.stdout, 1)  # type: ignore[misc]
     sys.stderr = _text_stream(sys.stderr, 2)
 
@@ -94,7 +94,7 @@ def _text_stream(stream: object, number: int) -> TextStream:
 
 
 def leave(code: int) -> NoReturn:
-    """End the program: printed out, and where stdout could not take it all with 1, or by SIGPIPE as `cat` ends."""
+    """Flush and exit: with 1 if stdout could not take all output, or by SIGPIPE as `cat` does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
@@ -107,7 +107,7 @@ def leave(code: int) -> NoReturn:
         code = 1
         sys.stderr.write(f"odomcorrupt: stdout: cannot be written: {failure.strerror}\n")
         sys.stderr.flush()
-    # what the buffers of a stream still hold that takes no more would be complained about at the interpreter's end
+    # otherwise the interpreter would report unwritten buffers of a failed stream at its end
     unused = os.open(os.devnull, os.O_WRONLY)
     for number in (1, 2):
         os.dup2(unused, number)

@@ -1,6 +1,6 @@
 """Contract test for effects, including third-party ones: call `check_effect(MyEffect)` in a test.
 
-It needs no other package; a violation raises `ContractError` with a sentence that says which.
+It needs no other package; a violation raises `ContractError`, which names it.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ __all__ = ["ContractError", "Drive", "check_effect", "contract_drive"]
 TRACK_M = 0.4
 _BACK_M = 1e-6
 _RESTORED = 0.2
-"""Part of its error that may remain after correction."""
+"""Fraction of an effect's error that may remain after correction."""
 _RUNS = 400
 _SIGMAS = 6.0
-"""A sample's moment may miss its expectation by this many of its own standard errors: never by chance."""
+"""Largest deviation of a sample moment from its expectation, in standard errors: never exceeded by chance."""
 
 
 class ContractError(AssertionError):
@@ -52,7 +52,7 @@ class Drive:
 
     @property
     def motion(self) -> Motion:
-        """Its motion, as reported by odometry without error."""
+        """The drive's motion, as reported by odometry without error."""
         return motion_of((self.stamps_ns - self.stamps_ns[0]) * 1e-9, self.xyt, track_m=TRACK_M)
 
 
@@ -80,7 +80,7 @@ def check_effect(effect_class: type[Effect]) -> None:
     Raises
     ------
     ContractError
-        If it does not; the message says what is violated.
+        If it does not; the message names the violation.
 
     """
     _check_facts(effect_class)
@@ -245,7 +245,7 @@ def _check_moments(effect: Effect) -> None:
         drawn = effect.drawn(normals, effect.start(stream(1, 0, effect.name))).normals
         _compare(effect, drawn, np.zeros(4), np.ones(4))
         return
-    effect = _loud(effect)
+    effect = _with_frequent_events(effect)
     drive = contract_drive(6.0, 100.0)
     motion, steps = drive.motion, _steps(drive)
     moments = effect.moments(motion)
@@ -260,12 +260,12 @@ def _check_moments(effect: Effect) -> None:
         lost = steps - reported
         dt = motion.dt_s[:, None]
         samples.append(f + np.divide(lost, dt, out=np.zeros_like(lost), where=dt > 0.0))
-    # a few rows far from each other: neighbouring rows are correlated
+    # a few rows far apart: neighbouring rows are correlated
     rows = np.linspace(5, len(motion) - 1, 24).astype(int)
     _compare(effect, np.array(samples)[:, rows], moments.mean[rows], moments.variance[rows])
 
 
-def _loud(effect: Effect) -> Effect:
+def _with_frequent_events(effect: Effect) -> Effect:
     """Return the effect with rare events made frequent enough to be counted."""
     sizes = {p.name: min(20.0 * p.typical, 0.5 * p.high) for p in amplitudes(effect)}
     loud: Effect = replace(effect, **sizes)  # type: ignore[type-var]
@@ -278,7 +278,7 @@ def _compare(effect: Effect, samples: Array, mean: Array, variance: Array) -> No
     off = np.abs(samples.mean(axis=0) - mean)
     deviation = samples.std(axis=0)
     allowed = _SIGMAS * deviation / np.sqrt(count)
-    # rare events: where few samples contain one, use the stated variance instead of the sample variance
+    # rare events: if few samples contain one, use the stated variance instead of the sample variance
     allowed = np.maximum(allowed, _SIGMAS * np.sqrt(np.nan_to_num(variance) / count)) + 1e-12
     _require((off <= allowed).all(), effect, "samples do not have the stated mean")
     square = (samples - mean) ** 2

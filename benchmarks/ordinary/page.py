@@ -32,7 +32,7 @@ def page(rows: Rows) -> str:
         "# The ordinary laboratory",
         "",
         "What `learn` says of recordings as users have them, written by `python benchmarks/ordinary.py page`; how it",
-        "is judged: [protocol.md](../benchmarks/ordinary/protocol.md).",
+        "is judged: `benchmarks/ordinary/protocol.md`.",
         "",
         "## Findings",
         "",

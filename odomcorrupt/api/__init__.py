@@ -1,1 +1,1 @@
-"""The Python interface: one file for each thing that a notebook or a test does. Import its names from `odomcorrupt`."""
+"""The Python interface, one module per task. Import its names from `odomcorrupt`."""

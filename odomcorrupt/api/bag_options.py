@@ -1,4 +1,4 @@
-"""Options of everything that reads and writes bags."""
+"""Options shared by all functions that read and write bags."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ __all__ = ["BagOptions", "as_condition", "bag_path", "options_of", "split_option
 
 
 class BagOptions(TypedDict, total=False):
-    """What of a bag is moved, and how it is written.
+    """Which messages of a bag are modified, and how the output is written.
 
-    odom_topic : the odometry that drives the model; by default the only one
-    odom_frame, base_frame : frames, where the odometry's own are not those of TF
+    odom_topic : odometry topic that the model is applied to; by default the only one
+    odom_frame, base_frame : frames, if those of the odometry messages differ from those of TF
     keep_twist, keep_covariance : leave twists or covariances as they are
-    keep_truth : a topic on which the clean odometry stays
-    keep_localisation : move map -> odom the other way, so that map -> base stays true
-    new_odom_frame : leave everything alone and publish the drift as the transform from this frame to odom
-    subtracted : publish noisy minus clean there, component by component, as the article's listing does
+    keep_truth : topic to which the clean odometry is copied
+    keep_localisation : modify map -> odom inversely, so that map -> base remains true
+    new_odom_frame : leave all messages unchanged and publish the drift as the transform from this frame to odom
+    subtracted : topic for noisy minus clean odometry, component by component, as in the article's listing
     overwrite : replace an existing output
-    compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (directories of ROS 2);
+    compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (ROS 2 directories);
         by default those of the input
-    ros : 1 or 2, the generation of ROS of the output's messages, where its name leaves a choice
-    storage : mcap or sqlite3, of an output that is a directory
+    ros : ROS generation, 1 or 2, of the output's messages, if its name allows both
+    storage : mcap or sqlite3, for an output directory
     exclude : topics left out of the output
-    recover : read what is whole of a damaged input
-    threads : that read, compute and compress side by side; by default one a core, at most four
+    recover : read the undamaged parts of a damaged input
+    threads : number of threads that read, compute and compress; by default one per core, at most four
     """
 
     odom_topic: str | None
@@ -56,7 +56,7 @@ class BagOptions(TypedDict, total=False):
 
 
 def split_options(options: BagOptions) -> tuple[Options, Container]:
-    """Return what is moved, and how bags are read and written."""
+    """Return the options of the modification, and those of reading and writing."""
     from odomcorrupt.corruption.run import Container
     from odomcorrupt.corruption.transform import Options
 
@@ -73,17 +73,17 @@ def split_options(options: BagOptions) -> tuple[Options, Container]:
 
 
 def options_of(options: BagOptions) -> Options:
-    """Return what is moved, without how bags are written."""
+    """Return the options of the modification, without those of reading and writing."""
     return split_options(options)[0]
 
 
 def bag_path(path: str | PathLike[str]) -> Path | None:
-    """Return a path; None for "-", a pipe."""
+    """Return a path, or None for "-" (a pipe)."""
     return None if fspath(path) == "-" else Path(fspath(path))
 
 
 def as_condition(within: MapCondition | str | PathLike[str] | None) -> MapCondition | None:
-    """Return a map's condition as it is, or read from the path of a map; None without a map."""
+    """Return a map condition unchanged, or read it from the path of a map; None without a map."""
     if isinstance(within, str | PathLike):
         from odomcorrupt.mapping.map_condition import read_condition
 

@@ -32,10 +32,10 @@ __all__ = ["Batch", "batch"]
 class Batch(Result):
     """Many corrupted runs of one bag, or of several.
 
-    directory : where they are
-    jobs : one for each input and each point of a sweep
-    made_now : how many runs this call made
-    failures : runs that could not be made, and why
+    directory : directory of the runs
+    jobs : one per input and point of a sweep
+    made_now : number of runs made by this call
+    failures : runs that failed, with the reason
     """
 
     directory: Path
@@ -45,17 +45,17 @@ class Batch(Result):
 
     @property
     def seed(self) -> int:
-        """Seed of all draws."""
+        """Seed of all random draws."""
         return self.jobs[0].seed
 
     @property
     def records(self) -> list[dict[str, Any]]:
-        """What the manifest says of each run: file, command, seed, drift."""
+        """Manifest records of the runs: file, command, seed, drift."""
         return [record for _, record in self._records()]
 
     @property
     def paths(self) -> list[Path]:
-        """Files of the runs, in order."""
+        """Files of the runs, in order of their numbers."""
         return [directory / record["file"] for directory, record in self._records()]
 
     def _records(self) -> list[tuple[Path, dict[str, Any]]]:
@@ -66,14 +66,14 @@ class Batch(Result):
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """What could not be read of damaged inputs, each once."""
+        """Unreadable parts of damaged inputs, without repetition."""
         return tuple(dict.fromkeys(loss for record in self.records for loss in record.get("losses", ())))
 
     def __len__(self) -> int:
         return len(self.records)
 
     def summary(self) -> Summary:
-        """Return how many runs there are, with their drift, and what failed."""
+        """Return the number of runs, their drift, and the failures."""
         from odomcorrupt.batching.summary import brief
         from odomcorrupt.corruption.summary import places_lines
 
@@ -81,7 +81,7 @@ class Batch(Result):
         return brief(self.directory, self.records, self.made_now, self.seed, self.failures, self.losses, places)
 
     def details(self) -> str:
-        """Return the same in sentences."""
+        """Return the summary in sentences."""
         from odomcorrupt.batching.summary import sentences
 
         return sentences(self.directory, len(self.records), self.made_now, self.seed, self.failures, self.losses)
@@ -98,11 +98,11 @@ class Batch(Result):
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for each run: its number, file and drift."""
+        """Return one row per run: number, file and drift."""
         return [{"run": r["run"], "file": r["file"], "input": r["input"], **r.get("drift", {})} for r in self.records]
 
     def _figure(self) -> Figure:
-        """Return how the runs spread with the distance, and what the linearised model predicts."""
+        """Return a figure of dispersion against distance, with the prediction of the linearised model."""
         from odomcorrupt.batching.dispersion import measure
         from odomcorrupt.report.plots.dispersion import draw_spread
 
@@ -123,28 +123,28 @@ def batch(
     within: MapCondition | str | PathLike[str] | None = None,
     **options: Unpack[BagOptions],
 ) -> Batch:
-    """Make runs 0 to n - 1 of a seed: the bytes that `corrupt` gives one by one, much faster; what is there stays.
+    """Make runs 0 to n - 1 of a seed: the same bytes as single calls of `corrupt`, much faster; existing runs are kept.
 
     Parameters
     ----------
     inputs : path or several
         Bags.
     directory : path
-        Where the runs go; manifest.jsonl there has the command that makes any single one.
+        Directory of the runs; its manifest.jsonl has the command that makes any single one.
     model : Model, Noise, path of a model file or name of a preset, optional
-        By default the preset `typical`. Of a file, what it states as "a +- b" is drawn for each run.
+        By default the preset `typical`. Values that a file states as "a +- b" are drawn for each run.
     runs : int
-        How many.
+        Number of runs.
     seed : int, optional
-        Of all draws; by default that of the batch in the directory, or one is drawn.
+        Seed of all random draws; by default that of the batch in the directory, or a random one.
     output : {"full", "overlay", "trajectories"}
         Whole bags, only the changed topics, or only paths (TUM and npz).
     robots : {"stated", "posterior"}
         Draw for each run what the model states as "a +- b", or everything with a standard error.
     sweeps : sequence of str
-        As "alpha-scale=0.5,1,2": every combination has a directory of its own.
+        Such as "alpha-scale=0.5,1,2"; each combination gets its own directory.
     jobs : int
-        Processes. In a script, call from under ``if __name__ == "__main__"``.
+        Number of processes. In a script, call from under ``if __name__ == "__main__"``.
     within : MapCondition or path of a map's .yaml, optional
         As in `corrupt`.
     **options
@@ -158,7 +158,7 @@ def batch(
     Raises
     ------
     BatchError, BagError, TopicError, ModelError
-        Where inputs would share a directory, the directory has another batch, or no run could be made.
+        If inputs would share a directory, the directory has another batch, or no run could be made.
 
     Examples
     --------

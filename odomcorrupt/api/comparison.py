@@ -1,4 +1,4 @@
-"""Models compared on measurements."""
+"""Comparison of models on measurements."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ __all__ = ["Comparison", "compare"]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Comparison(Result):
-    """Models against measurements: the errors measured and expected, and where each model fails.
+    """Comparison of models with measurements: measured and expected errors, and each model's lack of fit.
 
-    result : everything that was computed
-    following : the command to type next
+    result : complete numerical result
+    following : suggested next command
     """
 
     result: ModelComparison
@@ -39,22 +39,22 @@ class Comparison(Result):
 
     @property
     def rejected(self) -> bool:
-        """Whether the data reject the last model, by however little."""
+        """Whether the data reject the last model, however small the deviation."""
         return self.result.judgements[-1].verdict.rejected
 
     @property
     def fails(self) -> bool:
-        """Whether they reject it by a size that matters: errors are 1.25 times larger or smaller than it predicts."""
+        """Whether the deviation matters: errors are 1.25 times larger or smaller than the last model predicts."""
         return self.result.judgements[-1].verdict.fails
 
     def summary(self) -> Summary:
-        """Return whether the last model is better than the first by all measures, and a line for each model."""
+        """Return whether the last model is better than the first by all measures, and one line per model."""
         from odomcorrupt.report.text.brief import comparison_brief
 
         return comparison_brief(self.result, self.following)
 
     def details(self) -> str:
-        """Return clocks, the table of horizons, the models in order, and every failure."""
+        """Return clocks, the table of horizons, the models in order, and all lack of fit."""
         from odomcorrupt.report.text.comparison import comparison_text
         from odomcorrupt.report.text.numbers import clock_lines
 
@@ -68,7 +68,7 @@ class Comparison(Result):
         return comparison_json(self.result)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for each model: errors in metres, log likelihood in nats per metre, whether it is rejected."""
+        """Return one row per model: errors in metres, log likelihood in nats per metre, whether it is rejected."""
         return [
             {
                 "model": j.name,
@@ -83,7 +83,7 @@ class Comparison(Result):
         ]
 
     def horizon_rows(self) -> list[dict[str, Any]]:
-        """Return a row for each model and length of path: RMS errors, measured and expected, m and rad, and NEES."""
+        """Return one row per model and path length: RMS errors, measured and expected, m and rad, and NEES."""
         return [
             {
                 "model": j.name,
@@ -100,14 +100,14 @@ class Comparison(Result):
         ]
 
     def report(self) -> str:
-        """Return the comparison as one page of HTML, tables and pictures in one text, which needs no network."""
+        """Return the comparison as a self-contained HTML page with tables and figures, usable offline."""
         from odomcorrupt import __version__
         from odomcorrupt.report.html.comparison import report_html
 
         return report_html(self.result, version=__version__)
 
     def draw(self, picture: str) -> Figure:
-        """Return a picture by its name: error (against distance; also ""), path, nees, residuals, map or pit."""
+        """Return a figure by name: error (against distance; also ""), path, nees, residuals, map or pit."""
         from odomcorrupt.report.plots.comparison import PICTURES
 
         if (picture or "error") not in PICTURES:
@@ -118,26 +118,26 @@ class Comparison(Result):
 def compare(
     recordings: Recordings | PathLikes, models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]
 ) -> Comparison:
-    """Compare models with measurements, and see where they fail.
+    """Compare models with measurements, and locate their lack of fit.
 
-    Recordings that a model was fitted to are cut in halves: it is refitted to one and evaluated on the other.
+    Recordings to which a model was fitted are split in halves: it is refitted to one and evaluated on the other.
 
     Parameters
     ----------
     recordings : Recordings or paths
-        What to evaluate on.
+        Recordings to evaluate on.
     models : one model, several, or several by name
-        Models, paths of model files, or names of presets; the first is what the others are measured against.
+        Models, paths of model files, or names of presets; the others are compared with the first.
 
     Returns
     -------
     Comparison
-        `to_pandas()` has a row for each model.
+        `to_pandas()` has one row per model.
 
     Raises
     ------
     ModelError
-        Where there is no model, or a file is none.
+        If there is no model, or a file is not a model.
 
     Examples
     --------
@@ -163,7 +163,7 @@ def compare(
 
 
 def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
-    """Return the origin that the places of all models are counted from; None where none says."""
+    """Return the common origin of the positions in all models; None if no model states one."""
     origins = {name: m.motion_model.setup.origin for name, m in models.items() if m.motion_model.setup.origin}
     placed = {origins[n] for n in origins if any(e.reads_places for e in models[n].motion_model.effects)}
     if len(placed) > 1:
@@ -172,7 +172,7 @@ def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
 
 
 def _named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:
-    """Return models by name: that of a file alone where it tells them apart, of others their number."""
+    """Return models by name: for files the file name if unique, else the path; "model N" for others."""
     from collections.abc import Mapping, Sequence
 
     if isinstance(models, Mapping):

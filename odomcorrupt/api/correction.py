@@ -1,4 +1,4 @@
-"""Measured odometry without its systematic errors."""
+"""Correction of systematic errors in measured odometry."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ __all__ = ["Correction", "correct"]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Correction(Result):
-    """What correction took out of measured odometry.
+    """Result of a correction of measured odometry.
 
     source, target : the bags
-    outcome : all that is known of it
+    outcome : complete result
     """
 
     source: str
@@ -41,28 +41,28 @@ class Correction(Result):
 
     @property
     def drift(self) -> Drift:
-        """By how much the odometry was moved (drawn), and what the noise is still expected to do (expected)."""
+        """Change of the odometry (`drawn`), and remaining error expected from the noise (`expected`)."""
         return self.outcome.run.drift
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """What could not be read of a damaged input, in sentences."""
+        """Unreadable parts of a damaged input, in sentences."""
         return self.outcome.run.losses
 
     def summary(self) -> Summary:
-        """Return what was taken out, how far that moved the odometry, and what remains."""
+        """Return the effects removed, how far that moved the odometry, and the remaining error."""
         from odomcorrupt.correction.summary import brief
 
         return brief(self.outcome, self.target)
 
     def details(self) -> str:
-        """Return all of it in one paragraph."""
+        """Return the complete result in one paragraph."""
         from odomcorrupt.correction.summary import correction_summary
 
         return correction_summary(self.outcome)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the effects taken out and left, what was moved, and by how much."""
+        """Return the effects removed and left, the messages modified, and the change of the odometry."""
         from odomcorrupt.report.json.numbers import finite
 
         outcome = self.outcome
@@ -81,12 +81,12 @@ class Correction(Result):
         )
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return each effect and whether it was taken out."""
+        """Return one row per effect, and whether it was removed."""
         undone, left = self.outcome.effects.undone, self.outcome.effects.left
         return [{"effect": e.name, "taken_out": e in undone} for e in (*undone, *left)]
 
     def _figure(self) -> Figure:
-        """Return the measured path and the corrected one, read from the two bags."""
+        """Return a figure of the measured path and the corrected one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
         from odomcorrupt.trajectories.reader import read_drive
 
@@ -103,17 +103,17 @@ def correct(
     watch: Callable[[Block], None] = lambda _: None,
     **options: Unpack[BagOptions],
 ) -> Correction:
-    """Take the systematic effects of a model out of measured odometry.
+    """Remove the systematic effects of a model from measured odometry.
 
     Parameters
     ----------
     source, target : path
         Bags; the source is read twice and cannot be a pipe, the target may be "-".
     model : Model or path of a model file
-        As `fit` and `learn` make it; None copies the bag.
+        Model from `fit` or `learn`; None copies the bag.
     start_xyt : (3,) or "odom", optional
-        Where the odometry begins in the frame whose places effects read, metres and radians; "odom": that frame is the
-        odometry's own. Needed for a learned model with such effects.
+        Start pose of the odometry in the frame of position-dependent effects, metres and radians; "odom" if that
+        frame is the odometry's own. Required for a learned model with such effects.
     watch : callable
         Called with every block written.
     **options
@@ -122,13 +122,13 @@ def correct(
     Returns
     -------
     Correction
-        What was taken out and what cannot be, and by how much that moved the odometry.
+        Effects removed, effects that cannot be, and the change of the odometry.
 
     Raises
     ------
     BagError, TopicError, EffectError
-        Where a bag cannot be read or written, there is no odometry, or no true motion explains it; where effects of
-        places were learned and no start is given.
+        If a bag cannot be read or written, has no odometry, or no true motion explains its odometry; if
+        position-dependent effects were learned and `start_xyt` is missing.
 
     Examples
     --------
@@ -141,13 +141,13 @@ def correct(
     """
     import numpy as np
 
-    from odomcorrupt.correction.run import SILENT, correct_bag, require_start
+    from odomcorrupt.correction.run import NOISE_FREE, correct_bag, require_start
 
     before = bag_path(source)
     if before is None:
         raise OdomCorruptError("-: correction reads a bag twice, which a pipe cannot give; name a file")
     moved, container = split_options(options)
-    robot = SILENT if model is None else as_model(model).motion_model
+    robot = NOISE_FREE if model is None else as_model(model).motion_model
     if start_xyt is None:
         require_start(robot)
     start = None if start_xyt is None or start_xyt == "odom" else np.array(start_xyt, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""A bag with realistic drift."""
+"""Corruption of a bag's odometry with realistic drift."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ __all__ = ["Corruption", "corrupt"]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Corruption(Result):
-    """What corruption did to a bag.
+    """Result of the corruption of a bag.
 
     source, target : the bags; "-" is a pipe
-    model : what was drawn from
-    outcome : all that is known of the run
-    map_account : what a map did to the draws, in a sentence; "" without one
-    earlier : what earlier corruptions of the input noted in it: seed, run, version, model
+    model : model of the drift
+    outcome : complete result of the run
+    map_account : effect of a map on the draws, in a sentence; "" without a map
+    earlier : records of earlier corruptions in the input: seed, run, version, model
     """
 
     source: str
@@ -52,37 +52,37 @@ class Corruption(Result):
 
     @property
     def seed(self) -> int:
-        """Seed of all draws."""
+        """Seed of all random draws."""
         return self.outcome.seed
 
     @property
     def run(self) -> int:
-        """Number of the run of this seed."""
+        """Number of the run under this seed."""
         return self.outcome.run
 
     @property
     def drift(self) -> Drift:
-        """Errors at the end and per 10 m, as drawn and as the noise is expected to make them; metres and radians."""
+        """Errors at the end and per 10 m, drawn and expected from the noise; metres and radians."""
         return self.outcome.drift
 
     @property
     def moved(self) -> dict[str, int]:
-        """How many messages were moved on each topic, and how many transforms of each edge "parent -> child"."""
+        """Number of modified messages per topic, and of modified transforms per TF edge "parent -> child"."""
         return {**self.outcome.changes.odometry, **self.outcome.changes.edges}
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """What could not be read of a damaged input, in sentences."""
+        """Unreadable parts of a damaged input, in sentences."""
         return self.outcome.losses
 
     def summary(self) -> Summary:
-        """Return what moved, by which model and seed, the drift at the end, and what is odd."""
+        """Return the messages modified, model, seed, the drift at the end, and warnings."""
         from odomcorrupt.corruption.summary import brief
 
         return brief(self.outcome, self.model.origin, self.target, [*self._again(), self.map_account])
 
     def details(self) -> str:
-        """Return all of it in one paragraph."""
+        """Return the complete result in one paragraph."""
         from odomcorrupt.corruption.summary import summary
 
         said = (summary(self.outcome, self.model.origin), self.map_account, *self._again())
@@ -95,7 +95,7 @@ class Corruption(Result):
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return seed, run, model, what was moved, the drift and what is odd as plain values."""
+        """Return seed, run, model, modified messages, drift and warnings as plain values."""
         from odomcorrupt.corruption.summary import oddities
         from odomcorrupt.report.json.numbers import finite
 
@@ -132,7 +132,7 @@ class Corruption(Result):
         return [dict(zip(names, row, strict=True)) for row in rows]
 
     def _figure(self) -> Figure:
-        """Return the clean path and the noisy one, read from the two bags."""
+        """Return a figure of the clean path and the noisy one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
         from odomcorrupt.trajectories.reader import read_drive
 
@@ -158,15 +158,15 @@ def corrupt(
     Parameters
     ----------
     source, target : path
-        Bags of any kind; "-" is a pipe. The target appears when it is complete, or not at all.
+        Bags of any kind; "-" is a pipe. The target is written completely or not at all.
     model : Model, Noise, path of a model file or name of a preset, optional
         By default the preset `typical`.
     seed : int, optional
-        Of all draws: the same seed gives the same bytes. By default one is drawn; the result has it.
+        Seed of all random draws: the same seed gives the same bytes. By default a random one, stated in the result.
     run : int
-        Which run of this seed.
+        Number of the run under this seed.
     within : MapCondition or path of a map's .yaml, optional
-        Draw no pose into a wall, as a particle filter does; the odom frame is then the map's. See
+        Draw poses in free space only, as a particle filter does; the odom frame is then the map's. See
         `odomcorrupt.mapping.map_condition.read_condition` for other robots and frames.
     watch : callable
         Called with every block written.
@@ -176,12 +176,12 @@ def corrupt(
     Returns
     -------
     Corruption
-        What was moved, and how far it drifted.
+        Messages modified, and the drift.
 
     Raises
     ------
     BagError, TopicError, EffectError, ModelError, MapError
-        Where a bag cannot be read or written, no odometry drives the model, or the model makes no sense.
+        If a bag cannot be read or written, has no odometry to apply the model to, or the model is invalid.
 
     Examples
     --------
@@ -217,7 +217,7 @@ def corrupt(
 
 
 def _kept_pipe(kept: ExitStack) -> Path:
-    """Return a temporary file with what is on stdin: a path within a map is drawn for the whole drive."""
+    """Return a temporary file with the contents of stdin: drawing a path within a map needs the whole drive first."""
     import shutil
     import sys
     import tempfile
@@ -234,7 +234,7 @@ def _kept_pipe(kept: ExitStack) -> Path:
 
 
 def _clean_drive(source: Path, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive:
-    """Return the odometry of a bag, read before the bag is corrupted."""
+    """Return the odometry of a bag, read before its corruption."""
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.preview.forecast import read_clean_drive
 

@@ -1,4 +1,4 @@
-"""The physical effects that a model misses."""
+"""Diagnosis: physical effects that a model lacks."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ __all__ = ["Diagnosis", "Findings", "diagnose"]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Findings(Result):
-    """What a search for missing effects found: the base of `Diagnosis` and `Learned`.
+    """Result of a search for missing effects; base class of `Diagnosis` and `Learned`.
 
-    recordings : what was searched
-    result : everything that was computed
-    following : the command to type next
+    recordings : recordings searched
+    result : complete numerical result
+    following : suggested next command
     """
 
     recordings: Recordings
@@ -40,22 +40,22 @@ class Findings(Result):
 
     @property
     def verdict(self) -> Literal["complete", "missing", "unknown"]:
-        """Whether an effect of the robot was found; unknown where something is left that no known effect explains."""
+        """Whether an effect was found; unknown if an error remains that no known effect explains."""
         return cast('Literal["complete", "missing", "unknown"]', self.to_dict()["verdict"])
 
     @property
     def found(self) -> list[dict[str, Any]]:
-        """What was found, as docs/json.md describes it: clocks, effects in order, noise."""
+        """Findings in the form of docs/json.md: clocks, effects in order, noise."""
         return cast("list[dict[str, Any]]", self.to_dict()["found"])
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Names of the robot's effects that were found, the one with the most evidence first."""
+        """Names of the missing effects found, the one with the most evidence first."""
         search = self.result.search
         return tuple(name for name in search.added if name not in search.of_setup)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for each parameter of what was found."""
+        """Return one row per parameter of the findings."""
         return [
             {"effect": one["effect"], "kind": one["kind"], "parameter": name, **number, "confidence": one["confidence"]}
             for one in self.found
@@ -63,7 +63,7 @@ class Findings(Result):
         ]
 
     def save_next_drive(self, path: str | PathLike[str], *, overwrite: bool = False) -> str:
-        """Write the drive that separates most of the names that are open, as /cmd_vel in an MCAP.
+        """Write the drive that separates the most of the undecided effects, as /cmd_vel in an MCAP.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class Findings(Result):
         Returns
         -------
         str
-            What to drive; "" where nothing is open that a drive would settle, and nothing was written.
+            Description of the drive; "" if no drive would decide anything, in which case no file is written.
 
         """
         from odomcorrupt.files import refuse_existing, write_bytes
@@ -92,16 +92,16 @@ class Findings(Result):
 
     @property
     def _evaluated(self) -> Judgement | None:
-        """Held-out evaluation of the model with all that was found; None where it lacks some of it."""
+        """Held-out evaluation of the model with all findings; None if it lacks one of them."""
         raise NotImplementedError
 
     @property
     def _fit(self) -> ModelFit | None:
-        """Fit whose standard errors are reported; None for that of the search."""
+        """Fit whose standard errors are reported; None for the fit of the search."""
         return None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what was found as docs/json.md describes it."""
+        """Return the findings in the form of docs/json.md."""
         from odomcorrupt.report.json.diagnosis import learned_json
 
         found = self.result
@@ -110,27 +110,27 @@ class Findings(Result):
         )
 
     def report(self) -> str:
-        """Return what was found as one page of HTML, tables and pictures in one text, which needs no network."""
+        """Return the findings as a self-contained HTML page with tables and figures, usable offline."""
         from odomcorrupt import __version__
-        from odomcorrupt.report.html.diagnosis import Story, found_html
+        from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 
-        story = Story(self.result.search, self.result.sequence, self.result.advice, self.following)
+        story = SearchReport(self.result.search, self.result.sequence, self.result.advice, self.following)
         return found_html(story, version=__version__)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Diagnosis(Findings):
-    """What a model misses."""
+    """Effects that a model lacks."""
 
     result: DiagnosedModel
 
     @property
     def _evaluated(self) -> Judgement | None:
-        # the sequence has no noise: what it rejects may be what was named
+        # the sequence contains no noise term: its lack of fit may be due to the noise found
         return None if self.result.search.noise else self.result.sequence.judgements[-1]
 
     def summary(self) -> Summary:
-        """Return what is missing, how large and how probable it is, and what it gains."""
+        """Return the missing effects, their size and probability, and the gain of each."""
         from odomcorrupt.report.text.brief import findings_brief
 
         found = self.result
@@ -145,7 +145,7 @@ class Diagnosis(Findings):
         return Summary((*brief.lines, Line("travel", said, "warning")))
 
     def details(self) -> str:
-        """Return the candidates, what was found, what each addition gains, and what is open."""
+        """Return the candidates, the findings, the gain of each addition, and undecided alternatives."""
         from odomcorrupt.report.text.diagnosis import candidates_table, found_text, shares_text
 
         found = self.result
@@ -156,7 +156,7 @@ class Diagnosis(Findings):
         return "\n\n".join([*parts, *([f"next: {self.following}"] if self.following else [])])
 
     def _figure(self) -> Figure:
-        """Return the candidates with their evidence."""
+        """Return a figure of the candidates with their evidence."""
         from odomcorrupt.report.plots.diagnosis import draw_candidates
 
         return draw_candidates(self.result.search)
@@ -165,21 +165,21 @@ class Diagnosis(Findings):
 def diagnose(
     recordings: Recordings | PathLikes, model: ModelLike | None = None, *, watch: Watch = lambda _stage, _share: None
 ) -> Diagnosis:
-    """Name the physical effects that a model misses, with what each would gain on held-out stretches.
+    """Name the physical effects that a model lacks, with the held-out gain of each.
 
     Parameters
     ----------
     recordings : Recordings or paths
         Runs of one robot.
     model : Model or path of a model file, optional
-        What is known of it; None is noise alone.
+        Known part of the model; None for noise alone.
     watch : callable
-        Called with the name of each stage and the share of the work that is done.
+        Called with the name of each stage and the completed share of the work.
 
     Returns
     -------
     Diagnosis
-        `missing` are names, `found` sizes and probabilities.
+        `missing` has names, `found` sizes and probabilities.
 
     Examples
     --------

@@ -26,11 +26,11 @@ __all__ = ["Fit", "fit", "require_effects"]
 class Fit(Result):
     """A motion model fitted to recordings.
 
-    recordings : what it was fitted to
-    result : the model with confidence intervals, clocks, and the fit itself
-    proof : the model as it can be used: read back, corrected and corrupted with
-    laws : the fits of every law where all were tried, the likeliest first
-    following : the command to type next
+    recordings : recordings fitted to
+    result : model with confidence intervals, clocks, and the fit
+    proof : the usable model, verified by reading it back, a correction and a corruption
+    laws : fits of all laws if all were tried, the likeliest first
+    following : suggested next command
     """
 
     recordings: Recordings
@@ -41,7 +41,7 @@ class Fit(Result):
 
     @property
     def model(self) -> Model:
-        """The model that was fitted, as it can be used."""
+        """The fitted model, in usable form."""
         return Model.of(self.proof.model)
 
     def summary(self) -> Summary:
@@ -51,7 +51,7 @@ class Fit(Result):
         return fit_brief(self.result, self.following)
 
     def details(self) -> str:
-        """Return all coefficients with their intervals, effects, clocks, and stretches that weigh less."""
+        """Return all coefficients with their intervals, effects, clocks, and downweighted segments."""
         from odomcorrupt.report.text.fit import fit_text, laws_table
 
         return "\n\n".join(
@@ -65,7 +65,7 @@ class Fit(Result):
         return fit_json(self.result, self.laws)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for each parameter: value and standard error."""
+        """Return one row per parameter: value and standard error."""
         errors = self.model.standard_errors
         return [
             {"parameter": name, "value": value, "standard_error": errors.get(name)}
@@ -80,16 +80,16 @@ def fit(
     start: ModelLike | None = None,
     law: str | None = None,
 ) -> Fit:
-    """Fit a robot's motion model to recordings: noise, that of the truth, clocks, set-up, and the effects asked for.
+    """Fit a robot's motion model to recordings: noise, noise of the truth, clocks, set-up, and the requested effects.
 
     Parameters
     ----------
     recordings : Recordings or paths
-        Runs of one robot, each with a clock of its own.
+        Runs of one robot, each with its own clock offset.
     effects : sequence of str
         Names of effects to fit besides those of `start`.
     start : Model or path of a model file, optional
-        Model whose effects are refitted.
+        Model that contributes effects to be refitted.
     law : str, optional
         Noise law, or "all" for the likeliest; by default that of `start`, or diffusion.
 
@@ -101,9 +101,9 @@ def fit(
     Raises
     ------
     EffectError
-        Where an effect is unknown or cannot be fitted this way.
+        If an effect is unknown or cannot be fitted in this way.
     FitError
-        Where the recordings do not carry what a fit needs.
+        If the recordings are not sufficient for a fit.
 
     Examples
     --------
@@ -132,7 +132,7 @@ def fit(
 
 
 def require_effects(start: Model | None, effects: Sequence[str]) -> None:
-    """Raise EffectError where one of the effects cannot be fitted, before recordings are read."""
+    """Raise EffectError if one of the effects cannot be fitted; called before recordings are read."""
     require("scipy", "the study needs it", "study")
     from odomcorrupt.study.estimate.calibrate import effects_to_fit
 

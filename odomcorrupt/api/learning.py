@@ -25,13 +25,13 @@ __all__ = ["Learned", "learn"]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Learned(Findings):
-    """A robot's model with what was found on the way, and how it does on recordings it was not fitted to."""
+    """Learned model of a robot, the findings of the search, and its held-out evaluation."""
 
     result: LearnedRobot
 
     @property
     def model(self) -> Model:
-        """The model that was learned, as it can be used."""
+        """The learned model, in usable form."""
         from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
 
         model = self.result.proof.model
@@ -44,7 +44,7 @@ class Learned(Findings):
 
     @property
     def comparison(self) -> Comparison:
-        """The model without and with what was found, on held-out recordings."""
+        """Comparison of the model without and with the findings, on held-out recordings."""
         return Comparison(self.result.comparison)
 
     @property
@@ -56,7 +56,7 @@ class Learned(Findings):
         return self.result.robot.fit
 
     def summary(self) -> Summary:
-        """Return what was found, how large and how probable it is, and the held-out errors without and with it."""
+        """Return the findings, their size and probability, and the held-out errors without and with them."""
         from odomcorrupt.report.text.brief import findings_brief
 
         found = self.result
@@ -72,7 +72,7 @@ class Learned(Findings):
         )
 
     def details(self) -> str:
-        """Return what was found, what is open, the fit, and the comparison in full."""
+        """Return the findings, undecided alternatives, the fit, and the full comparison."""
         from odomcorrupt.report.text.comparison import comparison_text
         from odomcorrupt.report.text.diagnosis import found_text
         from odomcorrupt.report.text.fit import fit_text
@@ -85,7 +85,7 @@ class Learned(Findings):
         return "\n".join([said, *drifts, *found.dropped, *fitted, "", comparison_text(found.comparison)])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what was found, and the comparison, as docs/json.md describes them."""
+        """Return the findings and the comparison in the form of docs/json.md."""
         from odomcorrupt.report.json.diagnosis import reproduction_json
 
         return Findings.to_dict(self) | {
@@ -94,7 +94,7 @@ class Learned(Findings):
         }
 
     def draw(self, picture: str) -> Figure:
-        """Return a picture of the errors without and with what was found; by name, another one of `Comparison.draw`."""
+        """Return a figure of the errors without and with the findings, or by name one of `Comparison.draw`."""
         return self.comparison.draw(picture)
 
 
@@ -104,26 +104,26 @@ def learn(
     validate: Recordings | PathLikes = (),
     watch: Watch = lambda _stage, _share: None,
 ) -> Learned:
-    """Learn which effects a robot has: fit, find what is missing, add it, until nothing is missing.
+    """Learn a robot's effects: fit, search for a missing effect, add it, and repeat until none is missing.
 
     Parameters
     ----------
     recordings : Recordings or paths
         Runs of one robot.
     validate : Recordings or paths, optional
-        Recordings to evaluate the result on, read like the first ones; without any it is cross-validated.
+        Recordings to evaluate the result on, read like the first ones; if none, the result is cross-validated.
     watch : callable
-        Called with the name of each stage and the share of the work that is done.
+        Called with the name of each stage and the completed share of the work.
 
     Returns
     -------
     Learned
-        `model` is the robot's model; `print` says what was found and how the error changes.
+        `model` is the robot's model; `print` shows the findings and the change of the error.
 
     Raises
     ------
     FitError, RecordingError
-        Where the recordings do not carry what a fit needs.
+        If the recordings are not sufficient for a fit.
 
     Examples
     --------

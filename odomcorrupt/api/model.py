@@ -1,4 +1,4 @@
-"""Motion models: noise with alphas, systematic effects, the model file; and a path of numbers corrupted by one."""
+"""Motion models: noise coefficients, systematic effects, the model file; and corruption of a path given as arrays."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Model", "ModelLike", "Noise", "as_model"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
-    """Noise of a motion model, as its source writes it.
+    """Noise of a motion model, in the notation of its source.
 
     Alphas of different laws are not interchangeable: under `diffusion` each is the standard deviation after one metre
     or one radian, under `linear` (MRPT) that of one step over its motion, under `quadratic` (nav2's amcl) the variance
@@ -33,12 +33,12 @@ class Noise:
     Parameters
     ----------
     alpha : sequence of float or str
-        rot_rot, rot_trans, trans_trans, trans_rot (alpha1 to alpha4), and more where the law has more; metres and
-        radians. Text may say an angle, as in "5deg" (after one radian) or "10deg/m" (after one metre).
+        rot_rot, rot_trans, trans_trans, trans_rot (alpha1 to alpha4), and further ones if the law has more; metres and
+        radians. Strings may be angles: "5deg" (after one radian) or "10deg/m" (after one metre).
     law : str
         diffusion, linear, quadratic, velocity or omni.
     step : str, optional
-        Stretch of path that a law of steps is applied to, as in "0.25m,0.2rad"; by default once per message.
+        Step of path to which a stepwise law is applied, as in "0.25m,0.2rad"; by default once per message.
     twist_noise : (float, float), optional
         White noise on every twist, m/s and rad/s.
 
@@ -56,12 +56,12 @@ class Noise:
     twist_noise: tuple[float, float] | None = None
 
     def as_motion_noise(self) -> motion_model.Noise:
-        """Return the law and its coefficients in radians and metres, with the step that the law is applied to.
+        """Return the law, its coefficients in radians and metres, and the step of its application.
 
         Raises
         ------
         ModelError
-            Where there is no such law, or a number makes no sense in it.
+            If there is no such law, or a number is invalid in it.
 
         """
         from odomcorrupt.model import motion_model
@@ -79,7 +79,7 @@ class Noise:
 
 
 def _coefficient(value: float | str, name: str, law: Law) -> float:
-    """Return a coefficient; angles are taken where an angle is meant, and after what it is meant."""
+    """Return a coefficient; angles are valid for coefficients of rotation only, per the metre or radian they state."""
     from odomcorrupt.model.motion_model import parse_alpha
 
     if not isinstance(value, str):
@@ -98,15 +98,15 @@ def _coefficient(value: float | str, name: str, law: Law) -> float:
 
 
 class Model:
-    """A robot's motion model: noise, systematic effects, and what a fit knows of its measurement.
+    """A robot's motion model: noise, systematic effects, and the measurement set-up estimated by a fit.
 
     Parameters
     ----------
     noise : Noise, optional
-        None: no noise at all.
+        None for no noise at all.
     effects : sequence of str or Effect
-        Systematic errors, as in "unequal_wheels:curvature=0.005" or "wheelbase:e=1%"; of a name alone, the typical
-        size is taken.
+        Systematic errors, as in "unequal_wheels:curvature=0.005" or "wheelbase:e=1%"; a name alone gets its typical
+        size.
     track_m : float, optional
         Nominal distance between the wheels, metres; effects of single wheels need it.
 
@@ -121,9 +121,9 @@ class Model:
     __slots__ = ("motion_model", "origin")
 
     motion_model: MotionModel
-    """The numbers themselves."""
+    """The underlying motion model."""
     origin: str
-    """Where they come from, in words; "" where the user gave them."""
+    """Source of the numbers, in words; "" if given by the user."""
 
     def __init__(
         self, noise: Noise | None = None, *, effects: Sequence[str | Effect] = (), track_m: float | None = None
@@ -138,14 +138,14 @@ class Model:
 
     @classmethod
     def of(cls, motion_model: MotionModel, origin: str = "") -> Model:
-        """Return a motion model of the library as a model of the interface.
+        """Wrap a library motion model for this interface.
 
         Parameters
         ----------
         motion_model : odomcorrupt.model.motion_model.MotionModel
             Noise law and effects.
         origin : str
-            Where its numbers come from, in words, for summaries.
+            Source of the numbers in words, for summaries.
 
         Returns
         -------
@@ -158,7 +158,7 @@ class Model:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Model:
-        """Return the model in a file, as `fit`, `learn` and `presets` write it.
+        """Return the model in a file, as written by `fit`, `learn` and `presets`.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class Model:
         Raises
         ------
         ModelError
-            Where the file is no model; the message says what is wrong with it.
+            If the file is not a valid model; the message states the fault.
 
         """
         from odomcorrupt.model.model_file import read_model
@@ -181,12 +181,12 @@ class Model:
 
     @classmethod
     def preset(cls, name: str = "typical") -> Model:
-        """Return ready-made noise by name.
+        """Return ready-made noise by the name of its preset.
 
         Parameters
         ----------
         name : str
-            Preset: `typical`, `article`, or one that was fitted to a real robot, as `odomcorrupt presets` lists them.
+            Preset: `typical`, `article`, or one fitted to a real robot; `odomcorrupt presets` lists them.
 
         Returns
         -------
@@ -196,7 +196,7 @@ class Model:
         Raises
         ------
         ModelError
-            Where there is no such preset.
+            If there is no such preset.
 
         """
         from odomcorrupt.model.motion_model import MotionModel
@@ -206,7 +206,7 @@ class Model:
         return cls.of(MotionModel(preset.noise), f"preset {preset.name}: {preset.source}")
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the model as TOML, which a person reads and edits; return the path.
+        """Write the model as human-readable TOML; return the path.
 
         Parameters
         ----------
@@ -223,7 +223,7 @@ class Model:
         Raises
         ------
         OdomCorruptError
-            Where the file exists and is not to be replaced.
+            If the file exists and `overwrite` is false.
 
         """
         from odomcorrupt.files import refuse_existing, write_text
@@ -245,12 +245,12 @@ class Model:
         Returns
         -------
         Model
-            This one stays as it is.
+            A new model; this one is unchanged.
 
         Raises
         ------
         EffectError
-            Where there is no such effect, or it does not have such a parameter.
+            If there is no such effect, or it has no such parameter.
 
         """
         from odomcorrupt.model.effect_notation import parse_effect
@@ -273,7 +273,7 @@ class Model:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Every number by name: coefficients that are not zero, then "effect.parameter"."""
+        """All parameters by name: non-zero coefficients, then "effect.parameter"."""
         from odomcorrupt.effects.effect import parameters
 
         noise = self.motion_model.noise
@@ -283,13 +283,13 @@ class Model:
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Standard errors of the parameters that a fit made, by the same names."""
+        """Standard errors of the fitted parameters, by the same names."""
         return dict(self.motion_model.standard_errors)
 
     def corrupt_path(
         self, t_s: ArrayLike, xy_yaw: ArrayLike, *, seed: int, runs: int = 1, first_run: int = 0
     ) -> NDArray[Any]:
-        """Return noisy odometry of a path, as corruption of a bag with these stamps draws it.
+        """Return noisy odometry of a path, identical to the corruption of a bag with these stamps.
 
         Parameters
         ----------
@@ -298,19 +298,19 @@ class Model:
         xy_yaw : (n, 3)
             Clean poses: x and y in metres, heading in radians (wrapped or not).
         seed : int
-            Of all draws: the same seed and run give the same path as `corrupt` and the command line.
+            Seed of all random draws: the same seed and run give the same path as `corrupt` and the command line.
         runs, first_run : int
-            How many runs, and the number of the first one.
+            Number of runs, and the number of the first one.
 
         Returns
         -------
         ndarray, shape (runs, n, 3)
-            Noisy poses, metres and radians; headings continue those given.
+            Noisy poses, metres and radians; headings are continuous if the given ones are.
 
         Raises
         ------
         ModelError
-            Where the arrays are no path.
+            If the arrays are not a valid path.
 
         Examples
         --------
@@ -357,12 +357,12 @@ ModelLike = Model | Noise | str | PathLike[str]
 
 
 def as_model(given: ModelLike | MotionModel | None) -> Model:
-    """Return the model that is meant; None is the preset `typical`.
+    """Return the model for any accepted form; None gives the preset `typical`.
 
     Raises
     ------
     ModelError
-        Where text names neither a model file nor a preset.
+        If a string names neither a model file nor a preset.
 
     """
     if isinstance(given, Model):

@@ -1,4 +1,4 @@
-"""One motion: where it may have ended, and how likely an end pose is."""
+"""Samples and density of the end pose of one motion."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ __all__ = ["Density", "Samples", "density", "sample"]
 class Samples(Result):
     """End poses drawn for one motion.
 
-    drawn : the motion, its noise, the samples and where they come from
-    space : the free space that they had to stay in, None without a map
-    following : the command to type next, "" for none
+    drawn : the motion, its noise, the samples and their source
+    space : free space that constrains the samples, None without a map
+    following : suggested next command, "" for none
     """
 
     drawn: Drawn
@@ -47,7 +47,7 @@ class Samples(Result):
 
     @property
     def seed(self) -> int:
-        """Seed of the draws."""
+        """Seed of the random draws."""
         return self.drawn.seed
 
     def summary(self) -> Summary:
@@ -69,11 +69,11 @@ class Samples(Result):
         return {"schema": 2, **drawn_json(self.drawn)}
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for each sample."""
+        """Return one row per sample."""
         return [dict(zip(("x_m", "y_m", "theta_rad"), map(float, row), strict=True)) for row in self.xyt]
 
     def _figure(self) -> Figure:
-        """Return the samples with the ellipse of a Kalman filter."""
+        """Return a figure of the samples with the covariance ellipse of a Kalman filter."""
         from odomcorrupt.report.plots.samples import draw_banana
         from odomcorrupt.sampling.text import title
 
@@ -89,20 +89,20 @@ def sample(
     seed: int | None = None,
     within: MapCondition | None = None,
 ) -> Samples:
-    """Draw where one motion may have ended.
+    """Draw samples of the end pose of one motion.
 
     Parameters
     ----------
     start_xyt, end_xyt : (3,)
         Odometry before and after the motion, metres and radians.
     model : Model, Noise, path of a model file or name of a preset, optional
-        Noise; by default the preset `typical`. Effects act along a drive and are refused.
+        Noise; by default the preset `typical`. Effects act along a whole drive and are refused.
     count : int
-        How many samples.
+        Number of samples.
     seed : int, optional
-        Of the draws; by default one is drawn, and the result has it.
+        Seed of the random draws; by default a random one, stated in the result.
     within : MapCondition, optional
-        Free space that samples must end in.
+        Free space in which samples must end.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def sample(
     Raises
     ------
     ModelError
-        Where the model has effects, or its noise goes with time.
+        If the model has effects, or noise that depends on time.
 
     Examples
     --------
@@ -158,14 +158,14 @@ def _motion(start_xyt: Sequence[float], end_xyt: Sequence[float], model: Any) ->
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Density(Result):
-    """Density of end poses of one motion, in closed form.
+    """Density of the end pose of one motion, in closed form.
 
-    poses : (n, 3) where it was asked for, metres and radians
-    values : (n,) there; 1/(m^2 rad) of a density of poses, 1/(m rad^2) of the product
+    poses : (n, 3) evaluation poses, metres and radians
+    values : (n,) density at `poses`; 1/(m^2 rad) for a density of poses, 1/(m rad^2) for the product
     reading : "pose", "product" or "hypothetical"
-    grid : over x and y, the heading summed up
-    within, free_part : the map that it respects, and which part of the density without the map is free
-    following : the command to type next, "" for none
+    grid : density over x and y, marginalised over the heading
+    within, free_part : map condition, and the fraction of the unconstrained density that is in free space
+    following : suggested next command, "" for none
     """
 
     poses: NDArray[Any]
@@ -197,7 +197,7 @@ class Density(Result):
         return [*said, f"integral over the grid of end poses: {self.grid.integral:.6f} ({meaning})"]
 
     def summary(self) -> Summary:
-        """Return the density at each pose, and its integral over all."""
+        """Return the density at each pose, and its integral over all poses."""
         from odomcorrupt.report.text.summary import Line, Summary, command_line
 
         *values, integral = self._sentences()
@@ -205,7 +205,7 @@ class Density(Result):
         return Summary((*lines, Line("noise", self.law), command_line(self.following)))
 
     def details(self) -> str:
-        """Return the same, with the noise in full."""
+        """Return the summary, with the noise in full."""
         return "\n".join([f"noise: {self.law}", *self._sentences()])
 
     def to_dict(self) -> dict[str, Any]:
@@ -214,25 +214,25 @@ class Density(Result):
         return {**said, "integral": self.grid.integral, "at": self.rows()}
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for each pose."""
+        """Return one row per pose."""
         return [
             {"x_m": x, "y_m": y, "theta_rad": t, "density": value}
             for (x, y, t), value in zip(self.poses.tolist(), self.values.tolist(), strict=True)
         ]
 
     def _figure(self) -> Figure:
-        """Return the density beside a thousand samples of seed 0."""
+        """Return a figure of the density beside a thousand samples of seed 0."""
         return self.draw_beside(1000, 0)
 
     def draw_beside(self, count: int, seed: int) -> Figure:
-        """Return a picture of the density beside samples of the same motion.
+        """Return a figure of the density beside samples of the same motion.
 
         Parameters
         ----------
         count : int
-            How many samples.
+            Number of samples.
         seed : int
-            Of the draws.
+            Seed of the random draws.
 
         Returns
         -------
@@ -262,21 +262,21 @@ def density(
     reading: Literal["pose", "product", "hypothetical"] = "pose",
     within: MapCondition | None = None,
 ) -> Density:
-    """Return how likely end poses of one motion are: p(x_t | u_t, x_t-1), or p(x_t | u_t, x_t-1, m) with a map.
+    """Return the density of the end pose of one motion: p(x_t | u_t, x_t-1), or p(x_t | u_t, x_t-1, m) with a map.
 
     Parameters
     ----------
     start_xyt, end_xyt : (3,)
         Odometry before and after the motion, metres and radians.
     poses : (n, 3)
-        Where to evaluate it.
+        Poses at which to evaluate it.
     model : Model, Noise, path of a model file or name of a preset, optional
         Noise; by default the preset `typical`.
     reading : {"pose", "product", "hypothetical"}
-        A density over poses; the product of the densities of rot1, trans and rot2 of the lecture; or the same with
-        the variances of the motion to each pose, as table 5.5 of the book prints it.
+        "pose": density over poses. "product": the lecture's product of the densities of rot1, trans and rot2.
+        "hypothetical": that product with the variances of the motion to each pose, as in table 5.5 of the book.
     within : MapCondition, optional
-        Zero where a map is not free, and divided by its integral over what is.
+        Map: the density is zero outside its free space, and normalised over it.
 
     Returns
     -------
@@ -286,7 +286,7 @@ def density(
     Raises
     ------
     ModelError
-        Where the noise gives no density, as without any noise of the travel.
+        If the noise has no density, e.g. no noise of the translation.
 
     Examples
     --------

@@ -25,10 +25,10 @@ PathLikes = str | PathLike[str] | Iterable[str | PathLike[str]]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Recordings(Sequence["Recording"]):
-    """Runs of one robot: a sequence of `Recording`, several of a file where resets cut its run into stretches.
+    """Runs of one robot: a sequence of `Recording`; resets of a run split its file into several.
 
     runs : the recordings
-    sources : the files that they were read from, and how
+    sources : source files, with the options of reading
     """
 
     runs: tuple[Recording, ...]
@@ -39,7 +39,7 @@ class Recordings(Sequence["Recording"]):
     @overload
     def __getitem__(self, index: slice) -> Recordings: ...
     def __getitem__(self, index: int | slice) -> Recording | Recordings:
-        """Return one recording, or some of them."""
+        """Return one recording, or a slice of them."""
         return self.runs[index] if isinstance(index, int) else replace(self, runs=self.runs[index])
 
     def __len__(self) -> int:
@@ -50,16 +50,16 @@ class Recordings(Sequence["Recording"]):
 
     @property
     def track_m(self) -> float | None:
-        """Nominal distance between the wheels, metres; None where it is not known."""
+        """Nominal distance between the wheels, metres; None if unknown."""
         return next((source.track_m for source in self.sources if source.track_m is not None), None)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What reading left out or noticed, in sentences, each with the name of its recording."""
+        """Notes of the reader on omissions and oddities, in sentences, each with the name of its recording."""
         return tuple(f"{run.name}: {note}" for run in self.runs for note in run.notes[1:])
 
     def on_track(self, track_m: float | None) -> Recordings:
-        """Return the same recordings of a robot whose track is known, where they did not say it themselves.
+        """Return the same recordings with a known track; recordings that state their own keep it.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class Recordings(Sequence["Recording"]):
         return self._with(track_m=track_m)
 
     def of_drive_type(self, drive_type: str) -> Recordings:
-        """Return the same recordings of a robot whose drive type is known, where they did not say it themselves.
+        """Return the same recordings with a known drive type; recordings that state their own keep it.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class Recordings(Sequence["Recording"]):
         Returns
         -------
         Recordings
-            Of a steered drive without a track.
+            Steered drives are returned without a track.
 
         """
         said = all(source.drive_type == AUTO for source in self.sources)
@@ -100,11 +100,11 @@ class Recordings(Sequence["Recording"]):
 
     @property
     def geodetic_origin(self) -> Origin | None:
-        """Origin of the frame of satellite fixes; None where no truth is of these."""
+        """Origin of the frame of satellite fixes; None if no truth consists of fixes."""
         return next((run.geodetic_origin for run in self.runs if run.geodetic_origin is not None), None)
 
     def in_frame(self, origin: Origin | None) -> Recordings:
-        """Return the same recordings with satellite fixes in the frame of another origin.
+        """Return the same recordings with satellite fixes converted to the frame of another origin.
 
         Parameters
         ----------
@@ -121,7 +121,7 @@ class Recordings(Sequence["Recording"]):
         return replace(self, runs=tuple(in_frame(run, origin) for run in self.runs))
 
     def read_alike(self, paths: PathLikes) -> Recordings:
-        """Return other files, read with the topics, clock shift and track of the first of these.
+        """Return the recordings in other files, read with the topics, clock shift and track of the first of these.
 
         Parameters
         ----------
@@ -135,7 +135,7 @@ class Recordings(Sequence["Recording"]):
         Raises
         ------
         RecordingError
-            Where the truth of the first recording is in a file of its own.
+            If the truth of the first recording is in a separate file.
 
         """
         first = self.sources[0]
@@ -171,46 +171,46 @@ def read_recordings(
     paths : path or several
         Bags, or TUM or CSV files with the odometry.
     odom, truth : str, optional
-        Topics, or edges of TF as "/tf:map.base_link"; by default the only topic that can be meant.
+        Topics, or TF edges such as "/tf:map.base_link"; by default the only possible topic.
     truth_bag : path or several, optional
-        Bag, TUM or CSV file with the truth, where the recordings have none: one for all, or one for each.
+        Bag, TUM or CSV file with the truth, if the recordings contain none: one for all, or one for each.
     truth_shift_s : float
-        Added to the stamps of the truth, seconds, where its clock is far off.
+        Added to the stamps of the truth, seconds, if its clock differs widely.
     track_m : float, optional
         Nominal distance between the wheels, metres; effects of single wheels need it.
     names : sequence of str
-        What to call the recordings, where not by their files.
+        Names of the recordings, by default those of their files.
     scan : str, optional
-        Topic of a laser that is to be the truth; by default the only one of a bag that holds no truth. "none" leaves
-        it out.
+        Laser topic from which to compute the truth; by default the only one of a bag without truth. "none" disables
+        it.
     laser_scale_accuracy : float
-        Standard deviation of the laser's own scale error: no scale is known better.
+        Standard deviation of the laser's own scale error; it limits the accuracy of every scale.
     drive_type : str
-        How the robot's wheels steer it: differential, skid, car, tricycle or omni; by default guessed from its motion.
+        Wheel layout: differential, skid, car, tricycle or omni; by default inferred from the motion.
     imu : str, optional
-        Topic of a gyro; by default the only Imu of a bag. Beside a truth or a laser it shows where the odometry's
-        heading comes from; without either it is the truth of headings, for `diagnose` alone.
+        Topic of a gyro; by default the only Imu of a bag. Beside a truth or a laser it shows the source of the
+        odometry's heading; without either it is the truth of headings, for `diagnose` alone.
     gyro_scale_accuracy : float
-        Standard deviation of the gyro's own scale error: no gain of turns is known better where it is the truth.
+        Standard deviation of the gyro's own scale error; it limits the accuracy of turns if the gyro is the truth.
     joints : (str, str), optional
-        Left and right wheel in JointState, whose angles are to be the odometry. Without them, joints whose names say
-        that they are wheels give the nominal track alone.
+        Left and right wheel in JointState, whose angles replace the odometry. By default, joints with names of
+        wheels determine the nominal track only.
     relative : path or several, optional
-        CSV file of relative motions (t0,t1,dx,dy,dyaw) that are to be the truth: one for all, or one for each.
+        CSV file of relative motions (t0,t1,dx,dy,dyaw) to be used as the truth: one for all, or one for each.
     progress : callable, optional
-        Called with what is done next, and the share of the reading that is done.
+        Called with the next step of reading, and the completed share of it.
 
     Returns
     -------
     Recordings
-        One recording of each file, or several where resets cut it into independent stretches.
+        One recording per file, or several if resets cut it into independent segments.
 
     Raises
     ------
     TopicError
-        Where a topic or frame is missing or several could be meant; the message lists them.
+        If a topic or frame is missing or ambiguous; the message lists the candidates.
     RecordingError
-        Where what is there cannot be odometry and truth of one run; the message says why.
+        If the data cannot be odometry and truth of one run; the message states why.
 
     Examples
     --------
@@ -257,31 +257,31 @@ def _read(sources: Sequence[Source], progress: Callable[[str, float], None] | No
 
 
 def _nth(progress: Callable[[str, float], None], n: int, count: int) -> Callable[[str, float], None]:
-    """Return what is called with the share of one of several recordings."""
+    """Return a progress callback for one of several recordings."""
     return lambda stage, share: progress(stage, (n + share) / count)
 
 
 def as_paths(paths: PathLikes) -> list[Path]:
-    """Return the paths of one path or several, each of them text or a path."""
+    """Return a list of paths from one path or several, strings or Path objects."""
     if isinstance(paths, str | PathLike):
         return [Path(fspath(paths))]
     return [Path(fspath(path)) for path in paths]
 
 
 def as_recordings(given: Recordings | PathLikes, like: Recordings | None = None) -> Recordings:
-    """Return recordings as they are, or read from paths: in the same way as others, where there are any."""
+    """Return recordings unchanged, or read from paths, with the options of `like` if given."""
     if isinstance(given, Recordings):
         return given
     return read_recordings(given) if like is None else like.read_alike(given)
 
 
 def require_travel(runs: Recordings) -> Recordings:
-    """Return recordings whose truths measured travel.
+    """Return the recordings if all their truths measure travel.
 
     Raises
     ------
     RecordingError
-        Where one has a gyro alone: a model without travel is none.
+        If the only truth of a recording is a gyro: a model needs travel.
 
     """
     blind = [run.name for run in runs if not run.positioned]
@@ -294,7 +294,7 @@ def require_travel(runs: Recordings) -> Recordings:
 
 
 def describe(recording: Recording) -> str:
-    """Return one line about a recording: poses, seconds and metres of its odometry, poses and seconds of its truth."""
+    """Return a one-line description: poses, seconds and metres of the odometry, poses and seconds of the truth."""
     import numpy as np
 
     odometry, truth = recording.odometry, recording.truth

@@ -1,4 +1,4 @@
-"""What every result of the interface can do: be read in eight lines, in full, as values, as a table, as a picture."""
+"""Base class of all results: a short summary, full text, plain values, a table and a figure."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ __all__ = ["Result"]
 
 
 class Result(ABC):
-    """A result: `print` shows at most eight lines, the verdict first; `details()` everything that is known."""
+    """A result: `print` shows at most eight lines, the verdict first; `details()` is the full text."""
 
     __slots__ = ()
 
     @abstractmethod
     def summary(self) -> Summary:
-        """Return the verdict and what is needed to understand it."""
+        """Return the verdict and the lines needed to understand it."""
 
     @abstractmethod
     def details(self) -> str:
-        """Return everything as text."""
+        """Return the full text."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values as `--json` prints them: metres, radians, seconds; docs/json.md describes them."""
+        """Return plain values as printed by `--json`: metres, radians, seconds; see docs/json.md."""
 
     @abstractmethod
     def rows(self) -> list[dict[str, Any]]:
-        """Return the rows of `to_pandas`, with units in the names of the columns."""
+        """Return the rows of `to_pandas`, with units in the column names."""
 
     def draw(self, picture: str) -> Figure:
-        """Return a picture of this result.
+        """Return a figure of this result.
 
         Parameters
         ----------
         picture : str
-            Its name, where there are several; "" for the usual one.
+            Name of the figure, if there are several; "" for the default one.
 
         Returns
         -------
@@ -55,7 +55,7 @@ class Result(ABC):
         Raises
         ------
         OdomCorruptError
-            Where there is no such picture.
+            If there is no such figure.
 
         """
         if picture:
@@ -73,14 +73,14 @@ class Result(ABC):
         return pd.DataFrame(self.rows())
 
     def plot(self, path: str | PathLike[str] | None = None, *, picture: str = "", overwrite: bool = True) -> Figure:
-        """Return a picture as a matplotlib figure, and write it where a path is given.
+        """Return a matplotlib figure, and write it if a path is given.
 
         Parameters
         ----------
         path : path, optional
             File to write, .png, .svg or .pdf.
         picture : str
-            Which picture, where there are several.
+            Name of the figure, if there are several.
         overwrite : bool
             Whether an existing file is replaced.
 
@@ -91,7 +91,7 @@ class Result(ABC):
         Raises
         ------
         OdomCorruptError
-            Where there is no such picture, the file's name is not that of a picture, or the file exists and stays.
+            If there is no such figure, the name is not that of a picture file, or the file exists and is not replaced.
 
         """
         require("matplotlib", "pictures need it", "study")

@@ -1,4 +1,4 @@
-"""A square test: effects from drives that end where they began, with nothing but odometry."""
+"""Square test: effects estimated from drives that end where they began, with odometry alone."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ END = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SquareTest(Result):
-    """What the ends of drives say of systematic errors.
+    """Systematic errors estimated from the end poses of drives.
 
-    result : everything that was computed
+    result : complete numerical result
     """
 
     result: ReturnsFit
 
     @property
     def model(self) -> Model:
-        """The effects as a model without noise: a few ends say nothing of that."""
+        """The effects as a model without noise, which a few end poses cannot determine."""
         from odomcorrupt.effects.effect import amplitudes
         from odomcorrupt.model.motion_model import MotionModel, Noise
         from odomcorrupt.model.noise_laws import Coefficients
@@ -51,7 +51,7 @@ class SquareTest(Result):
         )
 
     def summary(self) -> Summary:
-        """Return the effects with their errors, and how far from their start the drives end before and after."""
+        """Return the effects with standard errors, and the distance of the ends from the start before and after."""
         from odomcorrupt.report.text.numbers import effects_with_errors, numbers_text
         from odomcorrupt.report.text.summary import Line, Summary
 
@@ -66,7 +66,7 @@ class SquareTest(Result):
         return Summary((*lines, Line("open", unseen, "warning")))
 
     def details(self) -> str:
-        """Return the summary and every drive's end before and after."""
+        """Return the summary, and the end of every drive before and after."""
         lines = [self.summary().text()]
         for drive, before, after in zip(self.result.recordings, self.result.before, self.result.after, strict=True):
             said = " -> ".join(self._end(end) for end in (before, after))
@@ -84,7 +84,7 @@ class SquareTest(Result):
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for each parameter: value and standard error."""
+        """Return one row per parameter: value and standard error."""
         errors = self.model.standard_errors
         return [
             {"parameter": name, "value": value, "standard_error": errors[name]}
@@ -121,29 +121,29 @@ def fit_returns(
     Parameters
     ----------
     paths : path or several
-        Bags, TUM or CSV files with odometry, one drive each, round both ways.
+        Bags, TUM or CSV files with odometry, one drive each, in both directions of rotation.
     ends : sequence of (float, float, float)
-        Where the drives really ended, seen from where they began: m, m, rad; one for all, or one for each.
+        True end poses relative to the start: m, m, rad; one for all, or one for each.
     effects : sequence of str
         Effects to fit, unequal_wheels and wheelbase by default.
     odom : str, optional
-        Topic of the odometry, where there are several.
+        Topic of the odometry, if there are several.
     track_m : float, optional
         Nominal distance between the wheels, metres.
     scan : str, optional
-        Topic of laser scans: each end is measured by matching the last sweeps with the first, in place of `ends`.
+        Topic of laser scans: the end is measured by matching the last sweeps with the first, instead of `ends`.
 
     Returns
     -------
     SquareTest
-        `model` holds the effects; `details()` every drive's end before and after.
+        `model` has the effects; `details()` the end of every drive before and after.
 
     Raises
     ------
     FitError
-        Where the drives do not tell the effects apart.
+        If the drives do not separate the effects.
     RecordingError
-        Where the last sweeps of a drive do not fit its first.
+        If the last sweeps of a drive do not match its first.
 
     """
     require("scipy", "the study needs it", "study")

@@ -1,4 +1,4 @@
-"""Recordings of simulated robots whose faults are known to a file beside them."""
+"""Recordings of simulated robots with faults that are stated in a separate file."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 __all__ = ["Simulation", "simulate"]
 
 _HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
-"""Sources of heading, as users and as the simulator call them."""
+"""Heading sources: the user's word, and the simulator's."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Simulation(Result):
-    """A simulated recording, and what is wrong with its robot.
+    """A simulated recording, and the faults of its robot.
 
-    target, answer_path : the bag, and the file with the answer; None where nothing was written
-    answer_text : that file's text
-    settings : robot, route, duration and so on, as the file has them
+    target, answer_path : the bag, and the file with the answer; None if not written
+    answer_text : contents of that file
+    settings : robot, route, duration and so on, as in the file
     recording : odometry and truth as arrays
     bag : the bag's bytes
     """
@@ -45,7 +45,7 @@ class Simulation(Result):
 
     @property
     def answer(self) -> dict[str, Any]:
-        """What is wrong with the robot: causes and their parameters."""
+        """Faults of the robot: causes and their parameters."""
         return self.recording.answer
 
     @property
@@ -54,7 +54,7 @@ class Simulation(Result):
         return self.recording.track_m
 
     def summary(self) -> Summary:
-        """Return what was recorded, and where its answer is."""
+        """Return a description of the recording, and the path of its answer."""
         from odomcorrupt.report.text.summary import Line, Summary, command_line
 
         what, robot = self._said
@@ -67,7 +67,7 @@ class Simulation(Result):
         return Summary(tuple(lines))
 
     def details(self) -> str:
-        """Return what was recorded in a sentence."""
+        """Return a description of the recording in a sentence."""
         return f"{self.target or 'stdout'}: {', '.join(self._said)}; what is wrong is in {self.answer_path}"
 
     @property
@@ -86,7 +86,7 @@ class Simulation(Result):
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the odometry: a row for each message."""
+        """Return the odometry, one row per message."""
         run = self.recording
         return [
             {"stamp_ns": int(stamp), "x_m": float(x), "y_m": float(y), "yaw_rad": float(yaw)}
@@ -94,7 +94,7 @@ class Simulation(Result):
         ]
 
     def _figure(self) -> Figure:
-        """Return the true path and that of the odometry."""
+        """Return a figure of the true path and that of the odometry."""
         from odomcorrupt.geometry.se2 import between, compose
         from odomcorrupt.report.plots.paths import draw_corruption
 
@@ -127,27 +127,27 @@ def simulate(
     Parameters
     ----------
     target : path, optional
-        MCAP to write; its answer goes beside it. None writes nothing.
+        MCAP to write, with its answer beside it. None writes nothing.
     effects : sequence of str
-        Names of faults; none: hidden ones are drawn; ("none",): a robot without any.
+        Names of faults; none: hidden ones are drawn; ("none",): a robot without faults.
     parameters : mapping, optional
-        Parameters of faults by their names, instead of drawn ones.
+        Parameters of faults by name, instead of drawn ones.
     size : float
-        Multiplies the magnitude of a drawn fault.
+        Factor on the magnitude of a drawn fault.
     seed, robot : int
-        Seeds of the drive with its noise, and of the robot with its fault; the robot's is by default the drive's.
+        Seeds of the drive with its noise, and of the robot with its fault; `robot` defaults to `seed`.
     route : str
         office, loops, shuttle, slalom, yard or umbmark.
     drive : path, optional
-        Bag whose /cmd_vel it follows instead, as `diagnose --drive` writes it.
+        Bag with /cmd_vel to follow instead, as written by `diagnose --drive`.
     truth : {"mocap", "rtk"}
-        Who watches.
+        Source of the truth.
     heading : {"wheels", "gyro"}, optional
-        Source of its heading; by default what the fault needs.
+        Source of the heading; by default the one that the fault requires.
     drive_type : {"differential", "skid"}
-        Kind of machine.
+        Wheel layout.
     duration_s : float, optional
-        Seconds; by default 600, or as long as `drive`.
+        Seconds; by default 600, or the length of `drive`.
     answer : path, optional
         File for the answer.
     overwrite : bool
@@ -161,7 +161,7 @@ def simulate(
     Raises
     ------
     EffectError
-        Where a fault is not known, or does not show with this source of heading.
+        If a fault is unknown, or not visible with this source of heading.
 
     Examples
     --------

@@ -12,8 +12,6 @@ from odomcorrupt.corruption.drift import MARKS_M, DriftMeter
 from odomcorrupt.corruption.patch import Patcher
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.transform import Transform
-from odomcorrupt.model.motion_model import MotionModel, Noise
-from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,6 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.path import PathSamples, PathSource
     from odomcorrupt.corruption.reorder import Arrivals
     from odomcorrupt.corruption.transform import Options, _Held
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["MarkMeter", "RunState", "SharedTransform"]
 
@@ -56,9 +55,8 @@ class SharedTransform(Transform):
     taken : targets of the block that `blocks` yielded last
     """
 
-    def __init__(self, options: Options) -> None:
-        nothing = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
-        super().__init__(nothing, 0, 0, options)
+    def __init__(self, silent: MotionModel, options: Options) -> None:
+        super().__init__(silent, 0, 0, options)
         self.growth: list[Arrivals | None] = []
         self.taken: list[Target] = []
         self._reach = _Reach()

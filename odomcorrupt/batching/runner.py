@@ -157,14 +157,16 @@ def _make(
     """Make the runs in a folder; return their records."""
     job = replace(task.job, directory=room)
     home = task.job.directory
-    shared = SharedTransform(job.options)
+    # which topic is the odometry may follow from the one that the model was learned from
+    silent = replace(_STILL, source=job.model.source)
+    shared = SharedTransform(silent, job.options)
     shared.odometry.prepare(output.reader, output.reader.name)
     rests, drive = Rests(), _drive(job)
     runs = [_begin(job, run, output, (rests, workers), drive) for run in task.runs]
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
-        every.append(_Run(RunState(_STILL, job.seed, 0, job.options, [clean]), clean, patches=False))
+        every.append(_Run(RunState(silent, job.seed, 0, job.options, [clean]), clean, patches=False))
     for one in every:
         if one.sink is not None:
             stack.enter_context(one.sink)

@@ -1,1 +1,1 @@
-"""One thin file a command, no maths."""
+"""One module per command: options, a call of the Python interface, and printing; no mathematics."""

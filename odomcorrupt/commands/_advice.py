@@ -1,4 +1,4 @@
-"""What diagnose and learn write besides their result: the drive that would settle what is open, and the report."""
+"""Additional outputs of diagnose and learn: the drive that decides between open alternatives, and the report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ advice_options = added(
 
 
 def check_advice(drive: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Refuse names that cannot be written, before any work is done."""
+    """Refuse output names that cannot be written; called before any work is done."""
     if drive is not None and drive.suffix != ".mcap":
         raise click.UsageError(f"--drive {drive}: commands are written as MCAP; end the name in .mcap")
     if report is not None:
@@ -36,7 +36,7 @@ def check_advice(drive: Path | None, report: Path | None, *, overwrite: bool) ->
 
 
 def advice_files(result: Findings, drive: Path | None, report: Path | None) -> Files:
-    """Return the drive as /cmd_vel and the page as files to write; where nothing is open, there is no drive."""
+    """Return the writers of the drive (/cmd_vel) and the report; no drive is written if nothing is open."""
     files: dict[Path, Callable[[], object]] = {}
     if drive is not None:
         files[drive] = lambda: (

@@ -1,4 +1,4 @@
-"""Options that say which odometry of a bag is meant, what of it is moved, and how bags are written."""
+"""Options that select a bag's odometry, the messages to modify, and how bags are read and written."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ __all__ = ["ODOM_TOPIC", "bag_options", "bag_words", "container_options", "frame
 
 _ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisation", "new_odom_frame", "overwrite",
           "compression", "level", "storage", "exclude", "recover", "threads")  # fmt: skip
-"""Options that are called alike here and in the Python interface."""
+"""Options with the same name here and in the Python interface."""
 
 _RECOVER = click.option(
     "--recover", is_flag=True, help="Read what is whole of a damaged bag; the exit code is 3 if some is lost."
 )
 
 ODOM_TOPIC = ("--odom-topic", "--odom", "odom_topic")
-"""Names of the option that says which odometry is meant."""
+"""Names of the option that selects the odometry."""
 
 frame_options = added(
     click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry that is moved."),
     click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]"),
     click.option("--base-frame", metavar="FRAME", help="Robot's frame. [default: the odometry's child frame]"),
 )
-"""Adds the options that say which odometry and which frames are meant."""
+"""Adds the options that select odometry and frames."""
 
 keeping_options = added(
     one_of("--twist", among=["model", "keep"], text="Twists: follow the poses, or as they are."),
     one_of("--covariance", among=["model", "keep"], text="Likewise covariances."),
 )
-"""Adds the options that leave twists or covariances as they are."""
+"""Adds the options that leave twists or covariances unchanged."""
 
 moving_options = added(
     frame_options,
@@ -58,11 +58,11 @@ moving_options = added(
     ),
     click.option("--new-odom-frame", metavar="FRAME", help="Parent of the odom frame for --tf correction."),
 )  # fmt: skip
-"""Adds the options that say what corruption moves and what it adds."""
+"""Adds the options of the messages that corruption modifies and adds."""
 
 
 def unpack_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the option that lifts the limit of what compressed bags become, while the command runs."""
+    """Add the option that raises the size limit of decompressed bags while the command runs."""
 
     @functools.wraps(command)
     def within_limit(*args: Any, max_unpacked: int | None, **given: Any) -> Any:
@@ -111,24 +111,24 @@ container_options = added(
     _RECOVER,
     unpack_option,
 )  # fmt: skip
-"""Adds the options that say how bags are read and written."""
+"""Adds the options for reading and writing bags."""
 
 threads_option = click.option(
     "--threads", type=click.IntRange(1), metavar="N", help="For the same bytes. [default: one a core, at most 4]"
 )
-"""Says how many threads read, compute and compress side by side."""
+"""Sets the number of threads that read, compute and compress."""
 
 bag_options = added(frame_options, _RECOVER, unpack_option)
-"""Adds the options of commands that only read a bag: which odometry, and whether it may be damaged."""
+"""Adds the options of commands that only read a bag: its odometry, and reading of damaged bags."""
 
 
 def bag_words(given: Mapping[str, Any]) -> BagOptions:
-    """Return options as the Python interface calls them.
+    """Return options under their names in the Python interface.
 
     Raises
     ------
     click.UsageError
-        Where --tf correction and its frame do not come together.
+        If only one of --tf correction and its frame is given.
 
     """
     tf = given.get("tf", "odometry")
@@ -157,7 +157,7 @@ def source_of(input_: str) -> Path | None:
 
 
 def report_losses(losses: Sequence[str]) -> int:
-    """Say on stderr what was lost of a damaged bag, and return the exit code."""
+    """Print the losses of a damaged bag on stderr, and return the exit code."""
     for loss in losses:
         click.echo(f"Lost: {loss}.", err=True)
     return 3 if losses else 0

@@ -1,4 +1,4 @@
-"""Options that say which map a motion must respect."""
+"""Options of the map that constrains a motion."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["choose_condition", "choose_condition_of_run", "map_options"]
 
@@ -39,7 +40,7 @@ map_options = added(
 def choose_condition(
     given: Mapping[str, Any], bag: Path | None, odom_frame: str, *, recover: bool = False
 ) -> MapCondition | None:
-    """Return what the options ask for, None where they name no map."""
+    """Return the map condition of the options, None if they name no map."""
     from odomcorrupt.mapping.map_condition import is_map_file, read_condition
 
     name = given["map_"]
@@ -52,15 +53,17 @@ def choose_condition(
     return read_condition(name, bag=bag, odom_frame=odom_frame, radius_m=given["radius"], recover=recover, **asked)
 
 
-def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, options: Options) -> MapCondition | None:
-    """Return what the options ask of the corruption of a bag, None where they name no map; a source of None is a pipe.
+def choose_condition_of_run(
+    given: Mapping[str, Any], source: Path | None, options: Options, model: MotionModel
+) -> MapCondition | None:
+    """Return the map condition for the corruption of a bag, None if no map is named; a source of None is a pipe.
 
     Raises
     ------
     click.UsageError
-        Where a pipe would have to be read twice, or the map has nothing to hold.
+        If a pipe would have to be read twice, or --keep-localisation leaves no noise for the map to constrain.
     MapError
-        Where the map cannot be read, or nothing says where odom is in it.
+        If the map cannot be read, or the pose of odom in it is unknown.
 
     """
     name = given["map_"]
@@ -80,12 +83,12 @@ def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, optio
         )
     frame = ""
     if source is not None and given["map_pose"] is None:
-        frame = read_odom_frame(source, options, recover=given["recover"])
+        frame = read_odom_frame(source, options, model.odometry_topic, recover=given["recover"])
     return choose_condition(given, source, frame, recover=given["recover"])
 
 
 def _refuse_alone(given: Mapping[str, Any]) -> None:
-    """Refuse options that say more of a map, where none is named."""
+    """Refuse options about a map if none is named."""
     context = click.get_current_context()
     for option in context.command.params:
         of_map = option.name in ("map_pose", "radius", "check", "unknown", "tries") and option.name in given

@@ -1,4 +1,4 @@
-"""Options that say which motion model to use (coefficients, presets, effects, files), and which motion to draw."""
+"""Options of the motion model (coefficients, presets, effects, files), and of the motion to sample."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 __all__ = ["AlphaCommand", "ChosenMove", "choose_model", "choose_move", "model_options", "move_options"]
 
 _MOST = 6
-"""The most coefficients that any law has."""
+"""Largest number of coefficients of any law."""
 
 _NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
 
 
 def _completing(module: str, table: str) -> Callable[..., list[str]]:
-    """Return what offers the names in a module's table that begin with what is typed; imported when it is needed."""
+    """Return a shell completion over the names in a module's table; the module is imported on use."""
 
     def complete(_ctx: click.Context, _param: click.Parameter, typed: str) -> list[str]:
         names = getattr(import_module(f"odomcorrupt.{module}"), table)
@@ -70,10 +70,10 @@ model_options = added(
 
 
 class AlphaCommand(click.Command):
-    """A command whose --alpha takes as many numbers as follow it: laws differ in how many they have."""
+    """Command whose --alpha takes all the numbers that follow it, because laws differ in their number."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Join the numbers behind --alpha into one value."""
+        """Join the numbers after --alpha into one value."""
         joined: list[str] = []
         rest = list(args)
         while rest:
@@ -84,7 +84,7 @@ class AlphaCommand(click.Command):
                 count = next(
                     (i for i, word in enumerate(rest[:_MOST]) if not _NUMBER.match(word)), min(len(rest), _MOST)
                 )
-                # fewer than four are taken as four, so that what is not a number can be named
+                # at least four values are taken, so that an error can name one that is not a number
                 count = max(count, min(4, len(rest))) if not rest or "," not in rest[0] else 1
                 joined.append(" ".join(rest[:count]))
                 del rest[:count]
@@ -92,20 +92,20 @@ class AlphaCommand(click.Command):
 
 
 def choose_model(given: Mapping[str, Any]) -> Model:
-    """Return the model that the options describe; with no numbers at all, the default preset.
+    """Return the model that the options describe; without any numbers, the default preset.
 
     Raises
     ------
     click.UsageError
-        Where options contradict each other or one of them makes no sense.
+        If options contradict each other or one is invalid.
     ModelError
-        Where the model file is wrong.
+        If the model file is invalid.
 
     """
     from odomcorrupt.api.model import Model
     from odomcorrupt.errors import ModelError
 
-    brings = _typed_before_defaults({name: given.get(name) for name in ("alpha", "preset", "model")})
+    brings = _command_line_first({name: given.get(name) for name in ("alpha", "preset", "model")})
     alpha, law, track, model = brings.get("alpha"), given.get("law"), given.get("track"), brings.get("model")
     noisy = [f"--{name}" for name, value in brings.items() if value]
     if len(noisy) > 1 and noisy != ["--alpha", "--model"]:
@@ -122,7 +122,7 @@ def choose_model(given: Mapping[str, Any]) -> Model:
         elif base is None and (
             brings.get("preset") is not None or not (given.get("effects") or given.get("twist_noise"))
         ):
-            # other errors alone come without noise
+            # effects or twist noise alone come without the default preset
             chosen = Model.preset(brings.get("preset") or "typical")
         chosen = _refined(chosen, given.get("step"), given.get("twist_noise"))
         if track is not None:
@@ -133,15 +133,15 @@ def choose_model(given: Mapping[str, Any]) -> Model:
         raise click.UsageError(f"--{said}" if said.startswith("effect ") else said) from error
 
 
-def _typed_before_defaults(brings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what brings noise: what was typed, where a file of defaults has something else."""
+def _command_line_first(brings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the options that define noise: those typed, in preference to defaults from a file."""
     context = click.get_current_context(silent=True)
     typed = [n for n in brings if context and context.get_parameter_source(n) is ParameterSource.COMMANDLINE]
     return {name: brings[name] for name in typed or brings}
 
 
 def _with_alpha(model: Model, alpha: str, law: str | None) -> Model:
-    """Return a model with other coefficients; commas between them are an error that says how to write them."""
+    """Return a model with other coefficients; for commas between them, raise an error with the correct spelling."""
     from odomcorrupt.api.model import Model, Noise
 
     words = [word for word in re.split(r"[\s,]+", alpha) if word]
@@ -166,7 +166,7 @@ def _refined(model: Model, step: str | None, twist_noise: tuple[float, float] | 
 
 @dataclass(frozen=True, slots=True)
 class ChosenMove:
-    """A motion (poses before and after it, metres and radians) with its noise, and how many samples to draw."""
+    """A motion (poses before and after it, metres and radians) with its noise, and the number of samples."""
 
     model: Model
     start_xyt: tuple[float, ...]
@@ -189,9 +189,9 @@ move_options = added(
 
 
 def _choose_noise(given: Mapping[str, Any], example: str | None) -> Model:
-    """Return the noise the options describe; with no numbers at all, that of an example.
+    """Return the noise of the options; without any numbers, that of an example.
 
-    `--law article-code` alone is the example's noise, drawn as the article's listing draws it.
+    `--law article-code` alone selects the example's noise, sampled as in the article's listing.
     """
     from odomcorrupt.api.model import Model
     from odomcorrupt.model.motion_model import MotionModel
@@ -209,7 +209,7 @@ def _choose_noise(given: Mapping[str, Any], example: str | None) -> Model:
 
 
 def choose_move(given: Mapping[str, Any]) -> ChosenMove:
-    """Return the motion and the noise that the options describe."""
+    """Return the motion and the noise of the options."""
     import numpy as np
 
     from odomcorrupt.errors import ModelError
@@ -225,9 +225,9 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
         raise click.UsageError("effects act along a drive, one motion has no time: name a bag, or leave --effect out")
     first, last = np.array(example.start_xyt), np.array(example.end_xyt)
     if given["end"] is not None:
-        # a motion of the user's own begins at the origin unless it says otherwise
+        # a motion given by --end begins at the origin unless --start is given
         first, last = np.zeros(3), np.array(given["end"])
     start = first if given["start"] is None else np.array(given["start"])
-    # with a start alone, the example's motion is made from there
+    # with --start alone, the example's motion is applied from there
     end = last if given["end"] is not None else compose(start, between(first, last))
     return ChosenMove(model, tuple(start.tolist()), tuple(end.tolist()), given["count"] or example.count)

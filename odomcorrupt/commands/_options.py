@@ -1,4 +1,4 @@
-"""Options as commands declare them: added together, of numbers, poses, choices and pictures."""
+"""Building blocks of options: groups, numbers, poses, choices and pictures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Decorator: TypeAlias = "Callable[[Callable[..., Any]], Callable[..., Any]]"
 
 
 def added(*options: Decorator) -> Decorator:
-    """Return a decorator that adds options to a command, on its page of help in this order."""
+    """Return a decorator that adds options to a command, listed on its help page in this order."""
 
     def add(command: Callable[..., Any]) -> Callable[..., Any]:
         for option in reversed(options):
@@ -36,16 +36,16 @@ def added(*options: Decorator) -> Decorator:
 
 
 def one_of(*words: str, among: Sequence[str], text: str, default: str | None = None) -> Decorator:
-    """Return an option that takes one of some words, by default the first; its help is a text and the default."""
+    """Return an option with a choice of words, by default the first; its help is `text` and the default."""
     chosen = default or among[0]
     return click.option(*words, type=click.Choice(among), default=chosen, help=f"{text} [default: {chosen}]")
 
 
 class Number(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
-    """A finite number, as FloatRange, which lets what is not a number and what is endless pass.
+    """A finite number within bounds; unlike FloatRange, it refuses nan and infinity.
 
-    low, high : its bounds; high itself is allowed, and low unless `above`
-    unit : in words, as in "metres between the wheels"
+    low, high : bounds; high is allowed, and low unless `above`
+    unit : description for messages, as in "metres between the wheels"
     """
 
     name = "float"
@@ -70,7 +70,7 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic since click 
 
 
 class Share(Number):
-    """A number of which 1 is the whole, also written in percent: 0.003 or 0.3%."""
+    """A fraction, also accepted in percent: 0.003 or 0.3%."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number."""
@@ -106,7 +106,7 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 
 
 class _Start(_Pose):
-    """A pose, or "odom" for the origin of the odometry's own frame."""
+    """A pose, or "odom" for the origin of the odometry's frame."""
 
     name = "X,Y,THETA|odom"
     _else = ", or odom"
@@ -120,18 +120,18 @@ POSE, START = _Pose(), _Start()
 
 
 def need_pictures() -> None:
-    """Explain what to install where the drawing library is missing."""
+    """Raise an error with the extra to install if the drawing library is missing."""
     require("matplotlib", "pictures need it", "study")
 
 
 def picture_kind(path: Path) -> str | None:
-    """Return the kind of picture that a name asks for, None for none."""
+    """Return the picture format of a file name, None if it is not a picture."""
     kind = path.suffix.lower().removeprefix(".")
     return kind if kind in PICTURES else None
 
 
 def check_picture(path: Path | None, *, overwrite: bool) -> None:
-    """Refuse a name that is no picture's, or taken, before any work is done."""
+    """Refuse a name that is not a picture's or exists already; called before any work is done."""
     if path is None:
         return
     if picture_kind(path) is None:
@@ -141,7 +141,7 @@ def check_picture(path: Path | None, *, overwrite: bool) -> None:
 
 
 def save_picture(path: Path, figure: Figure) -> None:
-    """Write a figure in the kind its name asks for, whole or not at all."""
+    """Write a figure in the format of its file name, completely or not at all."""
     from odomcorrupt.files import write_bytes
     from odomcorrupt.report.plots.figure import rendered
 

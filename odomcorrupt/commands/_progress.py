@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 __all__ = ["Progress", "Rate", "Stages", "left_words"]
 
 PAUSE_S = 0.2
-"""Time between two updates of the line."""
+"""Interval between two updates of the line, seconds."""
 FIRST_S = 1.0
-"""Nothing is said of what takes less."""
+"""Time before the first update, seconds; shorter work shows no progress."""
 _READING, _MATCHING = 0.25, 0.5
-"""Part of the work that reading usually is, without and with scans to match."""
+"""Usual fraction of the work that reading takes, without and with scans to match."""
 _KNOWN = 0.05
-"""Share that has to be done before the time left is estimated from it."""
+"""Fraction completed before the remaining time is estimated."""
 
 
 def _duration(seconds: float) -> str:
@@ -33,9 +33,9 @@ def _duration(seconds: float) -> str:
 
 
 class _Line:
-    """A line on stderr that is written over again; nothing where that is no terminal, or nothing is to be said.
+    """A line on stderr that is overwritten; nothing is printed without a terminal or with --quiet.
 
-    shown : whether anybody reads it
+    shown : whether the line is printed
     """
 
     def __init__(self, *, quiet: bool = False) -> None:
@@ -54,7 +54,7 @@ class _Line:
 
 
 class Progress(_Line):
-    """Counts blocks as they go by."""
+    """Progress of a bag, block by block."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         super().__init__(quiet=quiet)
@@ -63,7 +63,7 @@ class Progress(_Line):
         self._first_ns: int | None = None
 
     def __call__(self, block: Block) -> None:
-        """Take note of a block."""
+        """Count a block."""
         if not self.shown or not len(block.table):
             return
         self._bytes += block.data.size
@@ -76,10 +76,10 @@ class Progress(_Line):
 
 
 class Stages(_Line):
-    """Says which stage of the work is under way, the share that is done and the time left.
+    """Progress of a study: its stage, the completed fraction and the remaining time.
 
-    Reading comes first. Its part of the work is not known: a quarter is usual, half where scans are matched. The time
-    left after it is estimated from what came after it alone.
+    Reading comes first. Its part of the work is unknown: a quarter is usual, half if scans are matched. The time
+    remaining after it is estimated from the later stages alone.
     """
 
     def __init__(self, stage: str = "reading", *, quiet: bool = False) -> None:
@@ -90,19 +90,19 @@ class Stages(_Line):
         self._ticker = threading.Thread(target=self._tick, daemon=True)
 
     def reading(self, stage: str, share: float) -> None:
-        """Take note of a stage of reading, and of the share of all reading done before it."""
+        """Record a stage of reading, and the fraction of all reading completed before it."""
         part = _READING if stage == "reading" else _MATCHING
         self._note(stage, part * share, part * share, self._begun_s)
 
     def __call__(self, stage: str, share: float) -> None:
-        """Take note of a stage that begins, and of the share of the work after reading done before it."""
+        """Record the beginning of a stage, and the fraction of the work after reading completed before it."""
         if self._read is None:
             self._read = self._share, time.monotonic()
         first, since_s = self._read
         self._note(stage, first + (1.0 - first) * share, share, since_s)
 
     def _note(self, stage: str, share: float, part: float, since_s: float) -> None:
-        """Take note of the share of the work that is done, and of that which was done since a time."""
+        """Record the completed fraction of the work, and the fraction completed since a time."""
         now_s = time.monotonic()
         end_s = now_s + (now_s - since_s) * (1.0 - part) / part if part >= _KNOWN else 0.0
         self._stage, self._share, self._end_s = stage, max(self._share, share), end_s
@@ -129,9 +129,9 @@ class Stages(_Line):
 
 
 class Rate(_Line):
-    """Counts runs, those of passes that are under way in parts, and says on stderr how long the rest takes.
+    """Progress of a batch: completed runs, including fractions of passes in progress, and the remaining time.
 
-    failures : of the runs that are done
+    failures : failures of the completed runs
     """
 
     def __init__(self, total: int, *, quiet: bool = False) -> None:
@@ -142,14 +142,14 @@ class Rate(_Line):
         self._parts: dict[tuple[str, tuple[int, ...]], tuple[int, float]] = {}
 
     def done(self, task: Task, failures: list[Failure]) -> None:
-        """Take note of runs that are made."""
+        """Count completed runs."""
         self.failures.extend(failures)
         self._parts.pop((task.job.shown_directory, task.runs), None)
         self._done += len(task.runs)
         self._count("")
 
     def under_way(self, task: Task, part: float | None, past_s: float) -> None:
-        """Take note of a pass: the part of the bag that is read, None where it is not known, and its seconds."""
+        """Record a pass in progress: the fraction of the bag read (None if unknown), and its position in seconds."""
         if part is not None:
             self._parts[task.job.shown_directory, task.runs] = len(task.runs), part
         self._count(f"; a pass of {len(task.runs)} is at {past_s:.0f} s of the bag")
@@ -160,7 +160,7 @@ class Rate(_Line):
 
 
 def left_words(done: float, total: int, spent_s: float) -> str:
-    """Return runs made, rate and time left in words; half a run counts for both of these."""
+    """Return runs completed, rate and remaining time in words; rate and time include partly completed runs."""
     rate = done / spent_s if spent_s > 0.0 else 0.0
     if rate <= 0.0:
         return f"{int(done)} of {total} runs"

@@ -1,4 +1,4 @@
-"""What the commands of the study share: which recordings, how they are read, and which arguments are models."""
+"""Arguments and options of the study's commands: recordings, how to read them, and models."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["Reading", "recording_options", "split_arguments"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """How recordings are read, as a command line says it; a field for each of `recording_options`."""
+    """Reading options of a command line; one field per option of `recording_options`."""
 
     odom: str | None = None
     truth: str | None = None
@@ -45,12 +45,12 @@ class Reading:
     relative: tuple[Path, ...] = ()
 
     def stages(self, voice: Voice) -> Stages:
-        """Return what says which stage is under way."""
+        """Return the progress display."""
         require("scipy", "the study needs it", "study")
         return Stages(quiet=voice.quiet)
 
     def read(self, paths: Sequence[Path], voice: Voice, stages: Stages, *, track: float | None = None) -> Recordings:
-        """Return the recordings; `track` is that of a model, where the command line names none."""
+        """Return the recordings; `track` is that of a model, used if the command line gives none."""
         return self.read_with_held_out(paths, (), voice, stages, track=track)[0]
 
     def read_with_held_out(
@@ -62,7 +62,7 @@ class Reading:
         *,
         track: float | None = None,
     ) -> tuple[Recordings, Recordings | None]:
-        """Return recordings, and those that are held out (None without any); several truth bags cover both in order."""
+        """Return recordings, and held-out ones (None without any); several truth bags cover both in order."""
         from odomcorrupt.api.recordings import describe, read_recordings
 
         count = len(paths) + len(held_out)
@@ -91,7 +91,7 @@ class Reading:
         return first, read(held_out, slice(len(paths), None)) if held_out else None
 
     def words(self) -> list[str]:
-        """Return the words of a command line that read the same recordings again."""
+        """Return the command-line words that read the same recordings again."""
         said = [("--odom", self.odom), ("--truth", self.truth), ("--scan", self.scan), ("--imu", self.imu)]
         said += [("--relative", str(path)) for path in self.relative]
         said += [("--truth-bag", str(path)) for path in self.truth_bags]
@@ -155,7 +155,7 @@ _options = added(
 
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that say where odometry and truth are; the command gets them as one `reading`."""
+    """Add the options of odometry, truth and reading; the command receives them as one argument, `reading`."""
 
     @functools.wraps(command)
     def with_reading(*args: Any, **given: Any) -> Any:
@@ -166,7 +166,7 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], list[str]]:
-    """Return recordings and models: arguments that end in .toml are models."""
+    """Split arguments into recordings and models: arguments that end in .toml are models."""
     models = [a for a in arguments if a.endswith(".toml")]
     recordings = [Path(a) for a in arguments if not a.endswith(".toml")]
     if not recordings:
@@ -175,7 +175,7 @@ def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], list[str]]:
 
 
 def _spooled(path: Path) -> Path:
-    """Return a file with what comes through the pipe, gone when the command ends: reading may take two passes."""
+    """Return a temporary file with the contents of a pipe, because reading may take two passes; deleted at the end."""
     folder = Path(tempfile.mkdtemp(prefix="odomcorrupt-"))
     click.get_current_context().call_on_close(lambda: shutil.rmtree(folder, ignore_errors=True))
     target = folder / f"stdin{path.suffix}"

@@ -1,4 +1,4 @@
-"""Options that every command has: -v, -q, --json, --config; how results are printed; defaults from odomcorrupt.toml."""
+"""Options of every command: -v, -q, --json, --config; printing of results; defaults from odomcorrupt.toml."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ __all__ = ["WORDS", "Files", "Voice", "chosen_output", "command_names", "output_
            "standard_options", "typed_words", "written"]  # fmt: skip
 
 CONFIG = "odomcorrupt.toml"
-"""Defaults are read from this file where it is in the working directory."""
+"""Name of the file of defaults, read if it is in the working directory."""
 Files: TypeAlias = "Mapping[Path, Callable[[], object]]"
-"""Outputs of a command by name: each function writes one; text that it returns is printed instead of `wrote FILE`."""
+"""Output files of a command and their writers; if a writer returns text, it is printed instead of `wrote FILE`."""
 _LIMIT_BYTES = 1 << 20
 WORDS = "odomcorrupt.words"
-"""Where a context keeps what was typed behind the name of the command."""
+"""Key in click's context for the words typed after the command's name."""
 _DEFAULTS = "odomcorrupt.defaults"
-"""Where a context keeps the name of that file, and of the options that it set."""
+"""Key in click's context for the name of the file of defaults, and the options it set."""
 _WIDTH = 80
 
 
 @dataclass(frozen=True, slots=True)
 class Voice:
-    """How much a command says: eight lines, everything, nothing, or JSON."""
+    """Level of output of a command: eight lines, everything, nothing, or JSON."""
 
     verbose: bool = False
     quiet: bool = False
@@ -56,9 +56,9 @@ class Voice:
 
         Parameters
         ----------
-        result : what was computed
-        files : what is written beside it, after the verdict is printed and before the command to type next
-        err : whether it goes to stderr, because stdout may carry a bag
+        result : result to print
+        files : output files, written after the verdict is printed and before the suggested next command
+        err : whether to print on stderr, because stdout may carry a bag
         """
         brief = "" if self.as_json or self.verbose or self.quiet else result.summary()
         details = result.details() if self.verbose and not self.as_json else ""
@@ -87,28 +87,28 @@ class Voice:
             click.echo(following, err=err)
 
     def note(self, sentence: str) -> None:
-        """Print a sentence on stderr, unless nothing is to be said."""
+        """Print a sentence on stderr, unless with --quiet."""
         if not self.quiet:
             click.echo(sentence, err=True)
 
     def detail(self, sentence: str) -> None:
-        """Print a sentence on stderr where everything is to be said."""
+        """Print a sentence on stderr with --verbose only."""
         if self.verbose:
             click.echo(sentence, err=True)
 
 
 def written(path: Path | None, write: Callable[[Path], object]) -> Files:
-    """Return an output and what writes it, as `Voice.show` takes them; nothing where no path is given."""
+    """Return an output and its writer in the form of `Voice.show`; empty if no path is given."""
     return {} if path is None else {path: lambda: write(path)}
 
 
 def _colours(stream: Any) -> bool:
-    """Tell whether a stream shows colours and the user wants them (https://no-color.org)."""
+    """Tell whether a stream supports colours and the user wants them (https://no-color.org)."""
     return bool(stream.isatty()) and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add -v, -q, --json and --config; the command gets the first three as one `voice`."""
+    """Add -v, -q, --json and --config; the command receives the first three as one argument, `voice`."""
 
     @functools.wraps(command)
     def with_voice(*args: Any, verbose: bool, quiet: bool, as_json: bool, **given: Any) -> Any:
@@ -135,11 +135,11 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def typed_words(*without: str) -> list[str]:
-    """Return what was typed behind the command's name, for a command to type next.
+    """Return the words typed after the command's name, for use in a suggested next command.
 
     Parameters
     ----------
-    without : options that are left out with their values, as in "--output"; an option is named by its long spelling
+    without : options to omit with their values, as in "--output", by their long spelling
     """
     ctx = click.get_current_context()
     left = {word: option for option in ctx.command.params if isinstance(option, click.Option)
@@ -156,17 +156,17 @@ def typed_words(*without: str) -> list[str]:
 
 
 def overwrite_option(what: str = "an existing output") -> Decorator:
-    """Return the option by which outputs are replaced."""
+    """Return the option that permits replacing outputs."""
     return click.option("--overwrite", "--force", "overwrite", is_flag=True, help=f"Replace {what}.")
 
 
 def output_option(metavar: str = "OUTPUT") -> Decorator:
-    """Return -o, which says the same as the last argument."""
+    """Return -o, an alternative to the last argument."""
     return click.option("-o", "output_option", metavar=metavar, type=click.Path(), help=f"The same as {metavar}.")
 
 
 def chosen_output(argument: str | None, option: str | None, metavar: str = "OUTPUT") -> str:
-    """Return the output that an argument or -o names."""
+    """Return the output given by an argument or -o."""
     if argument is not None and option is not None:
         raise click.UsageError(f"{metavar} and -o: both name the output; give one of them")
     chosen = option if argument is None else argument
@@ -176,7 +176,7 @@ def chosen_output(argument: str | None, option: str | None, metavar: str = "OUTP
 
 
 def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) -> None:
-    """Set a command's defaults from a file: top-level keys for every command that has them, then its own table."""
+    """Set a command's defaults from a file: top-level keys for all commands that have them, then its own table."""
     file = Path(CONFIG) if path is None else path
     if ctx.resilient_parsing or (path is None and not file.exists()):
         return
@@ -218,14 +218,14 @@ def _table(file: Path) -> Mapping[str, Any]:
 
 
 def _names(command: click.Command) -> dict[str, str]:
-    """Return a command's long options, without dashes, and what its function calls them."""
+    """Return a command's long options, without dashes, and their parameter names."""
     options = (p for p in command.params if isinstance(p, click.Option) and p.expose_value)
     return {word[2:]: p.name or "" for p in options for word in p.opts if word.startswith("--")}
 
 
 @functools.cache
 def command_names() -> dict[str, str]:
-    """Return command names and the modules they live in; modules that begin with _ are no commands."""
+    """Return command names and their modules; modules whose names begin with _ are not commands."""
     found = sorted(info.name for info in pkgutil.iter_modules(commands.__path__))
     return {name.replace("_", "-"): f"{commands.__name__}.{name}" for name in found if not name.startswith("_")}
 

@@ -1,4 +1,4 @@
-"""odomcorrupt assemble: an overlay and its original as one bag."""
+"""odomcorrupt assemble: an overlay and its original combined into one bag."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["command"]
 def command(
     run: Path, output: str | None, output_option: str | None, original: Path | None, *, voice: Voice, **given: Any
 ) -> None:
-    """Write the whole bag that RUN, made by `batch --output overlay`, is the changed part of."""
+    """Write the whole bag of RUN, an overlay made by `batch --output overlay` that has only the changed topics."""
     from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
     from odomcorrupt.batching.split_layout import assemble

@@ -1,4 +1,4 @@
-"""odomcorrupt batch: a thousand corrupted bags of one."""
+"""odomcorrupt batch: many corrupted runs of one bag."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MAP_WORDS = {
     "map_": "--map", "radius": "--robot-radius", "check": "--map-check", "unknown": "--unknown", "tries": "--max-tries",
 }  # fmt: skip
 _SUFFIXES = {"bag": ".bag", "mcap": ".mcap", "db3": ".db3", "directory": ""}
-"""Of the names of runs, by what they become."""
+"""Suffixes of the runs' names by output format."""
 
 
 class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
@@ -90,7 +90,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice, **given: Any) -> int:
     """Make runs 0 to N - 1 of a seed: the same bytes as `odomcorrupt INPUT OUTPUT --seed S --run K` one by one.
 
-    Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
+    Called again, it makes the missing runs. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
     from odomcorrupt.api.batch import Batch
     from odomcorrupt.batching.engine import Shard
@@ -118,7 +118,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
 
 
 def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...], Path]:
-    """Return the inputs and the directory, which is the last argument unless -o names it."""
+    """Return the inputs and the directory, which is the last argument unless -o gives it."""
     inputs, last = (paths, None) if option is not None else (paths[:-1], str(paths[-1]))
     target = Path(chosen_output(last, option, "DIRECTORY"))
     if not inputs:
@@ -157,7 +157,7 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
         container=container,
         output=given["output"],
         split=given["layout"] == "split",
-        condition=choose_condition_of_run(given, inputs[0], options),
+        condition=choose_condition_of_run(given, inputs[0], options, model),
         suffix=_SUFFIXES.get(given["to"]),
         model_words=None if given["fleet"] else tuple(_words(_MODEL_WORDS, given)),
         map_words=tuple(_map_words(given)),
@@ -166,7 +166,7 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
 
 
 def _require_whole_bags(given: dict[str, Any]) -> None:
-    """Refuse options of whole bags where only parts of them are written."""
+    """Refuse options that need whole bags if only parts of them are written."""
     output = f"--output {given['output']}"
     for flag, name in (("--keep-truth", "keep_truth"), ("--tf correction", "new_odom_frame")):
         if given[name]:
@@ -179,7 +179,7 @@ def _require_whole_bags(given: dict[str, Any]) -> None:
 
 
 def _model(given: dict[str, Any]) -> MotionModel:
-    """Return the model that was asked for, or that of a fleet."""
+    """Return the requested model, or that of a fleet."""
     if not given["fleet"]:
         return choose_model(given).motion_model
     from odomcorrupt.batching.parameter_draws import fleet_model
@@ -196,7 +196,7 @@ def _model(given: dict[str, Any]) -> MotionModel:
 
 
 def _threads(given: dict[str, Any]) -> int:
-    """Return how many threads each process has."""
+    """Return the number of threads of each process."""
     from odomcorrupt.bags.pipeline import default_threads
 
     threads: int = (given["threads"] or default_threads()) // given["jobs"]
@@ -211,7 +211,7 @@ def _map_words(given: dict[str, Any]) -> list[str]:
 
 
 def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
-    """Return options as they are typed, of those that were given."""
+    """Return the given options as words of a command line."""
     words = []
     for name, flag in names.items():
         value = given[name]
@@ -243,7 +243,7 @@ def _need(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
 
 
 def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:
-    """Return what a batch would take, in sentences."""
+    """Return the resources that a batch needs, in sentences."""
     saved = 1.0 - need.overlay_bytes / need.bytes if need.bytes else 0.0
     text = (
         f"{need.runs} runs to make, about {need.bytes / 1e9:.3g} GB ({need.free_bytes / 1e9:.3g} GB are free) and "
@@ -258,7 +258,7 @@ def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:
 
 
 def _require_space(jobs: Sequence[Job], runs: range, shard: Shard) -> None:
-    """Refuse what the disk cannot hold; what is far from that is not measured."""
+    """Refuse a batch that the disk cannot hold; sizes are estimated only if space may be short."""
     from odomcorrupt.batching.estimate import bytes_of, free_bytes, require_space
 
     if 5 * len(runs) * sum(bytes_of(job.source) for job in jobs) > free_bytes(jobs[0].directory):

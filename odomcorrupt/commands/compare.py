@@ -1,4 +1,4 @@
-"""odomcorrupt compare: models against measurements, and where they fail."""
+"""odomcorrupt compare: models against measurements, and their lack of fit."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def command(
 
 
 def _plots(texts: Iterable[str]) -> dict[Path, str]:
-    """Return the picture wanted in each file."""
+    """Return the figure requested for each file."""
     found: dict[Path, str] = {}
     for text in texts:
         name, equals, file = text.partition("=")
@@ -98,6 +98,6 @@ def _plots(texts: Iterable[str]) -> dict[Path, str]:
 
 
 def _short_names(models: dict[str, Model]) -> dict[str, Model]:
-    """Return models by file name alone where these are unique."""
+    """Return models by file name alone if these are unique."""
     short = [Path(name).name for name in models]
     return dict(zip(short, models.values(), strict=True)) if len(set(short)) == len(models) else models

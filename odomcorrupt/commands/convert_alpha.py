@@ -1,4 +1,4 @@
-"""odomcorrupt convert-alpha: what the coefficients of one law are in another."""
+"""odomcorrupt convert-alpha: coefficients of one law converted to another."""
 
 from __future__ import annotations
 

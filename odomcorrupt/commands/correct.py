@@ -1,4 +1,4 @@
-"""odomcorrupt correct: the systematic part of measured odometry taken out."""
+"""odomcorrupt correct: removal of the systematic part of measured odometry."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ __all__ = ["command"]
 def command(input_: str, output: str | None, output_option: str | None, *, voice: Voice, **given: Any) -> int:
     """Take the effects of a model out of a bag's odometry: its poses, twists and covariances, and its TF edges.
 
-    It takes the whole motion to know what was wrong with it, so INPUT is read twice and cannot be a pipe; OUTPUT can.
-    Random effects cannot be undone, but for lost increments; the summary names them.
+    INPUT is read twice, because the correction at a time depends on the whole motion; it cannot be a pipe, OUTPUT can.
+    Random effects cannot be undone, except lost increments; the summary names them.
     """
     from odomcorrupt.api.correction import correct
     from odomcorrupt.correction.run import require_start

@@ -64,7 +64,7 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     source = source_of(input_)
     options = bag_words(given)
-    condition = choose_condition_of_run(given, source, options_of(options))
+    condition = choose_condition_of_run(given, source, options_of(options), model.motion_model)
     keep_freed_memory()
     with Progress(quiet=voice.quiet) as progress:
         asked = {"seed": given["seed"], "run": given["run"], "within": condition, "watch": progress}

@@ -1,4 +1,4 @@
-"""odomcorrupt density: how likely an end pose is."""
+"""odomcorrupt density: probability density of an end pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""odomcorrupt diagnose: which physical effect is missing in a model."""
+"""odomcorrupt diagnose: the physical effect that a model lacks."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def command(
     overwrite: bool,
     voice: Voice,
 ) -> None:
-    """Rank the effects by evidence, with what each would gain on held-out stretches, and say what to type next."""
+    """Rank the effects by evidence, with what each would gain on held-out stretches, and suggest the next command."""
     from odomcorrupt.api.diagnosis import diagnose
     from odomcorrupt.api.model import Model
 
@@ -45,7 +45,7 @@ def command(
     if len(names) > 1:
         raise click.UsageError(f"{len(names)} models given; diagnose one at a time")
     check_advice(drive, report, overwrite=overwrite)
-    # a model that cannot be read is said before minutes of work
+    # an unreadable model is reported before minutes of work
     model = Model.load(names[0]) if names else None
     with reading.stages(voice) as stages:
         runs = reading.read(paths, voice, stages, track=model.motion_model.track_m if model else None)
@@ -56,12 +56,12 @@ def command(
 
 
 def _following(result: Diagnosis, words: list[str], models: list[str]) -> str:
-    """Return the command that adds what is missing, or shows how a model does that misses nothing."""
+    """Return the command that adds the missing effects, or evaluates a model that lacks none."""
     if not all(run.positioned for run in result.recordings):
-        # a model needs travel, too
+        # a model needs travel
         return ""
     if result.result.search.laws or not (result.missing or models):
-        # a dependence is written by `learn` alone, and what is added holds beside it only
+        # only `learn` writes a dependence, and the effects found hold only beside it
         return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
     if not result.missing:
         return f"odomcorrupt compare {shlex.join([*words, *models])}"

@@ -1,4 +1,4 @@
-"""odomcorrupt effects: what is known of why odometry goes wrong."""
+"""odomcorrupt effects: descriptions of the causes of odometry errors."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ __all__ = ["command"]
 @click.argument("name", required=False)
 @standard_options
 def command(name: str | None, *, voice: Voice) -> None:
-    """List the physical effects by which odometry departs from the truth, or explain one of them.
+    """List the physical effects that make odometry depart from the truth, or explain one of them.
 
-    Each is put into a bag by --effect NAME:parameter=value, tested by diagnose, and taken out by correct.
+    --effect NAME:parameter=value adds an effect to a bag, diagnose tests for it, and correct removes it.
 
     \b
     An effect of your own is an expression in a model file, a rate added to truth minus odometry:
@@ -54,7 +54,7 @@ _LEGEND = """
 effect: systematic; setup: of the measurement, not of the robot; noise: random
 odomcorrupt effects NAME explains one"""
 _FAMILIES = {"effect": "SYSTEMATIC", "setup": "setup", "event": "event", "noise": "random"}
-"""Labels of the kinds of effects, in the order in which they are listed."""
+"""Labels of the kinds of effects, in order of listing."""
 
 
 def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
@@ -67,7 +67,7 @@ def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
 
 
 def _brief_page(kind: type[Effect]) -> Summary:
-    """Return what an effect does, its parameters, and a command that puts it into a bag."""
+    """Return an effect's description, its parameters, and a command that applies it to a bag."""
     from odomcorrupt.effects.effect import choices, parameters
     from odomcorrupt.report.text.summary import Line, Summary, command_line
 
@@ -83,7 +83,7 @@ def _brief_page(kind: type[Effect]) -> Summary:
 
 
 def _example(kind: type[Effect]) -> str:
-    """Return a command that puts an effect of typical size into a bag."""
+    """Return a command that applies an effect of typical size to a bag."""
     from odomcorrupt.effects.effect import amplitudes
 
     values = ",".join(f"{p.name}={p.typical:g}" for p in amplitudes(kind))

@@ -89,7 +89,7 @@ def command(
 
 
 def _brief(robot: MotionModel, name: str, text: str, following: Sequence[object]) -> Summary:
-    """Return what was exported, its numbers, which effects these cannot express, and what to type next."""
+    """Return the exported numbers, the effects that cannot be expressed, and the suggested next command."""
     from odomcorrupt.export.yaml_text import numbers_of, unexpressed
     from odomcorrupt.report.text.summary import Line, Summary, command_line
 

@@ -56,10 +56,10 @@ def command(
     overwrite: bool,
     voice: Voice,
 ) -> None:
-    """Fit the noise coefficients, the truth's own noise, clocks and set-up, and the effects asked for.
+    """Fit the noise coefficients, the truth's own noise, clocks and set-up, and the requested effects.
 
-    Of the set-up, a lever arm and a mounting yaw of the truth are fitted where the data show them. Several recordings
-    are runs of one robot, each with a clock of its own.
+    Of the set-up, a lever arm and a mounting yaw of the truth are fitted if the data show them. Several recordings
+    are runs of one robot, each with its own clock.
     """
     from odomcorrupt.api.fit import fit, require_effects
     from odomcorrupt.api.model import Model
@@ -89,7 +89,7 @@ def command(
 def _square_test(
     paths: Sequence[Path], ends: Sequence[str], reading: Reading, add: Sequence[str], output: Path | None, voice: Voice
 ) -> None:
-    """Fit what a square test measures to the ends of drives."""
+    """Fit a square test's effects to the ends of drives."""
     from odomcorrupt.api.returns import fit_returns
 
     given = {"--truth": reading.truth, "--truth-bag": reading.truth_bags, "--imu": reading.imu,
@@ -107,7 +107,7 @@ def _square_test(
 
 
 def _end(text: str) -> tuple[float, float, float]:
-    """Return the pose that x,y,yaw says, the yaw in degrees."""
+    """Return the pose given as x,y,yaw, the yaw in degrees."""
     parts = text.split(",")
     try:
         x, y, yaw = (float(part) for part in parts)

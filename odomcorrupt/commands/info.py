@@ -1,4 +1,4 @@
-"""odomcorrupt info: what a bag holds, and what corruption would move."""
+"""odomcorrupt info: contents of a bag, and the messages that corruption would modify."""
 
 from __future__ import annotations
 

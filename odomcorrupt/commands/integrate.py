@@ -104,7 +104,7 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
 
 
 def _check_name(input_: Path, output: Path | None) -> None:
-    """Refuse a name that is no bag's before any work is done."""
+    """Refuse a name that is not a bag's; called before any work is done."""
     from odomcorrupt.bags.open import form_of, open_reader
 
     if output is not None:
@@ -113,7 +113,7 @@ def _check_name(input_: Path, output: Path | None) -> None:
 
 
 def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], following: Sequence[object]) -> Summary:
-    """Return what was integrated, its errors, what noise does to it, and what to type next."""
+    """Return the integrated odometry's length and errors, the effect of noise, and the suggested next command."""
     from odomcorrupt.report.text.summary import Line, Summary, command_line
 
     whole = f"{len(drive)} twists of {drive.topic}, {drive.distance_m[-1]:.4g} m in {drive.t_s[-1]:.4g} s"
@@ -145,7 +145,7 @@ def _about(drive: Drive, rule: str, hold: str) -> str:
 
 
 def _compared(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | None) -> list[str]:
-    """Return how far integrated odometry is from the truth, and from the bag's own poses."""
+    """Return the distance of integrated odometry from the truth, and from the bag's own poses."""
     import numpy as np
 
     from odomcorrupt.trajectories.integrate import path_error
@@ -160,7 +160,7 @@ def _compared(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | No
 
 
 def _spread(runs: Array, clean: Array, noise: tuple[float, float], seed: int) -> list[str]:
-    """Return how far noisy runs end from the clean path."""
+    """Return the distance of noisy runs' ends from the clean path."""
     import numpy as np
 
     ends = runs[:, -1] - clean[-1]

@@ -72,7 +72,7 @@ def command(
 
 
 def _following(model: Path | None, words: Sequence[str], evaluated_on: Sequence[str], *, usable: bool) -> str:
-    """Return what to type when all is learned: see where the model fails, corrupt with it, or write one first."""
+    """Return the next command: evaluate the model, corrupt with it, or write one first."""
     if model is None:
         return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
     if not usable:

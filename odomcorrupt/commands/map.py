@@ -1,4 +1,4 @@
-"""odomcorrupt map: what the laser sees through clean and through noisy odometry."""
+"""odomcorrupt map: laser maps from clean and from noisy odometry."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ __all__ = ["command"]
 def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> None:
     """Draw the map a laser makes through a bag's odometry, and through the same odometry with noise on it.
 
-    Says how thick the walls are in both, as the robot goes on.
+    Reports the wall thickness of both, and its growth along the drive.
 
     \b
     odomcorrupt map drive.mcap -o map.png
@@ -112,7 +112,7 @@ def _draw(path: Path, surveys: Sequence[Survey], added: str) -> None:
 
 
 def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voice) -> None:
-    """Write the map by scan matching, the trajectory beside it, and the picture of the maps side by side."""
+    """Write the map made by scan matching with its trajectory, and the picture of the maps side by side."""
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.laser.mapping import largest_part, laser_maps, tum_text
     from odomcorrupt.rng import draw_seed
@@ -160,7 +160,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
 def _brief(
     surveys: Sequence[Survey], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
 ) -> Summary:
-    """Return how much thicker the walls became, how far hits are off them, and the noise."""
+    """Return the increase in wall thickness, the distance of hits from the walls, and the noise."""
     from odomcorrupt.mapping.wall_thickness import added_thickness
 
     clean, noisy = (100.0 * s.thickness_m[-1] for s in surveys[:2])

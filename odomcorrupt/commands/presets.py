@@ -1,4 +1,4 @@
-"""odomcorrupt presets: the ready-made numbers, and where they come from."""
+"""odomcorrupt presets: ready-made noise, with its source."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def command(name: str | None, *, voice: Voice) -> None:
 
 
 def _brief(presets: Sequence[Preset]) -> Summary:
-    """Return the names, fitted ones apart."""
+    """Return the names, fitted presets on a separate line."""
     from odomcorrupt.report.text.summary import Line, Summary, command_line
 
     fitted = [p.name for p in presets if p.source.startswith("fitted")]

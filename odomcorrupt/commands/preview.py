@@ -1,4 +1,4 @@
-"""odomcorrupt preview: what these numbers will do to this bag."""
+"""odomcorrupt preview: the drift that a model will cause in a bag."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ __all__ = ["command"]
 def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> int:
     """Draw many runs of a motion model over a bag's odometry and show how far they drift; no bag is written.
 
-    Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command which
-    shape its output alone are taken, too, and change nothing here.
+    Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command about
+    its output alone are accepted, too, and change nothing here.
     """
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.corruption.path import NoisyPath
@@ -53,7 +53,7 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     check_picture(output, overwrite=given["overwrite"])
     source, seed = source_of(input_), given["seed"]
     options = Options(given["odom_topic"], given["odom_frame"], given["base_frame"])
-    condition = choose_condition_of_run(given, source, options)
+    condition = choose_condition_of_run(given, source, options, model)
     with open_reader(source, recover=given["recover"]) as reader, Progress(quiet=voice.quiet) as progress:
         drive = read_clean_drive(reader, model, options, progress)
         losses = list(reader.losses)
@@ -81,7 +81,7 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
 
 
 def _options_of_the_output() -> list[click.Parameter]:
-    """Return what corruption takes and a forecast has no use for: a command line serves both."""
+    """Return the options of corruption that are accepted but not used, so that one command line serves both."""
     own = {word for option in command.params for word in option.opts}
     found = [copy.copy(o) for o in corrupt.command.params if isinstance(o, click.Option) and own.isdisjoint(o.opts)]
     for option in found:

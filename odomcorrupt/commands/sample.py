@@ -1,4 +1,4 @@
-"""odomcorrupt sample: where one motion may have ended, or where a robot may be along a whole drive."""
+"""odomcorrupt sample: end poses of one motion, or poses of a robot along a whole drive."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _RUNS = 300
-"""Drawn along a bag, where nothing is said."""
+"""Default number of runs along a bag."""
 
 
 def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
@@ -53,7 +53,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
         raise OdomCorruptError("-: the whole drive is read first, which a pipe cannot do; name a file")
     chosen = choose_model(given)
     drive = read_drive(bag, given["odom_topic"])
-    # about six clouds, at round distances
+    # about six particle sets, at round distances
     every = given["every"] or _round(float(drive.distance_m[-1]) / 6.0)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     runs = given["count"] or _RUNS
@@ -91,7 +91,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
 
 
 def _round(value: float) -> float:
-    """Return 1, 2 or 5 times a power of ten, the nearest from above."""
+    """Return the smallest of 1, 2 or 5 times a power of ten that is not below a value."""
     import math
 
     power = 10.0 ** math.floor(math.log10(max(value, 1e-6)))

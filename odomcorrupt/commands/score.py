@@ -1,4 +1,4 @@
-"""odomcorrupt score: what the drift of a batch does to somebody's localisation."""
+"""odomcorrupt score: errors of a localisation on the runs of a batch."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _BASELINE_BYTES = 1 << 28
 @unpack_option
 @standard_options
 def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
-    """Print errors of a localisation that was run on each bag of a batch, against the drift that was put in.
+    """Print errors of a localisation that was run on each bag of a batch, against the drift of its odometry.
 
     Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
     """
@@ -85,7 +85,7 @@ def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
 
 
 def _refuse(given: dict[str, Any]) -> None:
-    """Raise before any work where an output could not be written."""
+    """Raise before any work if an output cannot be written."""
     check_picture(given["output"], overwrite=given["overwrite"])
     if given["baseline"] is not None and not given["rules"]:
         raise click.UsageError('--baseline: is for a gate; say what must not rise, as in --fail-if "ate_p90 +20%"')

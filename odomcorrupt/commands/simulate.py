@@ -26,11 +26,11 @@ _ALONE = {
     "none": "stands alone; leave it out or leave out the others",
 }
 _LARGEST = 100.0
-"""Largest factor on the usual size of a fault with which a drive is possible."""
+"""Largest factor on the usual size of a fault at which the robot can still be driven."""
 
 
 def _faults(effects: Sequence[str]) -> tuple[list[str], dict[str, dict[str, float | str]]]:
-    """Return the names of the faults asked for (none: they are drawn), and their parameters as far as given."""
+    """Return the names of the requested faults (none: drawn at random), and their parameters as far as given."""
     for word, why in _ALONE.items():
         if word in effects and len(effects) > 1:
             raise click.UsageError(f"--effect {word}: {why}")
@@ -57,7 +57,7 @@ def _parse(text: str) -> tuple[str, dict[str, float | str]]:
 
 
 def _size(text: str) -> float:
-    """Return by how much a size in words or figures multiplies a drawn fault."""
+    """Return the factor on a drawn fault for a size in words or figures."""
     from odomcorrupt.simulation.fault_draws import SIZES
 
     try:
@@ -107,7 +107,7 @@ def command(
 ) -> None:
     """Drive a robot whose wheels, tyres, gear, sensors or clocks have a fault, and record odometry and truth.
 
-    What is wrong is written to a file of its own, and only that file's SHA-256 into the bag.
+    The faults are written to a separate file, of which the bag contains only the SHA-256.
     """
     from odomcorrupt.api.simulation import simulate
 

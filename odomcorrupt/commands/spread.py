@@ -1,4 +1,4 @@
-"""odomcorrupt spread: how far the runs of a batch spread."""
+"""odomcorrupt spread: dispersion of the runs of a batch."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _ERRORS = 2.0
-"""Standard errors beyond which a spread is not as predicted."""
+"""Standard errors beyond which a dispersion differs from the prediction."""
 
 
 @click.command("spread", short_help="Compare the spread of a batch's runs with the prediction.")
@@ -51,12 +51,12 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
 
 
 def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:
-    """Return whether the runs spread as predicted at the end, and how far they do on the way."""
+    """Return whether the dispersion at the end is as predicted, and its values along the drive."""
     from odomcorrupt.report.text.summary import Line, Summary, command_line
 
     last = report.rows[-1]
     ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
-    # standard error of the logarithm of a standard deviation from so many runs in two directions
+    # standard error of the logarithm of a standard deviation from this many runs in two directions
     chance = _ERRORS / math.sqrt(4.0 * max(report.runs - 1, 1))
     off = math.inf if not ratio else math.log(ratio)
     verdict = "AS PREDICTED" if abs(off) <= chance else "WIDER" if off > 0.0 else "NARROWER"

@@ -1,1 +1,1 @@
-"""Measured odometry with the systematic part of its errors taken out."""
+"""Correction of the systematic errors in measured odometry."""

@@ -1,4 +1,4 @@
-"""One bag corrected from end to end: read once for the whole drive, read again and written."""
+"""Correction of one bag in two passes: the first reads the whole drive, the second writes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = [
-    "SILENT",
+    "NOISE_FREE",
     "Corrected",
     "CorrectedPath",
     "Effects",
@@ -47,7 +47,7 @@ __all__ = [
 
 
 class MeasuredPath:
-    """Collects the measured odometry; a restart of time begins a new stretch."""
+    """Collects the measured odometry; a reset of time begins a new stretch."""
 
     def __init__(self) -> None:
         self._parts: list[list[PathSamples]] = [[]]
@@ -57,14 +57,14 @@ class MeasuredPath:
         self._parts.append([])
 
     def add(self, samples: PathSamples) -> None:
-        """Take the next part of the path."""
+        """Append the next part of the path."""
         if len(samples):
             self._parts[-1].append(samples)
 
     def corrected(self, model: MotionModel, start_xyt: Array | None = None) -> list[PathSamples | None]:
-        """Return each stretch corrected; None for one in which nothing was measured.
+        """Return each stretch corrected; None for one without measurements.
 
-        start_xyt : (3,) where the first pose lies in the frame whose places effects read; None: where it says
+        start_xyt : (3,) first pose in the frame of position-dependent effects; None: as the odometry states it
         """
         stretches: list[PathSamples | None] = []
         frame_xyt: Array | None = None
@@ -83,14 +83,14 @@ class MeasuredPath:
 
 
 class CorrectedPath:
-    """Source of corrected paths, fed with the measured poses that they were computed from."""
+    """Source of corrected paths, fed with the measured poses from which they were computed."""
 
     def __init__(self, stretches: Sequence[PathSamples | None]) -> None:
         self._stretches = stretches
         self._number = self._next = 0
 
     def restart(self) -> None:
-        """Go on to the next stretch."""
+        """Continue with the next stretch."""
         self._number += 1
         self._next = 0
 
@@ -100,7 +100,7 @@ class CorrectedPath:
         Raises
         ------
         BagError
-            Where these are not the poses of the first pass.
+            If these are not the poses of the first pass.
 
         """
         whole = self._stretches[self._number] if self._number < len(self._stretches) else None
@@ -108,7 +108,7 @@ class CorrectedPath:
         if whole is None or not np.array_equal(whole.stamps_ns[rows], stamps_ns):
             raise BagError("the odometry changed while it was being corrected; wait until the bag is complete")
         self._next = rows.stop
-        first = rows.start == 0  # what counts once per stretch
+        first = rows.start == 0  # once per stretch
         return PathSamples(
             stamps_ns, clean_xyt, whole.error_xyt[rows], whole.sums[:, rows], whole.origin_xy,
             whole.travelled_m[rows], whole.jumps if first else 0, whole.sideways_m if first else 0.0,
@@ -128,17 +128,17 @@ def corrected_samples(
     Parameters
     ----------
     stamps_ns : (n,)
-        Ascending header stamps as they are in the bag.
+        Header stamps as in the bag, ascending.
     measured_xyt : (n, 3)
         Measured poses, metres and radians, finite.
     first_ns
-        First stamp of the odometry, from which clocks count.
+        First stamp of the odometry, the origin of the clocks' time.
     frame_xyt : (3,)
-        Pose of the odom frame in the frame whose places effects read, None where it is the same.
+        Pose of the odom frame in the frame of position-dependent effects, None if it is the same.
 
     """
     clocks = [effect for effect in model.effects if effect.clock]
-    # rates of rounded stamps flicker: they are taken from the grid that a fit takes them from, too
+    # rates from rounded stamps fluctuate: they are computed on the same even grid as in a fit
     even_ns = evened(stamps_ns)
     t_ns = true_stamps(clocks, stamps_ns if even_ns is None else even_ns, first_ns)
     t_s = (t_ns - t_ns[0]) * np.float64(1e-9)
@@ -156,7 +156,7 @@ def corrected_samples(
 
 
 def _sums(noise: Noise, undone: Undone, corrected_xyt: Array, origin_xy: Array) -> Array:
-    """Return the running sums (SUMS, n) of the noise that the corrected path, which is not drawn, still has."""
+    """Return the running sums (SUMS, n) of the noise that remains in the corrected path."""
     driven = undone.driven
     v = noise_variances(noise, driven, undone.driven_s, StepGrowth()).variances
     bearing = np.zeros(len(driven))
@@ -170,20 +170,20 @@ def _sums(noise: Noise, undone: Undone, corrected_xyt: Array, origin_xy: Array) 
     return np.cumsum(np.concatenate((np.zeros((SUMS, 1)), terms), axis=1), axis=1)
 
 
-SILENT = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
-"""Model that moves nothing, to read the odometry with."""
+NOISE_FREE = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
+"""Model without noise and effects, to read the odometry unchanged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """Effects of a model that do something: those that correction takes out, and those it cannot."""
+    """Effects of a model off their identity: those that a correction removes, and those it cannot."""
 
     undone: tuple[Effect, ...]
     left: tuple[Effect, ...]
 
 
 def split_effects(model: MotionModel) -> Effects:
-    """Sort a model's effects: random ones cannot be undone, unless the odometry itself shows what was drawn."""
+    """Split a model's effects: random ones cannot be undone, unless the odometry itself shows the draws."""
     active = [effect for effect in model.effects if effect.acts]
     return Effects(
         tuple(effect for effect in active if effect.kind != "noise" or effect.restorable),
@@ -192,9 +192,9 @@ def split_effects(model: MotionModel) -> Effects:
 
 
 def require_start(model: MotionModel) -> None:
-    """Raise EffectError where a model acts at places and the start of the odometry in their frame is not given.
+    """Raise EffectError if a model has position-dependent effects and the start pose in their frame is not given.
 
-    Its effects of places and headings were learned in the frame of a truth; in another frame they make odometry worse.
+    Its effects of position and heading were learned in the frame of a truth; in another frame they increase errors.
     """
     names = ", ".join(effect.name for effect in model.placed)
     if names:
@@ -207,12 +207,12 @@ def require_start(model: MotionModel) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Corrected:
-    """What a correction did.
+    """Result of a correction.
 
-    model : the model that was corrected for
-    effects : those taken out, and those left
-    unplaced : effects of place whose frame was taken to be the odom frame because no start was given
-    run : what was moved; drawn values of its drift say how far, expected ones what the noise still does
+    model : model that was used
+    effects : effects removed, and effects left
+    unplaced : effects of place for which the odom frame was assumed because no start pose was given
+    run : messages modified; drawn values of its drift are the correction, expected ones the remaining noise
     """
 
     model: MotionModel
@@ -231,7 +231,7 @@ def correct_bag(
     start_xyt: Array | None = None,
     watch: Callable[[Block], None] = lambda _: None,
 ) -> Corrected:
-    """Correct a bag; a target of None is a pipe. The output appears when it is complete, or not at all.
+    """Correct a bag; a target of None is a pipe. The output is written completely or not at all.
 
     Parameters
     ----------
@@ -240,34 +240,34 @@ def correct_bag(
     target : Path or None
         Corrected bag; None is a pipe.
     model : MotionModel
-        Effects to take out, and the noise that remains.
+        Effects to remove, and the noise that remains.
     options : Options
-        What is moved.
+        Messages to modify.
     container : Container
-        How bags are read and written.
+        Reading and writing of bags.
     start_xyt : (3,), optional
-        Pose at which the odometry begins in the frame of effects of place, metres and radians; None: as it says.
+        Pose at which the odometry begins in the frame of effects of place, metres and radians; None: as it states.
     watch : callable
         Called with every block written.
 
     Returns
     -------
     Corrected
-        What was taken out and left, and what was moved.
+        Effects removed and left, and messages modified.
 
     Raises
     ------
     BagError
-        Where the input cannot be read or the output not be written.
+        If the input cannot be read or the output cannot be written.
     TopicError
-        Where no odometry is there to be corrected.
+        If the bag has no odometry to correct.
     EffectError
-        Where no true motion explains the odometry.
+        If no true motion explains the odometry.
 
     """
     effects = split_effects(model)
     if not (effects.undone or model.setup.pose_corrections):
-        silent = replace(SILENT, source=model.source)
+        silent = replace(NOISE_FREE, source=model.source)
         copied = corrupt_bag(source, target, silent, seed=0, run=0, options=options, container=container, watch=watch)
         return Corrected(model=model, effects=effects, unplaced=(), run=copied)
     path = CorrectedPath(_measured(source, model, options, container).corrected(model, start_xyt))
@@ -294,14 +294,14 @@ def correct_bag(
             transform.require_frame()
             writer.provenance("odomcorrupt_correct", provenance(model))
         outcome = outcome_of(transform, reader, model, seed=0, run=0)
-    # learned ones come with a start, or it was said that they need none
+    # learned models either have a start pose or were declared not to need one
     unplaced = tuple(e for e in still if start_xyt is None and e.reads_places and e not in model.placed)
     return Corrected(model=model, effects=effects, unplaced=unplaced, run=outcome)
 
 
 def _measured(source: Path, model: MotionModel, options: Options, container: Container) -> MeasuredPath:
-    """Read the odometry, in the order in which it will be read again."""
-    transform, measured = Transform(replace(SILENT, source=model.source), 0, 0, options), MeasuredPath()
+    """Read the odometry, in the order of the second pass."""
+    transform, measured = Transform(replace(NOISE_FREE, source=model.source), 0, 0, options), MeasuredPath()
     transform.watchers.append(measured)
     with open_reader(source, recover=container.recover) as reader:
         for _ in transform.blocks(reader, reader.name):

@@ -1,4 +1,4 @@
-"""What a correction did: in a few lines, and in one paragraph."""
+"""Summary of a correction: in a few lines, and in one paragraph."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _WHY_NOT = {
     "heavy_tails": "its random draws were not recorded",
 }
 _NEAR_M = 0.2
-"""Position error that is negligible against a patch of the floor."""
+"""Position error that is negligible relative to a patch of the floor, metres."""
 _PLAIN_OFFSET_S = 1e-3
-"""A learned offset of clocks below this is no matter of odometry: what moves at 1 m/s is off by a millimetre."""
+"""Learned clock offset below which a correction is not suggested, seconds: a millimetre at 1 m/s."""
 _RANDOM = "its random course was not recorded"
 
 
 def brief(corrected: Corrected, target: str) -> Summary:
-    """Return what was taken out, by how much that moves the end pose, what remains, and what is odd.
+    """Return the effects removed, the change of the end pose, the remaining error, and warnings.
 
     Parameters
     ----------
-    corrected : what the correction did
+    corrected : result of the correction
     target : the output; "-" is a pipe
     """
     drift, taken = corrected.run.drift, _taken_out(corrected)
@@ -67,7 +67,7 @@ def brief(corrected: Corrected, target: str) -> Summary:
 
 
 def correction_summary(corrected: Corrected) -> str:
-    """Return one paragraph: what was taken out, how far that moved the odometry, what cannot be undone and remains."""
+    """Return one paragraph: effects removed, change of the odometry, effects that cannot be undone, remaining error."""
     run, taken = corrected.run, _taken_out(corrected)
     if taken:
         parts = [
@@ -109,9 +109,9 @@ def _taken_out(corrected: Corrected) -> str:
 
 
 def _clock_left(corrected: Corrected) -> list[str]:
-    """Return how to take out the time offset of the fitted recordings, where it is plain and was not asked for.
+    """Return how to remove the time offset of the fitted recordings, if it is significant and was not requested.
 
-    It belongs to a recording's clocks and may be the truth's; where the odometry is always late by as much, it is not.
+    It belongs to a recording's clocks and may be the truth's; it is corrected only if the odometry is always as late.
     """
     if any(effect.clock for effect in corrected.effects.undone):
         return []
@@ -143,7 +143,7 @@ def _remains(corrected: Corrected) -> list[str]:
 
 
 def _misplaced(corrected: Corrected) -> list[str]:
-    """Return a warning where the position error is too large for effects that depend on the position."""
+    """Return a warning if the position error is too large for effects that depend on the position."""
     names = ", ".join(effect.name for effect in corrected.effects.undone if effect.reads_places)
     off_m = corrected.run.drift.end_expected_m
     if not names or corrected.model.noise.coefficients.silent or not off_m > _NEAR_M:

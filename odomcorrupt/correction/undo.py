@@ -1,4 +1,4 @@
-"""The systematic part of an odometry's errors taken out of its path: u = u' + f(u'), over the whole drive at once."""
+"""Removal of systematic errors from an odometry path: u = u' + f(u'), over the whole drive at once."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 __all__ = ["ClockInverse", "Undone", "true_stamps", "undo_effects"]
 
 ROUNDS = 60
-"""A clock is at most a tenth too fast, so each round gains a digit."""
+"""Iterations of the clock inversion: a clock is at most a tenth too fast, so each one gains a digit."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockInverse(Effect):
-    """The opposite of clock effects: it shifts a stamp back by as much as they shifted it."""
+    """Inverse of clock effects: it shifts each stamp back by as much as they shifted it."""
 
     name: ClassVar[str] = "clock_inverse"
     kind: ClassVar[Kind] = "setup"
@@ -44,11 +44,11 @@ class ClockInverse(Effect):
         return any(clock.acts for clock in self.clocks)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: it moves stamps only."""
+        """Return f = 0: the effect moves stamps only."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
     def stamp_shift_s(self, t_s: Array) -> Array:
-        """Return by how much (n,) seconds to shift stamps that read t_s (n,) after the first one."""
+        """Return the shift (n,), seconds, for stamps that read t_s (n,) after the first one."""
         true_s = t_s.copy()
         for _ in range(ROUNDS):
             true_s = t_s - (self._shift_s(true_s) - self._shift_s(np.zeros(1)))
@@ -62,7 +62,7 @@ class ClockInverse(Effect):
 
 
 def true_stamps(clocks: Sequence[Effect], stamps_ns: NDArray[np.int64], first_ns: int) -> NDArray[np.int64]:
-    """Return stamps (n,) as they were before the clocks were wrong; first_ns is the first that the clocks wrote."""
+    """Return the stamps (n,) of a correct clock; first_ns is the first stamp written by the wrong one."""
     right = ClockInverse(tuple(clocks))
     if not right.acts:
         return stamps_ns
@@ -71,19 +71,19 @@ def true_stamps(clocks: Sequence[Effect], stamps_ns: NDArray[np.int64], first_ns
 
 
 PLACE_TOLERANCE = 1e-10
-"""Places that effects read are found when none moves by more between two rounds, metres or radians."""
+"""Convergence limit of the positions that effects depend on: largest change per iteration, metres or radians."""
 
 MAX_ROUNDS = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Undone:
-    """n poses before and after.
+    """Result of the removal for n poses.
 
     error_xyt : (n, 3) corrected minus measured, in odom axes, metres and radians
-    driven : the n - 1 corrected increments; nothing where the pose jumped
-    driven_s : (n - 1,) their lengths in time, seconds
-    jump : (n - 1,) whether the measured pose was set there, and not driven
+    driven : n - 1 corrected increments; zero across a jump of the pose
+    driven_s : (n - 1,) durations of the increments, seconds
+    jump : (n - 1,) whether the measured pose was reset there, instead of driven
     """
 
     error_xyt: Array
@@ -100,10 +100,10 @@ def undo_effects(
     *,
     frame_xyt: Array | None = None,
 ) -> Undone:
-    """Return the path of n poses with the effects taken out; the first pose stays.
+    """Return the path of n poses with the effects removed; the first pose is unchanged.
 
-    Nothing is driven across a jump of the pose, so the correction is held there. What is carried is the error and not
-    the path itself: where no effect acts, it is zero to the last bit.
+    Nothing is driven across a jump of the pose, so the correction is constant there. The error is propagated instead of
+    the path itself: without an acting effect, it is zero to the last bit.
 
     Parameters
     ----------
@@ -113,14 +113,14 @@ def undo_effects(
     measured_xyt : (n, 3)
         Measured poses in the odom frame, metres and radians.
     track_m
-        Nominal distance between the wheels, where it is known.
+        Nominal distance between the wheels, if known.
     frame_xyt : (3,)
-        Pose of the odom frame in the frame whose places effects read; None where that is the odom frame itself.
+        Pose of the odom frame in the frame of position-dependent effects; None if that is the odom frame itself.
 
     Raises
     ------
     EffectError
-        Where no true motion explains the odometry.
+        If no true motion explains the odometry.
 
     """
     frame_xyt = np.zeros(3) if frame_xyt is None else frame_xyt
@@ -135,7 +135,7 @@ def undo_effects(
     motion = replace(motion_of(t_s - t_s[0], smooth, track_m=track_m), dt_s=driven_s)
     before = np.stack((motion.v, motion.vy, motion.omega), axis=1) * driven_s[:, None]
 
-    # a path without jumps finds the places by itself; across jumps they are found from round to round
+    # without jumps the path determines the positions directly; across jumps they are found by iteration
     place = (
         compose(frame_xyt, measured_xyt[:-1]) if jump.any() and any(effect.reads_truth for effect in effects) else None
     )
@@ -151,7 +151,7 @@ def undo_effects(
 
 
 def _error(raw: Array, added: Array, world: Array, measured_xyt: Array) -> Array:
-    """Return corrected minus measured poses (n, 3): the heading's error swings all that is driven or jumped after."""
+    """Return corrected minus measured poses (n, 3): the heading error rotates all later increments and jumps."""
     heading = np.concatenate(([0.0], np.cumsum(added[:, 2])))
     swing = heading[:-1] + added[:, 2] / 2.0
     middle = measured_xyt[:-1, 2] + raw[:, 2] / 2.0

@@ -1,6 +1,6 @@
-"""The library of effects: one file each; a new file is found without touching any other.
+"""Registry of effects: one module per effect, discovered automatically.
 
-Other packages add effects by the entry point group `odomcorrupt.effects`, one class each.
+Other packages add effects through the entry point group `odomcorrupt.effects`, one class per entry point.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 __all__ = ["GROUP", "Effect", "effect_at", "effect_from_values", "effect_named", "effect_of", "registry"]
 
 GROUP = "odomcorrupt.effects"
-"""Entry points of this group name effect classes of other packages."""
+"""Entry point group in which other packages register effect classes."""
 
 
 @cache
 def registry() -> Mapping[str, type[Effect]]:
-    """Return every effect class by name, in the order of their names."""
+    """Return all effect classes by name, sorted by name."""
     # slow to import, and corruption by noise alone needs no effect
     from importlib.metadata import entry_points  # noqa: PLC0415
 
@@ -53,7 +53,7 @@ def registry() -> Mapping[str, type[Effect]]:
 
 
 def effect_named(name: str) -> type[Effect]:
-    """Return an effect's class; EffectError names the nearest one there is."""
+    """Return the effect class of a name; the EffectError for an unknown name suggests the closest match."""
     known = registry()
     if name not in known:
         raise EffectError(f"no effect is called {name!r}{_nearest(name, known)}; there are {', '.join(known)}")
@@ -61,35 +61,35 @@ def effect_named(name: str) -> type[Effect]:
 
 
 def effect_from_values(name: str, values: Mapping[str, float | str]) -> Effect:
-    """Return an effect by name with parameter values.
+    """Return the effect of a name, with the given parameter values.
 
     Raises
     ------
     EffectError
-        For an unknown effect or parameter (with the nearest name there is) or a value out of bounds.
+        If the effect or a parameter is unknown (with the closest match), or a value is out of bounds.
 
     """
     return effect_of(effect_named(name), values)
 
 
 def effect_at(path: str) -> type[Effect]:
-    """Return the effect class at "module.Class", imported from Python's path or from the present folder.
+    """Return the effect class at "module.Class", imported from Python's path or the working directory.
 
-    Only what a person types may name code: a model file never does.
+    Only user input may name code to import; a model file may not.
 
     Raises
     ------
     EffectError
-        Where there is none.
+        If there is no such effect class.
 
     """
     module_name, _, class_name = path.rpartition(".")
     here = str(Path.cwd())
     if here not in sys.path:
-        sys.path.append(here)  # and there it stays: workers of a batch get the path and load the class again
+        sys.path.append(here)  # kept in sys.path: workers of a batch get this path and import the class again
     try:
         kind = getattr(importlib.import_module(module_name), class_name, None)
-    except Exception as error:  # somebody else's code may fail in any way
+    except Exception as error:  # another package's code may raise anything
         raise EffectError(
             f"effect {path}: {module_name} cannot be imported ({type(error).__name__}: {error}); it must be a module "
             "of this folder or of an installed package"
@@ -102,7 +102,7 @@ def effect_at(path: str) -> type[Effect]:
 
 
 def effect_of(kind: type[Effect], values: Mapping[str, float | str]) -> Effect:
-    """Return an effect of a class with parameter values; EffectError as in `effect_from_values`."""
+    """Return an effect of the given class with parameter values; raises EffectError as `effect_from_values` does."""
     name = kind.name
     names = [*(p.name for p in parameters(kind)), *choices(kind)]
     for key in values:

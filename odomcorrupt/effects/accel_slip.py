@@ -1,4 +1,4 @@
-"""Wheels slip in proportion to the force they have to bring to the ground."""
+"""Wheel slip in proportion to the traction force."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class AccelSlip(Effect):
-    """f = (-k abs(v) a, 0, 0): a slip ratio in proportion to the acceleration of the body; or of each rim, of its own.
+    """f = (-k abs(v) a, 0, 0): slip ratio proportional to acceleration, of the body or of each wheel.
 
-    Where both wheels slip by the same ratio, the faster one loses more, and the robot turns less than it reports: that
-    is the axle's contact. How much of a turn's acceleration a wheel feels besides is a matter of the robot's inertia.
+    With contact = axle both wheels slip by the same ratio: the faster one loses more, and the robot turns less than
+    it reports. The acceleration that each wheel feels in a turn depends on the robot's inertia (contact = wheels).
 
-    It is a total derivative, -k/2 d(v abs(v)), and cancels from stop to stop; that is why v is the speed that a is the
-    rate of, the body's own. Whatever its strength, it can be put in and taken out.
+    f is a total derivative, -k/2 d(v abs(v)), and cancels from stop to stop. Therefore v is the speed whose rate is a,
+    that of the body. The effect can be applied and inverted at any strength.
     """
 
     name = "accel_slip"
@@ -57,12 +57,12 @@ class AccelSlip(Effect):
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return the slip of the body; and of single wheels, on every track that is tried, where none is known."""
+        """Return candidates for the body and for single wheels, the latter on each trial track if it is unknown."""
         wheels = on_every_track((cls(contact="axle"), cls(contact="wheels")), motions)
         return (cls(), *(effect for effect in wheels if effect.track))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: behind while speeding up, ahead while braking."""
+        """Return f: the robot lags its odometry while speeding up and leads it while braking."""
         if self.contact == "body":
             return TwistError(stacked(self._gained(motion, motion.a), 0.0, 0.0, motion.v), state)
         track_m = needed_track_m(self.name, self.track or motion.track_m)
@@ -71,5 +71,5 @@ class AccelSlip(Effect):
         return TwistError(body_of(rims, track_m, self.heading), state)
 
     def _gained(self, motion: Motion, faster: Array) -> Array:
-        """Return the speed (n,) that something moving so gains, below zero while speeding up."""
+        """Return the true minus reported speed (n,) of the body or a wheel, negative while speeding up."""
         return -self.k * np.abs(motion.steady_v) * faster

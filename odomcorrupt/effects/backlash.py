@@ -1,4 +1,4 @@
-"""Gears have play: after each reversal the motor turns a little before the wheel does."""
+"""Gear backlash: after each reversal the motor turns a little before the wheel does."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 SWAY_M = 1e-4
-"""A wheel that goes back by less than this has not reversed: a parked robot sways, and its gears stay as they are."""
+"""Smallest backward travel of a wheel that counts as a reversal, metres: parked robots sway and cross no play."""
 
 
 class _Gear(NamedTuple):
-    """Where a motor stands in its play, metres from the middle of it; side 0 before the wheel has first turned."""
+    """State of a gear: motor position in the play, metres from its middle; side is 0 before the first wheel motion."""
 
     place: float
     side: float
 
 
 AT_REST = _Gear(0.0, 0.0)
-"""A gear that has not turned yet."""
+"""State before the first wheel motion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Backlash(Effect):
-    """f of a wheel = -u while its motor crosses the play: `travel` is lost at each reversal.
+    """f_wheel = -u while the motor crosses the play: `travel` is lost at each reversal of a wheel.
 
-    The encoder sits on the motor. Play is the operator of that name on the motor's travel, with a little elastic sway
-    before it opens. The wheels are in touch when they first move. In corruption the play is crossed at once, because
-    the clean robot does not wait for it.
+    The encoder is on the motor. The play operator acts on the motor's travel, after a small elastic sway. The gears are
+    in contact at the first motion. In corruption the play is crossed instantly, because the clean robot does not wait
+    for it.
     """
 
     name = "backlash"
@@ -69,20 +69,20 @@ class Backlash(Effect):
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return the play of gears; on every track that is tried where the robot's is not known."""
+        """Return the effect, on each trial track if the robot's track is unknown."""
         return on_every_track((cls(),), motions)
 
     @property
     def lost_m(self) -> float:
-        """With a gyro, odometry has only the mean of both motors, which does not show whose play was crossed."""
+        """Bound on the uncorrectable error, metres: with a gyro, odometry has only the mean of both motors' travel."""
         return 0.0 if self.heading == "wheels" else abs(self.travel)
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return gears that have not turned yet."""
+        """Return the state before the first motion of both wheels."""
         return AT_REST, AT_REST
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: minus what the motors do inside their play. Below zero, for slopes, the opposite of it."""
+        """Return f: minus the motor speed within the play; for negative `travel` (numerical slopes), its opposite."""
         track = needed_track_m(self.name, self.track or motion.track_m)
         width, sign = abs(self.travel), np.sign(self.travel)
         rate = np.divide(1.0, motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0)
@@ -94,7 +94,7 @@ class Backlash(Effect):
         return TwistError(body_of(Rims(*lost), track, self.heading), tuple(gears))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
-        """Return the motors' travel: that of the wheels, and the whole play where a wheel reverses."""
+        """Return the motors' increments: those of the wheels, plus the whole play when a wheel reverses."""
         track = needed_track_m(self.name, self.track or track_m)
         extra, gears = [], []
         for travel, gear in zip(rims_of(steps[:, 0], steps[:, 2], track), state, strict=True):
@@ -105,15 +105,15 @@ class Backlash(Effect):
 
 
 def crossed(travel: Array, gear: _Gear, width: float) -> tuple[Array, _Gear]:
-    """Return how much of a motor's travel (n,) is spent inside the play, and where it then stands.
+    """Return the part (n,) of a motor's travel that is spent inside the play, and the gear's state after it.
 
-    Its place is bounded by half the play and the sway on both sides; what it does in the middle part moves nothing.
+    The position is clipped to half the play plus the sway on both sides; within the play the wheel does not move.
     """
     half = 0.5 * width
     before, first, side = _first_touch(travel, gear)
     if not side:
         return np.zeros(len(travel)), _Gear(before, 0.0)
-    # the first move finds the gear in touch: nothing is lost
+    # the gears are in contact at the first motion: nothing is lost
     start = gear.place if gear.side else side * (half + SWAY_M)
     places = _bounded(start, travel[first:], half + SWAY_M)
     inside = np.zeros(len(travel))
@@ -122,13 +122,13 @@ def crossed(travel: Array, gear: _Gear, width: float) -> tuple[Array, _Gear]:
 
 
 def _sides(travel: Array, gear: _Gear) -> tuple[Array, _Gear]:
-    """Return on which side of their play (n + 1,) a wheel's gears touch, 1 or -1, first before the first increment."""
+    """Return the side of the play (n + 1,) touched by a wheel's gears, 1 or -1; first before the first increment."""
     before, first, side = _first_touch(travel, gear)
     if not side:
         return np.zeros(len(travel) + 1), _Gear(before, 0.0)
     start = gear.place if gear.side else side * SWAY_M
     places = _bounded(start, travel[first:], SWAY_M)
-    # at the very middle the gears stay as they were
+    # exactly in the middle, the gears keep their side
     known = np.flatnonzero(np.concatenate(([True], places[1:] != 0.0)))
     signs = np.concatenate(([side], np.sign(places[1:])))
     touched = signs[known[np.searchsorted(known, np.arange(len(places)), side="right") - 1]]
@@ -136,7 +136,7 @@ def _sides(travel: Array, gear: _Gear) -> tuple[Array, _Gear]:
 
 
 def _first_touch(travel: Array, gear: _Gear) -> tuple[float, int, float]:
-    """Return the place so far, from which increment on the gears touch, and on which side (0: not yet)."""
+    """Return the position so far, the index of the first increment in contact, and its side (0: no contact yet)."""
     if gear.side:
         return gear.place, 0, gear.side
     places = np.cumsum(np.concatenate(([gear.place], travel)))
@@ -148,7 +148,7 @@ def _first_touch(travel: Array, gear: _Gear) -> tuple[float, int, float]:
 
 
 def _bounded(start: float, travel: Array, top: float) -> Array:
-    """Return the places (n + 1,) of something that is carried along but held within +- top, one after the other."""
+    """Return positions (n + 1,) that follow the travel, clipped to +- top after every step."""
     place, places, steps = start, [start], travel.tolist()
     turns = {sign: np.flatnonzero(sign * travel < 0.0).tolist() for sign in (1, -1)}
     i = 0
@@ -158,7 +158,7 @@ def _bounded(start: float, travel: Array, top: float) -> Array:
         if -top <= place <= top:
             places.append(place)
             continue
-        # it stays at the bound until the travel turns
+        # at the bound until the travel reverses
         place, back = (top, turns[1]) if place > top else (-top, turns[-1])
         after = bisect_left(back, i)
         until = back[after] if after < len(back) else len(steps)

@@ -1,4 +1,4 @@
-"""Motors slow down as the battery empties, and odometry that is computed from commands does not see it."""
+"""Motors that slow down as the battery empties, under odometry computed from commands."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from odomcorrupt.effects.wheels import heading_choice, turning
 
 @dataclass(frozen=True, slots=True)
 class BatterySag(Effect):
-    """f = rate t (v, vy, omega), rate < 0, t since the first odometry stamp: a motor's speed goes with its voltage."""
+    """f = rate t (v, vy, omega), rate < 0, t since the first odometry stamp: motor speed is proportional to voltage."""
 
     name = "battery_sag"
     summary = "commanded speeds are reached less and less, as the battery's voltage falls"
@@ -30,7 +30,7 @@ class BatterySag(Effect):
     heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: a scale error that grows."""
+        """Return f: a scale error that grows with time."""
         scale = self.rate * motion.t_s
         yaw = turning(self.heading, scale * motion.omega)
         return TwistError(stacked(scale * motion.v, scale * motion.vy, yaw, motion.v), state)

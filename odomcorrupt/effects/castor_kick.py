@@ -1,4 +1,4 @@
-"""Castors swing round after each reversal, and turn the robot as they do."""
+"""Castors that turn the robot as they swing round after each reversal."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-_WAYS_M = (0.05, 0.1, 0.2)
-"""A castor trails by 10 to 50 mm and has swung round after two to four times that."""
+_SWING_TRAVELS_M = (0.05, 0.1, 0.2)
+"""Trial travels of the swing, metres: castors trail by 10 to 50 mm and swing round within two to four times that."""
 
 
 @dataclass(frozen=True, slots=True)
 class CastorKick(Effect):
     """f = (0, 0, angle v / way) while the castors swing round, 0 once they trail.
 
-    Where they stand is the play operator on the robot's travel: after a reversal they are round within `way`. What a
-    reversal does the next one undoes, so that forth and back leaves no turn.
+    The castors' state is the play operator on the robot's travel: after a reversal they swing round within `way`.
+    The next reversal undoes the turn, so driving forth and back leaves none.
     """
 
     name = "castor_kick"
@@ -47,16 +47,16 @@ class CastorKick(Effect):
     )  # fmt: skip
 
     @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - castors are of a size on any drive
-        """Return castors that swing round at once, and later."""
-        return tuple(replace(cls(), way=way) for way in _WAYS_M)
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - castor sizes do not depend on the drive
+        """Return a candidate for each trial travel of the swing."""
+        return tuple(replace(cls(), way=way) for way in _SWING_TRAVELS_M)
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return castors that trail."""
+        """Return the state of trailing castors."""
         return AT_REST
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: a turn in proportion to the travel on which castors swing."""
+        """Return f: a turn in proportion to the travel during which the castors swing."""
         swing, after = crossed(motion.v * motion.dt_s, state, self.way)
         rate = np.divide(self.angle / self.way, motion.dt_s, out=np.zeros_like(swing), where=motion.dt_s > 0.0)
         return TwistError(stacked(0.0, 0.0, rate * swing, motion.v), after)

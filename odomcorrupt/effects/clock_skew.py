@@ -1,4 +1,4 @@
-"""The odometry's clock runs fast or slow."""
+"""Odometry clock that runs fast or slow."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ClockSkew(Effect):
-    """f = rate (t (a, ay, alpha) + (v, vy, omega)); on a bag: every odometry stamp moves by rate * t.
+    """f = rate (t (a, ay, alpha) + (v, vy, omega)); in a bag, every odometry stamp moves by rate * t.
 
-    Only the regression sees f; the shift itself is exact.
+    f is a first-order equivalent for the regression only; the stamp shift is exact.
     """
 
     name = "clock_skew"
@@ -34,10 +34,10 @@ class ClockSkew(Effect):
     rate: float = parameter("", "odometry clock rate over true rate, minus one", low=-0.1, high=0.1, typical=1e-4)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f to first order: a time offset that grows, and speeds measured with a wrong second."""
+        """Return f to first order: a time offset that grows, and speeds measured with a wrong unit of time."""
         twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
         return TwistError(self.rate * (motion.t_s[:, None] * motion.acceleration + twist), state)
 
     def stamp_shift_s(self, t_s: Array) -> Array:
-        """Return the growing shift."""
+        """Return the stamp shift (n,), seconds, proportional to time."""
         return self.rate * t_s

@@ -1,4 +1,4 @@
-"""Encoder counts are lost above a speed: what counts them is too slow."""
+"""Encoder counts lost above a rim speed, because the counter is too slow."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _SPEEDS = (0.4, 0.6, 0.75, 0.88)
-"""Parts of a drive's highest rim speed from which on counts are tried to be lost."""
+"""Trial values of the speed limit, as fractions of a drive's highest rim speed."""
 
 
 @dataclass(frozen=True, slots=True)
 class CountsLost(Effect):
     """f of a wheel = part (abs(u) - speed) sign(u) where the reported rim speed u is above `speed`.
 
-    Of what a wheel turns beyond that speed, 1 / (1 + part) is counted. Where no track is known, the robot as a whole.
+    Beyond that speed, 1 / (1 + part) of a wheel's rotation is counted. Without a track, f applies to the body.
     """
 
     name = "counts_lost"
@@ -58,7 +58,7 @@ class CountsLost(Effect):
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return limits among the higher speeds that are driven."""
+        """Return a candidate for each trial speed limit."""
         moving = driven_speeds(motions)
         if not len(moving):
             return ()
@@ -67,10 +67,10 @@ class CountsLost(Effect):
         return on_every_track(limits, motions)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: what was not counted."""
+        """Return f: the speed that was not counted."""
         return TwistError(error_of_each_wheel(self._missed, motion, self.track or motion.track_m), state)
 
     def _missed(self, u: Array) -> Array:
-        """Return the speed (n,) that is not counted at reported speeds."""
+        """Return the uncounted speed (n,) at reported speeds."""
         missed: Array = self.part * np.sign(u) * np.maximum(np.abs(u) - self.speed, 0.0)
         return missed

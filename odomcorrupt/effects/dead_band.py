@@ -1,4 +1,4 @@
-"""Motors do not follow slow commands: a dead band of the velocities that odometry is computed from."""
+"""Motor dead band: slow commands are not followed, under odometry computed from commanded velocities."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _SPEEDS = (0.1, 0.25, 0.5)
-"""Parts of a drive's usual speed at which the band is tried to end."""
+"""Trial values of the band's upper end, as fractions of a drive's usual speed."""
 _RISE = 1.25
-"""Where what is beyond the band is reached in full, it is from so many times the band's end on."""
+"""With beyond = full: ratio of the speed from which commands are followed fully to the band's upper end."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeadBand(Effect):
-    """f of a wheel = -loss u up to `speed`; beyond it -loss speed sign(u), or (beyond = full) soon nothing any more.
+    """f_wheel = -loss u up to `speed`; beyond it -loss speed sign(u), or (beyond = full) soon zero.
 
-    u is the rim speed that is commanded and reported. With loss = 1 the wheel stands still within the band, as a motor
-    does below the duty cycle that overcomes its friction. Where no track is known, the robot as a whole has the band.
+    u is the commanded and reported rim speed. With loss = 1 the wheel stands still within the band, as a motor below
+    the duty cycle that overcomes its friction. Without a track, the band applies to the body's speed.
     """
 
     name = "dead_band"
@@ -68,7 +68,7 @@ class DeadBand(Effect):
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return bands that end at some of the speeds that are driven."""
+        """Return a candidate for each trial end of the band."""
         moving = driven_speeds(motions)
         if not len(moving):
             return ()
@@ -77,11 +77,11 @@ class DeadBand(Effect):
         return on_every_track(bands, motions)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: minus what is lost at the commanded speed."""
+        """Return f: minus the speed lost at the commanded speed."""
         return TwistError(error_of_each_wheel(lambda u: -self._lost(u), motion, self.track or motion.track_m), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:
-        """Return the travel that has to be commanded for these increments."""
+        """Return the increments that must be commanded to obtain these."""
         last_s = float(t_s[-1]) if len(t_s) else state
         dt = np.diff(t_s, prepend=0.0 if state is None else state)
         if self.loss == 0.0 or not len(steps):
@@ -97,7 +97,7 @@ class DeadBand(Effect):
         return Recorded(steps + body_of(more_of_each, track_m), last_s)
 
     def _lost(self, u: Array) -> Array:
-        """Return the speed (n,) that is lost at commanded speeds."""
+        """Return the lost speed (n,) at commanded speeds."""
         fast = np.abs(u)
         lost = np.minimum(fast, self.speed)
         if self.beyond == "full":
@@ -105,7 +105,7 @@ class DeadBand(Effect):
         return self.loss * np.sign(u) * lost
 
     def _commanded(self, u: Array) -> Array:
-        """Return the commanded speeds (n,) at which wheels turn at these: between the corners both go in proportion."""
+        """Return the commanded speeds (n,) for these wheel speeds, linear between the corners."""
         at = np.array([0.0, self.speed, _RISE * self.speed, 1e3])
         reached = at - self._lost(at)
         reached = np.maximum.accumulate(reached + 1e-15 * np.arange(len(at)))

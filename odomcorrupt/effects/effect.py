@@ -1,9 +1,9 @@
-"""Effects: physical causes of odometry errors.
+"""Base class, parameters and results of effects: physical causes of odometry errors.
 
 An effect is a frozen dataclass whose float fields are its parameters. It gives f, the true body twist minus the
 odometry's, as a function of the *odometry-side* motion. The f of several effects add. Corruption solves u' = u - f(u'),
-correction adds f, the fit uses -f as a regressor, and the diagnosis tests every registered effect at its identity, so
-that an effect is described in its own file alone.
+correction adds f, the fit uses -f as a regressor, and the diagnosis tests every registered effect at its identity.
+An effect is therefore described completely by its own file.
 """
 
 from __future__ import annotations
@@ -45,48 +45,48 @@ __all__ = [
 ]
 
 Kind = Literal["effect", "setup", "noise", "event"]
-"""An event happens once, at a time that its model states: it is put into bags, and no diagnosis tests it."""
+"""Kinds of effects. An event happens once, at a time stated in the model; it is applied to bags, but not diagnosed."""
 
 Layer = Literal["motion", "record", "draws"]
 State = Any
 
 
 class TwistError(NamedTuple):
-    """f as (n, 3): forward m/s, leftward m/s, yaw rad/s; and the state to go on with."""
+    """f as (n, 3): forward m/s, leftward m/s, yaw rad/s; and the state after the last interval."""
 
     f: Array
     state: State
 
 
 class Recorded(NamedTuple):
-    """Increments (n, 3) as reported, metres along, metres left, radians; and the state to go on with."""
+    """Reported increments (n, 3): metres forward, metres left, radians; and the state after the last one."""
 
     steps: Array
     state: State
 
 
 class Drawn(NamedTuple):
-    """Numbers (n, 4) in place of the noise law's standard normals, and the state to go on with."""
+    """Draws (n, 4) in place of the noise law's standard normals, and the state after the last one."""
 
     normals: Array
     state: State
 
 
 class Moments(NamedTuple):
-    """Expectation and variance (n, 3) of f over the intervals of a true motion, from the start on; NaN: not stated."""
+    """Expectation and variance (n, 3) of f over the intervals of a true motion, from its start; NaN: not stated."""
 
     mean: Array
     variance: Array
 
 
 class Gain(NamedTuple):
-    """A random coefficient (autoregressive, first order), and the odometry error per unit of it.
+    """Random coefficient (first-order autoregressive), and the odometry error per unit of it.
 
-    From interval to interval it is multiplied by `keep`, and noise of variance `kick` is added.
+    At each interval it is multiplied by `keep`, and noise of variance `kick` is added.
 
     f : (n, 3) forward m/s, leftward m/s, yaw rad/s; its sign does not matter
     keep, kick : (n,)
-    start : its variance before the first interval
+    start : variance of the coefficient before the first interval
     """
 
     f: Array
@@ -100,9 +100,9 @@ class About(NamedTuple):
 
     equation : f, truth minus odometry, in plain text
     typical : sizes seen on real robots, in words
-    source : where it is described
+    source : publication or measurement that describes it
     confused_with : names of effects with similar errors, the most similar first
-    drive : the manoeuvre that excites it and separates it from those
+    drive : manoeuvre that excites it and separates it from the effects in `confused_with`
     """
 
     equation: str
@@ -115,22 +115,22 @@ class About(NamedTuple):
 class Effect:
     """Base class of effects with defaults; `odomcorrupt.testing.check_effect` tests the contract.
 
-    A subclass is a frozen dataclass that sets the class variables and answers `twist_error`. The body of an effect
-    without memory is that one method.
+    A subclass is a frozen dataclass that sets the class variables and implements `twist_error`. A memoryless effect
+    needs no other method.
 
-    clock : it acts on a bag by moving stamps; its f is the first-order equivalent for a regression
-    layer : "motion" for a function f of the odometry's motion; "record" for what happens between the wheels and the
-        message (play, ticks, losses), which acts on the increments after all f; "draws" for the noise law's draws
-    needs_track : it acts on single wheels and needs the track
-    needs_sideways : only a robot that can drive sideways can have it
-    needs_gyro : only an odometry whose heading is a gyro's can have it
-    drives : the drive types that can have it; None: all
-    restorable : the odometry itself shows what it did, so that it can be undone although it is random
-    reads_truth : f depends on acceleration, pose or distance, which a correction estimates on the way
+    clock : the effect moves the stamps of a bag; its f is the first-order equivalent for a regression
+    layer : "motion" for a function f of the odometry's motion; "record" for effects between wheels and message (play,
+        ticks, losses), which act on the increments after all f; "draws" for the draws of the noise law
+    needs_track : the effect acts on single wheels and needs the track
+    needs_sideways : only a robot that can drive sideways can have the effect
+    needs_gyro : only odometry with heading from a gyro can have the effect
+    drives : drive types that can have the effect; None: all
+    restorable : the odometry itself shows the effect, so that it can be undone although it is random
+    reads_truth : f depends on true acceleration, pose or distance, which a correction has to estimate
     reads_places : f depends on position or heading in the world frame, which may differ from the odometry's
-    odd : near their identity f changes sign with its amplitudes, to the bit: one evaluation gives its slope there
-    twin_of : name of the effect with the same f: an alias, which no recording can separate from it
-    unsteered : name of the effect of a robot with two driven wheels that a steered robot's is at small angles
+    odd : near the identity f is exactly odd in the amplitudes, so that one evaluation gives its slope there
+    twin_of : name of an effect with the same f (an alias: no recording can separate the two)
+    unsteered : for a steered robot's effect, the differential-drive effect that equals it at small steering angles
     """
 
     name: ClassVar[str]
@@ -154,17 +154,17 @@ class Effect:
 
     @property
     def acts(self) -> bool:
-        """Whether it does anything: some amplitude is off its identity."""
+        """Whether the effect does anything: at least one amplitude is off its identity."""
         return any(getattr(self, p.name) != p.identity for p in amplitudes(self))
 
     @property
     def lost_m(self) -> float:
-        """Bound on the part of its error that no correction can undo, metres."""
+        """Bound on the part of the error that no correction can undo, metres."""
         return 0.0
 
     @property
     def remainder(self) -> tuple[float, float]:
-        """Bounds (m/s, rad/s) on what f, a mean, leaves of its error at any moment: the odometry does not show it."""
+        """Bounds (m/s, rad/s) on the error minus f at any moment, if f is only the mean of the error."""
         return 0.0, 0.0
 
     @classmethod
@@ -176,11 +176,11 @@ class Effect:
         return (cls(),)
 
     def plain(self) -> Self:
-        """Return the same effect in its usual parametrisation, where there are several."""
+        """Return the same effect in its usual parametrisation, if it has several."""
         return self
 
     def whole(self) -> Self:
-        """Return the effect with the part of its f that it leaves to others, lest it imitate them; itself if none."""
+        """Return the effect with the part of f that it leaves to others, not to imitate them; else itself."""
         return self
 
     def start(self, rng: np.random.Generator) -> State:  # noqa: ARG002 - for effects that draw
@@ -188,12 +188,12 @@ class Effect:
         return None
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f over the intervals of `motion`, and the state after them; a state given is never changed."""
+        """Return f over the intervals of `motion`, and the state after them; the given state is not modified."""
         raise NotImplementedError
 
     @property
     def window_s(self) -> tuple[float, float] | None:
-        """When an event acts, from and to, seconds after the first odometry stamp; None: no event, it acts always."""
+        """Begin and end of an event, seconds after the first odometry stamp; None for an effect that always acts."""
         return None
 
     def recorded(
@@ -203,16 +203,16 @@ class Effect:
         track_m: float | None,  # noqa: ARG002 - as above
         state: State,
     ) -> Recorded:
-        """Return the increments (n, 3) that are reported where `steps` should be; they end at t_s (n,) seconds."""
+        """Return the reported increments (n, 3) for the increments `steps`, which end at t_s (n,) seconds."""
         return Recorded(steps, state)
 
     def restored(self, motion: Motion) -> Motion:
-        """Return the whole motion that encoders should have reported, from the one they did; for layer "record"."""
+        """Return the motion that encoders should have reported, given the one they reported; for layer "record"."""
         f = self.twist_error(motion, self.start(stream(0, 0, self.name))).f
         return dataclasses.replace(motion, v=motion.v + f[:, 0], vy=motion.vy + f[:, 1], omega=motion.omega + f[:, 2])
 
     def drawn(self, normals: Array, state: State) -> Drawn:
-        """Return what is drawn where the law draws standard normals (n, 4)."""
+        """Return draws in place of the noise law's standard normals (n, 4)."""
         return Drawn(normals, state)
 
     def moments(self, motion: Motion) -> Moments | None:  # noqa: ARG002 - for effects that draw
@@ -220,27 +220,27 @@ class Effect:
         return None
 
     def gains(self, motion: Motion) -> tuple[Gain, ...]:  # noqa: ARG002 - for effects that draw
-        """Return what it draws on a true motion, numbers independent of each other; none where it does not state them.
+        """Return the random coefficients on a true motion, mutually independent; none if they are not stated.
 
-        For covariances: to first order, odometry departs from the truth by the sum of their own departures times `f`.
+        For covariances: to first order, the odometry error is the sum of the coefficients' deviations times `f`.
         """
         return ()
 
     def stamp_shift_s(self, t_s: Array) -> Array:
-        """Return by how much (n,) seconds the odometry's stamps run ahead of true time t_s (n,)."""
+        """Return the shift (n,) of the odometry's stamps against true time t_s (n,), seconds."""
         return np.zeros_like(t_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """What is known of one parameter.
+    """Description of one parameter.
 
     identity : the value at which the effect does nothing
-    low, high : bounds of what makes sense physically; beyond them a value is refused
-    typical : a usual size on real robots, for scans and power statements
+    low, high : physically sensible bounds; a value beyond them is refused
+    typical : usual size on real robots, for scans and statements of power
     amplitude : f is proportional to it (near the identity), so one regressor column finds it; otherwise a shape
-    step : by how much to change it for a numerical slope of f
-    optional : a shape that an effect makes no use of while it is at its identity, and that is held there
+    step : step for a numerical slope of f
+    optional : a shape that has no influence at its identity and is then held there
     """
 
     name: str
@@ -277,18 +277,18 @@ def parameter(
 
 
 def choice(meaning: str, *options: str) -> Any:
-    """Declare a parameter that is one of a few words; its default is the first of them."""
+    """Declare a parameter with one of a few words as its value; its default is the first word."""
     return dataclasses.field(default=options[0], metadata={"meaning": meaning, "options": options})
 
 
 def choices(effect: Effect | type[Effect]) -> dict[str, tuple[str, ...]]:
-    """Return the parameters of an effect that are words, and the words they may be."""
+    """Return the word-valued parameters of an effect, with their options."""
     fields = dataclasses.fields(effect)  # type: ignore[arg-type]  # every subclass is a dataclass
     return {f.name: f.metadata["options"] for f in fields if "options" in f.metadata}
 
 
 def parameters(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
-    """Return the parameters that a class of effects declares, in order; of an effect, those that it makes use of."""
+    """Return the parameters declared by an effect class, in order; for an effect, only those with an influence."""
     declared = _declared(effect if isinstance(effect, type) else type(effect))  # type: ignore[arg-type]  # it is hashable
     if isinstance(effect, type):
         return declared
@@ -297,23 +297,23 @@ def parameters(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
 
 @lru_cache(maxsize=256)
 def _declared(kind: type[Effect]) -> tuple[Parameter, ...]:
-    """Return the parameters of a class of effects; thousands of fits ask for the same ones."""
+    """Return the parameters declared by an effect class; cached, because thousands of fits need them."""
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # every subclass is a dataclass
     return tuple(Parameter(name=f.name, **f.metadata) for f in fields if "unit" in f.metadata)
 
 
 def amplitudes(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
-    """Return the parameters that f is proportional to: the ones a linear fit may move while shapes are held."""
+    """Return the parameters that f is proportional to: a linear fit estimates them with the shapes held fixed."""
     return tuple(p for p in parameters(effect) if p.amplitude)
 
 
 def shapes(effect: Effect) -> tuple[Parameter, ...]:
-    """Return the parameters of an effect's shape, which a search may move."""
+    """Return the shape parameters of an effect, which a non-linear search estimates."""
     return tuple(p for p in parameters(effect) if not p.amplitude)
 
 
 def check_bounds(effect: Effect) -> None:
-    """Raise EffectError where a parameter is not a finite number within its bounds, or not one of its words."""
+    """Raise EffectError if a parameter is not a finite number within its bounds, or not one of its words."""
     for name, options in choices(effect).items():
         if getattr(effect, name) not in options:
             raise EffectError(f"effect {effect.name}, {name}: {getattr(effect, name)!r}; write {' or '.join(options)}")
@@ -329,7 +329,7 @@ def check_bounds(effect: Effect) -> None:
 
 
 def stacked(along: Array | float, across: Array | float, yaw: Array | float, like: Array) -> Array:
-    """Return f (n, 3) from its three rows; scalars are spread over the shape of `like`."""
-    rows = np.empty((3, len(like)))  # each dense in memory: most of what follows takes one row at a time
+    """Return f (n, 3) from its three components; scalars are broadcast to the shape of `like`."""
+    rows = np.empty((3, len(like)))  # contiguous rows: most of the code that follows takes one component at a time
     rows[0], rows[1], rows[2] = along, across, yaw
     return rows.T

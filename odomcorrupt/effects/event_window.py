@@ -1,4 +1,4 @@
-"""When an event acts: parameters of its time, and the part of each interval that lies in it."""
+"""Time window of an event: its parameters, and the fraction of each interval inside it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["duration_parameter", "part_inside", "time_parameter"]
 
 
 def time_parameter() -> Any:
-    """Declare when an event begins."""
+    """Declare the time at which an event begins."""
     return parameter(
         "s", "when it begins, after the first odometry stamp", low=0.0, high=1e6, typical=5.0, identity=5.0,
         amplitude=False,
@@ -24,14 +24,14 @@ def time_parameter() -> Any:
 
 
 def duration_parameter(typical_s: float) -> Any:
-    """Declare how long an event lasts, as a shape: its size is said by something else."""
+    """Declare the duration of an event, as a shape: another parameter is its amplitude."""
     return parameter(
         "s", "how long it lasts", low=0.01, high=1e4, typical=typical_s, identity=typical_s, amplitude=False
     )
 
 
 def part_inside(motion: Motion, begin_s: float, end_s: float) -> Array:
-    """Return the part (n,) of each interval that lies between two times; 0 where an interval has no length."""
+    """Return the fraction (n,) of each interval that lies between two times; 0 for an interval of no length."""
     inside = np.minimum(motion.t_s, end_s) - np.maximum(motion.t_s - motion.dt_s, begin_s)
     part: Array = np.divide(
         np.maximum(inside, 0.0), motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0

@@ -1,14 +1,14 @@
-"""Expressions of a user, parsed into numpy without ever running code: a small language and nothing else.
+"""Parser of user expressions into numpy functions; no code is ever executed.
 
     yaw += k * v * abs(omega); along += -c * where(a > 0, a, 0) * abs(v)
 
-Statements add a rate to truth minus odometry, along (m/s), across (m/s, to the left) or yaw (rad/s), or to the rim
-speed (m/s) of the left wheel, the right one or both wheels, each of which is then shown its own motion. There are
-numbers, the names of `VARIABLES` and of the parameters, + - * / **, comparisons and the functions of `FUNCTIONS`; no
-attributes, no items, no calls of anything else. Size and depth are bounded, and so are exponents.
+A statement adds a rate to truth minus odometry, along (m/s), across (m/s, to the left) or yaw (rad/s), or to the rim
+speed (m/s) of the left wheel, the right one or both; expressions of a wheel use that wheel's own motion. Terms are
+numbers, the names of `VARIABLES` and of the parameters, + - * / **, comparisons and the functions of `FUNCTIONS`;
+attributes, items and other calls are refused. Size, depth and exponents are bounded.
 
-Beside an acceleration, speeds are those in step with it, and what jumps (a comparison, a sign, the condition of where)
-looks at the interval before: a law that switches itself off by switching itself on would have no solution.
+If an expression uses an acceleration, speeds are those in step with it. Discontinuous terms (a comparison, a sign,
+the condition of where) then use the previous interval: a law that toggles its own condition would have no solution.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ __all__ = [
 
 CHANNELS = ("along", "across", "yaw")
 SIDES = ("left", "right", "wheels")
-"""What may be added to besides: the rim speeds of single wheels, or of both."""
+"""Further targets of a statement: the rim speeds of single wheels, or of both."""
 TRUTH_VARIABLES = ("a", "alpha", "x", "y", "theta", "distance")
-"""What is read from the true motion; the rest is the odometry's."""
+"""Variables of the true motion; the others are the odometry's."""
 PLACES = ("x", "y", "theta")
 ACCELERATIONS = ("a", "alpha")
 VARIABLES = ("v", "vy", "omega", "t", *TRUTH_VARIABLES)
 PAST = " before"
-"""Ends the name under which the value of a variable in the interval before is given, where that is another."""
-_NOTHING = 1e-9
-"""Of numbers below it the sign is left to rounding, and taken for zero."""
+"""Suffix of a variable's name for its value in the previous interval, if that is supplied."""
+_ZERO_BELOW = 1e-9
+"""Magnitude below which a number counts as zero in sign(), because its sign may be rounding."""
 CONSTANTS = {"pi": np.pi}
 
 
@@ -65,7 +65,7 @@ def _chosen(condition: Array, yes: Array, no: Array) -> Array:
 
 
 def _sign(x: Array) -> Array:
-    sign: Array = np.where(np.abs(x) <= _NOTHING, 0.0, np.sign(x))
+    sign: Array = np.where(np.abs(x) <= _ZERO_BELOW, 0.0, np.sign(x))
     return sign
 
 
@@ -92,7 +92,7 @@ FUNCTIONS: Mapping[str, tuple[int, int, Callable[..., Array]]] = {
     "max": (2, 8, lambda *x: _folded(np.maximum, x)),
     "where": (3, 3, _chosen),
 }
-"""Names, the fewest and most arguments, and what they are."""
+"""Name: fewest arguments, most arguments, numpy function."""
 
 _BINARY: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
     ast.Add: operator.add,
@@ -111,14 +111,14 @@ _MOST_CHARACTERS, _MOST_NODES, _MOST_DEPTH, _HIGHEST_POWER, _LARGEST_NUMBER = 10
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A parsed text.
+    """A parsed expression.
 
-    text : as it was written
-    terms : what each statement adds to, of `CHANNELS` and `SIDES`, and its function
-    names : all variables and parameters that it reads
+    text : source text
+    terms : target of each statement, one of `CHANNELS` and `SIDES`, and its function
+    names : all variables and parameters in it
     linear : parameters that f is affine in
-    vanishes : whether f is zero where all of these are
-    units : of these, as what stands beside them has it; "" where that does not tell
+    vanishes : whether f is zero if all parameters in `linear` are zero
+    units : units of the parameters in `linear`, derived from their factors; "" if not derivable
     """
 
     text: str
@@ -130,16 +130,16 @@ class Expression:
 
     @property
     def by_wheel(self) -> bool:
-        """Whether it adds to single wheels."""
+        """Whether a statement adds to the rim speed of single wheels."""
         return any(target in SIDES for target, _ in self.terms)
 
     def added_to(self, targets: Sequence[str], values: Mapping[str, Array]) -> Array:
-        """Return what is added (n,) to these, from the values of its names, arrays (n,) or single numbers.
+        """Return the sum (n,) of the statements for these targets, from the values of all names, (n,) or scalar.
 
         Raises
         ------
         EffectError
-            Where the result is not a finite number.
+            If the result is not finite.
 
         """
         total = np.zeros(len(values["v"]))
@@ -159,12 +159,12 @@ class Expression:
 
 
 def parse_expression(text: str, parameters: tuple[str, ...]) -> Expression:
-    """Return the expression written in a text, with these parameters.
+    """Return the expression parsed from a text with these parameters.
 
     Raises
     ------
     EffectError
-        Where it is anything but statements of this language.
+        If the text is not a list of valid statements.
 
     """
     reader = _Reader(text, parameters)
@@ -190,7 +190,7 @@ def parse_expression(text: str, parameters: tuple[str, ...]) -> Expression:
 
 
 class _Reader:
-    """Turns the nodes of a syntax tree into functions, and refuses what it does not know."""
+    """Translation of a syntax tree into functions; refuses every unsupported node."""
 
     def __init__(self, text: str, parameters: tuple[str, ...]) -> None:
         self._text, self._parameters = text, parameters
@@ -229,14 +229,14 @@ class _Reader:
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
                 return _two(_BINARY[type(op)], self._term(left, depth + 1), self._term(right, depth + 1))
             case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
-                both = _two(_COMPARE[type(op)], self._jump(left, depth + 1), self._jump(right, depth + 1))
+                both = _two(_COMPARE[type(op)], self._lagged(left, depth + 1), self._lagged(right, depth + 1))
                 return lambda names: np.where(both(names), 1.0, 0.0)
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
                 return self._call(name, args, depth)
         raise self.wrong(f"{ast.unparse(node)[:40]!r} is not of this language; see `odomcorrupt effects --help`")
 
-    def _jump(self, node: ast.expr, depth: int) -> Term:
-        """Return what decides where something jumps: it looks at the interval before."""
+    def _lagged(self, node: ast.expr, depth: int) -> Term:
+        """Return a term that decides on a discontinuity: it uses values of the previous interval."""
         was, self._jumping = self._jumping, True
         term = self._term(node, depth)
         self._jumping = was
@@ -275,7 +275,7 @@ class _Reader:
         if not fewest <= len(args) <= most:
             raise self.wrong(f"{name} takes {fewest if fewest == most else f'{fewest} to {most}'} arguments")
         jumping = len(args) if name == "sign" else int(name == "where")
-        terms = [(self._jump if i < jumping else self._term)(arg, depth + 1) for i, arg in enumerate(args)]
+        terms = [(self._lagged if i < jumping else self._term)(arg, depth + 1) for i, arg in enumerate(args)]
         return lambda names: function(*(term(names) for term in terms))
 
 

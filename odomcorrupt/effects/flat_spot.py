@@ -1,4 +1,4 @@
-"""A wheel is flat on one side, or does not turn about its middle: once a turn it gains less."""
+"""A wheel that is flat on one side or eccentric: it gains less once per turn."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _ROUNDS, _SOLVED_M = 100, 1e-15
-_NARROW = 4.0
-"""Concentration of the spot about its middle: half of it lies within a seventh of a turn (von Mises' form)."""
-_MEAN = float(np.i0(_NARROW) * np.exp(-_NARROW))
-"""The form's mean over a turn."""
+_CONCENTRATION = 4.0
+"""Concentration of the spot (von Mises shape): half of it lies within a seventh of a turn."""
+_MEAN = float(np.i0(_CONCENTRATION) * np.exp(-_CONCENTRATION))
+"""Mean of the von Mises shape over a turn."""
 
 
 class _Turned(NamedTuple):
-    """How far the rims have turned, metres as they report it."""
+    """Travel of the rims so far as reported, metres."""
 
     right: float = 0.0
     left: float = 0.0
@@ -42,11 +42,11 @@ class _Turned(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FlatSpot(Effect):
-    """f of one wheel = -depth u (exp(4 (cos(q) - 1)) - 0.207 (1 - mean)), or with form = eccentric -depth u cos(q).
+    """f_wheel = -depth u (exp(4 (cos(q) - 1)) - 0.207 (1 - mean)); with form = eccentric, -depth u cos(q).
 
-    q = 2 pi s / circumference - phase, s the way of the wheel so far as it is reported. Unless `mean` is 1, the mean
-    over a turn is taken off (0.207: exp(-4) I0(4), I0 the modified Bessel function): what a wheel loses on average is a
-    smaller radius, `wheel_scale` and `unequal_wheels`, and a spot of any circumference would otherwise imitate these.
+    q = 2 pi s / circumference - phase, s the reported travel of the wheel so far. Unless `mean` is 1, the mean over a
+    turn is subtracted (0.207: exp(-4) I0(4), I0 the modified Bessel function). The mean loss is a smaller radius, that
+    is, `wheel_scale` and `unequal_wheels`, and a spot of any circumference could otherwise imitate these.
     """
 
     name = "flat_spot"
@@ -78,20 +78,20 @@ class FlatSpot(Effect):
     track: float = track_parameter()
 
     @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - of no use here
-        """Return nothing: a line in the spectrum over the way shows the circumference, see `study.select.periodic`."""
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - interface of Effect
+        """Return no candidates: the spectrum over the travel shows the circumference, see `study.select.periodic`."""
         return ()
 
     def whole(self) -> Self:
-        """Return the same spot with all that it loses: a flat side makes the radius smaller, too."""
+        """Return the same spot including its mean loss: a flat side also makes the radius smaller."""
         return replace(self, mean=1.0) if self.form == "flat" else self
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return wheels that have not turned."""
+        """Return the state before any travel."""
         return _Turned()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: what one wheel loses while it rolls over the spot."""
+        """Return f: the speed that one wheel loses as it rolls over the spot."""
         track_m = needed_track_m(self.name, self.track or motion.track_m)
         rims = rims_of(motion.v, motion.omega, track_m)
         ways = [np.cumsum(np.concatenate(([before], u * motion.dt_s))) for before, u in zip(state, rims, strict=True)]
@@ -103,7 +103,7 @@ class FlatSpot(Effect):
         return TwistError(body_of(lost, track_m), _Turned(*(float(way[-1]) for way in ways)))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
-        """Return the increments (n, 3) whose way, less what the spot takes of it, is that of these."""
+        """Return the increments (n, 3) that, less the loss of the spot, equal the given ones."""
         track_m = needed_track_m(self.name, self.track or track_m)
         rims = rims_of(steps[:, 0], steps[:, 2], track_m)
         true, way = (rims.right, state.right) if self.wheel == "right" else (rims.left, state.left)
@@ -122,11 +122,11 @@ class FlatSpot(Effect):
         return Recorded(steps + body_of(both, track_m) if self.depth else steps, turned)
 
     def _lost(self, u: Array, way: Array) -> Array:
-        """Return f of a wheel (n,) from its rim speeds and its way (n + 1,)."""
+        """Return f of a wheel (n,) from its rim speeds and its travel (n + 1,)."""
         lost: Array = -self.depth * u * self._at(0.5 * (way[1:] + way[:-1]))
         return lost
 
     def _at(self, way: Any) -> Any:
-        """Return the part of the depth that a wheel loses after its way, of one number or of many."""
+        """Return the fraction of `depth` that a wheel loses at its travel, scalar or array."""
         near = np.cos(2.0 * np.pi * way / self.circumference - self.phase)
-        return near if self.form == "eccentric" else np.exp(_NARROW * (near - 1.0)) - _MEAN * (1.0 - self.mean)
+        return near if self.form == "eccentric" else np.exp(_CONCENTRATION * (near - 1.0)) - _MEAN * (1.0 - self.mean)

@@ -1,4 +1,4 @@
-"""A gain that varies as a first-order Gauss-Markov process: tyre pressure, load, floor, any correlated cause."""
+"""Scale error that varies as a first-order Gauss-Markov process: tyre pressure, load, floor, any correlated cause."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
-from odomcorrupt.effects.random_state import again, autoregression
+from odomcorrupt.effects.random_state import autoregression, copied
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 _MOST = 0.9
-"""Limit of the gain: beyond it the robot would stand or reverse while its wheels roll forwards."""
+"""Limit of the gain: beyond 1 the robot would stand or reverse while its wheels roll forwards."""
 
 
 class _Gain(NamedTuple):
@@ -40,7 +40,7 @@ class _Gain(NamedTuple):
 class GaussMarkov(Effect):
     """f = g (v, 0, 0) or g (0, 0, omega), g' = -g / tau + white noise, stationary with deviation sigma.
 
-    It vanishes at rest, unlike a bias. The gain is limited to 0.9, so that every motion has an odometry.
+    Unlike a bias it vanishes at rest. The gain is limited to 0.9, so that an odometry exists for every motion.
     """
 
     name = "gauss_markov"
@@ -59,13 +59,13 @@ class GaussMarkov(Effect):
     channel: str = choice("what the gain acts on", "along", "yaw")
 
     def start(self, rng: Generator) -> State:
-        """Return a gain of its stationary distribution (in units of sigma) and what will move it."""
-        rng = again(rng)
+        """Return a gain drawn from its stationary distribution (in units of sigma), and its random generator."""
+        rng = copied(rng)
         return _Gain(rng, float(rng.standard_normal()))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the gain at the end of each interval times its speed."""
-        rng = again(state.rng)
+        rng = copied(state.rng)
         keep = np.exp(-motion.dt_s / self.tau)
         normal = autoregression(state.normal, keep, np.sqrt(1.0 - keep**2) * rng.standard_normal(len(motion)))
         last = float(normal[-1]) if len(normal) else state.normal
@@ -77,7 +77,7 @@ class GaussMarkov(Effect):
         return Moments(np.zeros((len(motion), 3)), self._on_channel((self.sigma * self._speed(motion)) ** 2))
 
     def gains(self, motion: Motion) -> tuple[Gain, ...]:
-        """Return the gain: it decays with tau and is kicked to stay as wide as it is."""
+        """Return the gain: it decays with tau, driven by noise that keeps its variance constant."""
         keep = np.exp(-motion.dt_s / self.tau)
         variance = self.sigma**2
         return (Gain(self._on_channel(self._speed(motion)), keep, variance * (1.0 - keep**2), variance),)

@@ -1,4 +1,4 @@
-"""The odometry's yaw rate is off by a constant, also at rest."""
+"""Constant error of the odometry's yaw rate, also at rest."""
 
 from __future__ import annotations
 
@@ -28,5 +28,5 @@ class GyroBias(Effect):
     bias: float = parameter("rad/s", "odometry yaw rate minus the true one", low=-0.5, high=0.5, typical=0.003)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the yaw error goes with time."""
+        """Return f: the yaw error is proportional to time."""
         return TwistError(stacked(0.0, 0.0, -self.bias, motion.v), state)

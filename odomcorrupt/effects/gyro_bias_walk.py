@@ -1,4 +1,4 @@
-"""The gyro's bias is a random walk, or first-order Gauss-Markov."""
+"""Gyro bias that varies as a random walk or a first-order Gauss-Markov process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Gain, Moments, Motion, State, TwistError, parameter, stacked
-from odomcorrupt.effects.random_state import again, autoregression
+from odomcorrupt.effects.random_state import autoregression, copied
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -23,9 +23,9 @@ class _Walk(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class GyroBiasWalk(Effect):
-    """f = (0, 0, -bias), the bias a random walk from zero: variance density^2 t. It goes on while standing.
+    """f = (0, 0, -bias), the bias a random walk from zero: variance density^2 t, also at rest.
 
-    With a time tau it is drawn back to zero, b' = -b / tau + white noise, of deviation density sqrt(tau / 2).
+    With a time constant tau it reverts to zero, b' = -b / tau + white noise, with deviation density sqrt(tau / 2).
     """
 
     name = "gyro_bias_walk"
@@ -49,15 +49,15 @@ class GyroBiasWalk(Effect):
     )
 
     def start(self, rng: Generator) -> State:
-        """Return a bias, zero if it never comes back, and what it will be drawn from."""
+        """Return an initial bias (zero for a random walk) and its random generator."""
         if not self.tau:
             return _Walk(rng, 0.0)
-        rng = again(rng)
+        rng = copied(rng)
         return _Walk(rng, self._spread * float(rng.standard_normal()))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the bias as it is at the end of each interval."""
-        rng = again(state.rng)
+        """Return f, with the bias at the end of each interval."""
+        rng = copied(state.rng)
         keep, kick = self._kept(motion.dt_s)
         kicks = np.sqrt(kick) * rng.standard_normal(len(motion))
         bias = autoregression(state.bias, keep, kicks)
@@ -65,23 +65,23 @@ class GyroBiasWalk(Effect):
         return TwistError(stacked(0.0, 0.0, -bias, motion.v), _Walk(rng, last))
 
     def moments(self, motion: Motion) -> Moments:
-        """Return the walk's growing variance, or that to which it is drawn back."""
+        """Return the growing variance of the random walk, or the stationary one."""
         nothing = np.zeros_like(motion.v)
         variance = nothing + self._spread**2 if self.tau else self.density**2 * np.cumsum(motion.dt_s)
         return Moments(np.zeros((len(motion), 3)), stacked(nothing, nothing, variance, nothing))
 
     def gains(self, motion: Motion) -> tuple[Gain, ...]:
-        """Return the bias: what it forgets, and what it is kicked by."""
+        """Return the bias as an autoregressive coefficient."""
         one = np.ones_like(motion.v)
         return (Gain(stacked(0.0, 0.0, -one, one), *self._kept(motion.dt_s), self._spread**2),)
 
     @property
     def _spread(self) -> float:
-        """Its standard deviation at the start, rad/s."""
+        """Standard deviation of the bias at the start, rad/s."""
         return float(self.density * np.sqrt(0.5 * self.tau))
 
     def _kept(self, dt_s: Array) -> tuple[Array, Array]:
-        """Return what part (n,) of it is kept over each interval, and the variance of its kicks."""
+        """Return the factor (n,) by which the bias decays over each interval, and the variance of the noise added."""
         if not self.tau:
             return np.ones_like(dt_s), self.density**2 * dt_s
         keep = np.exp(-dt_s / self.tau)

@@ -1,4 +1,4 @@
-"""The gyro's gain is off: every turn comes out too large or too small."""
+"""Gyro scale error: every turn is reported too large or too small."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps of noise that are now and then much larger than normal."""
+"""Heavy-tailed noise: steps that are now and then much larger than normal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Drawn, Effect, Motion, State, TwistError, parameter
-from odomcorrupt.effects.random_state import again
+from odomcorrupt.effects.random_state import copied
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class HeavyTails(Effect):
     """Student's t in place of the noise law's normal draws, scaled to the law's variance, so that covariances hold.
 
-    A t of nu degrees is a normal over the root of a chi-square over nu; nu - 2 in the place of nu gives variance 1.
+    t with nu degrees of freedom is a normal over sqrt(chi-square / nu); nu - 2 in place of nu gives variance 1.
     """
 
     name = "heavy_tails"
@@ -38,17 +38,17 @@ class HeavyTails(Effect):
     inverse_dof: float = parameter("", "one over the degrees of freedom; 0 is normal", low=0.0, high=0.45, typical=0.2)
 
     def start(self, rng: Generator) -> State:
-        """Return what the widths will be drawn from."""
+        """Return the random generator of the widths."""
         return rng
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: it has no say in the motion."""
+        """Return f = 0: the effect changes the noise, not the motion."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
     def drawn(self, normals: Array, state: State) -> Drawn:
-        """Return t draws in place of the normals (n, 4), every one of its own width."""
+        """Return t-distributed draws in place of the normals (n, 4), each with its own width."""
         if self.inverse_dof == 0.0:
             return Drawn(normals, state)
-        rng = again(state)
+        rng = copied(state)
         dof = 1.0 / self.inverse_dof
         return Drawn(normals * np.sqrt((dof - 2.0) / rng.chisquare(dof, normals.shape)), rng)

@@ -1,4 +1,4 @@
-"""The robot does not turn about the origin of its base frame."""
+"""Centre of rotation that is not the origin of the base frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError,
 
 @dataclass(frozen=True, slots=True)
 class IcrShift(Effect):
-    """f = (0, x omega, 0): turns happen about a point at -x, as on a skid-steered robot whose load is not centred."""
+    """f = (0, x omega, 0): the robot turns about a point at -x, as skid-steered robots with an off-centre load do."""
 
     name = "icr_shift"
     summary = "the robot turns about a point ahead of or behind its base frame"
@@ -27,5 +27,5 @@ class IcrShift(Effect):
     x: float = parameter("m", "minus the x of the rotation centre", low=-0.5, high=0.5, typical=0.03)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the base frame's origin swings sideways in turns."""
+        """Return f: the origin of the base frame moves sideways in turns."""
         return TwistError(stacked(0.0, self.x * motion.omega, 0.0, motion.v), state)

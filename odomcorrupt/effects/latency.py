@@ -1,4 +1,4 @@
-"""Odometry messages are delayed before they are stamped, and arrive late in one burst."""
+"""Odometry messages that are delayed before they are stamped, and then arrive in one burst."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _BURST = 1e-3
-"""Duration of the burst over that of the delay: stamps still ascend."""
+"""Duration of the burst as a fraction of the delay; above zero, so that stamps still ascend."""
 
 
 @dataclass(frozen=True, slots=True)
 class Latency(Effect):
-    """On a bag: stamps between time and time + delay move to the end of that stretch, close behind each other.
+    """In a bag, stamps between time and time + delay move to the end of that window, close behind each other.
 
-    Poses are right and their stamps are late: a localisation pairs them with later laser scans. f is the first-order
+    The poses are correct but stamped late: a localisation pairs them with later laser scans. f is the first-order
     equivalent for a regression.
     """
 
@@ -43,17 +43,17 @@ class Latency(Effect):
 
     @property
     def window_s(self) -> tuple[float, float]:
-        """When it acts."""
+        """Begin and end of the event, seconds after the first odometry stamp."""
         return self.time, self.time + self.delay
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f to first order: an offset that shrinks."""
+        """Return f to first order: a time offset that shrinks."""
         shift = self.stamp_shift_s(motion.t_s)
         twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
         rate = np.where(shift > 0.0, _BURST - 1.0, 0.0)
         return TwistError(shift[:, None] * motion.acceleration + rate[:, None] * twist, state)
 
     def stamp_shift_s(self, t_s: Array) -> Array:
-        """Return how late each message is stamped."""
+        """Return the delay of each stamp (n,), seconds."""
         begin, end = self.window_s
         return np.where((t_s >= begin) & (t_s < end), (1.0 - _BURST) * (end - t_s), 0.0)

@@ -1,4 +1,4 @@
-"""The truth follows another point of the robot than the odometry."""
+"""Truth that tracks another point of the robot than the odometry."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ class LeverArm(Effect):
     y: float = parameter("m", "tracked point to the left of the base frame", low=-5.0, high=5.0, typical=0.03)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: what a point off the axis does in turns."""
+        """Return f: the motion in turns of a point off the axis."""
         return TwistError(stacked(-self.y * motion.omega, self.x * motion.omega, 0.0, motion.v), state)

@@ -1,4 +1,4 @@
-"""Which parameters of an expression a linear fit can move, read off its syntax tree."""
+"""Linearity of an expression in its parameters, from its syntax tree."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["affine", "vanishes"]
 
 
 def affine(node: ast.expr, names: frozenset[str]) -> bool:  # noqa: PLR0911 - one for each kind of term
-    """Whether a term is affine in these parameters together: no product of two of them, no function of any."""
+    """Whether a term is jointly affine in these parameters: no product of two of them, no function of any."""
     if not _has(node, names) or isinstance(node, ast.Name):
         return True
     match node:
@@ -26,7 +26,7 @@ def affine(node: ast.expr, names: frozenset[str]) -> bool:  # noqa: PLR0911 - on
 
 
 def vanishes(node: ast.expr, names: frozenset[str]) -> bool:  # noqa: PLR0911 - one for each kind of term
-    """Whether a term is zero where all these parameters are."""
+    """Whether a term is zero if all these parameters are zero."""
     match node:
         case ast.Name(id=name):
             return name in names

@@ -1,4 +1,4 @@
-"""Some increments never arrive."""
+"""Random loss of single odometry increments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
-from odomcorrupt.effects.random_state import again
+from odomcorrupt.effects.random_state import copied
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -28,31 +28,31 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _STILL = 1e-9
-"""What an increment of zero may be by rounding, metres or radians."""
+"""Largest increment that counts as zero (rounding), metres or radians."""
 _MOVING_MPS = 0.05
 _ARM_M = 0.2
-"""How far wheels are from the middle, about: a turn on the spot moves them, too."""
+"""Assumed distance of the wheels from the middle if the track is unknown, metres: a turn on the spot moves them."""
 _MOST_IN_A_ROW = 3
 _LONGEST_S = 0.25
-"""A longer rest may be a real stop."""
+"""Longest gap that counts as a loss, seconds; a longer rest may be a real stop."""
 _CAUGHT_UP = 1.35
-_OFTEN = 0.005
-"""Part of increments that is lost alone, for two in a row to be likely at all."""
-_BESIDE = 2
-"""Increments on each side that say what a pair of neighbours would be if they had caught up nothing."""
-_MANY = 1.5
-"""A neighbour of a lost increment is more than so many ticks: two, of whole ones."""
-_USUALLY, _ROUNDING_M = 0.8, 1e-7
-"""Part of the changes between increments that are no larger than the usual one, and what is no change."""
+_FREQUENT = 0.005
+"""Rate of single losses above which losses of several increments in a row are plausible."""
+_NEIGHBOURS = 2
+"""Number of increments on each side whose mean is the expected size of a pair of neighbours."""
+_LEAST_TICKS = 1.5
+"""Smallest neighbour of a lost increment, in ticks: more than 1.5, i.e. two whole ticks."""
+_USUAL_QUANTILE, _ROUNDING_M = 0.8, 1e-7
+"""Quantile of the changes between increments taken as the usual change; change that counts as zero, metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class LostIncrements(Effect):
-    """Each increment is lost with probability `fraction`: the reported pose stands still while the robot goes on.
+    """Each increment is lost with probability `fraction`: the reported pose stops while the robot moves on.
 
-    On average it equals a scale error of the same size, but which increments are lost is random: it counts as
-    noise. A correction that scaled the others up would miss what is seen plainly in the log: an increment of zero
-    between neighbours that move, and is interpolated from these.
+    On average this equals a scale error of the same size, but which increments are lost is random: it counts as noise.
+    A correction does not scale up the other increments. It interpolates lost ones, visible as an increment of zero
+    between neighbours that move.
     """
 
     name = "lost_increments"
@@ -71,21 +71,21 @@ class LostIncrements(Effect):
     fraction: float = parameter("", "part of the increments that is lost", low=0.0, high=0.9, typical=0.01)
 
     def start(self, rng: Generator) -> State:
-        """Return what decides on losses."""
+        """Return the random generator of the losses."""
         return rng
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: what was reported is right, and nothing is known of the rest."""
+        """Return f = 0: reported increments are correct, and the lost ones are not a function of the motion."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - any time, any wheel
-        """Return the increments with the lost ones zero."""
-        rng = again(state)
+        """Return the increments with the lost ones set to zero."""
+        rng = copied(state)
         lost = rng.uniform(size=len(steps)) < self.fraction
         return Recorded(np.where(lost[:, None], 0.0, steps), rng)
 
     def restored(self, motion: Motion) -> Motion:
-        """Return the motion with those that are plainly lost as fast as their neighbours."""
+        """Return the motion with the clearly lost increments interpolated between their neighbours."""
         gone = losses(motion).lost
         if not (self.acts and gone.any()):
             return motion
@@ -97,24 +97,24 @@ class LostIncrements(Effect):
         return replace(motion, v=v, vy=vy, omega=omega)
 
     def moments(self, motion: Motion) -> Moments:
-        """Return the mean loss and its variance."""
+        """Return mean and variance of the loss."""
         twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
         return Moments(self.fraction * twist, self.fraction * (1.0 - self.fraction) * twist**2)
 
     def gains(self, motion: Motion) -> tuple[Gain, ...]:
-        """Return one chance per increment, which remembers nothing; the mean loss is no part of it."""
+        """Return one independent coefficient per increment; the mean loss is not included."""
         twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
         variance = self.fraction * (1.0 - self.fraction)
         return (Gain(twist, np.zeros_like(motion.v), np.full_like(motion.v, variance), 0.0),)
 
 
 class Losses(NamedTuple):
-    """What an odometry shows of lost increments.
+    """Lost increments detected in an odometry.
 
-    lost : (n,) which increments are zero, alone or a few in a row, where they would have been many ticks
-    seen : how many these are
-    of : how many increments, lost or not, follow one after which a loss is seen
-    hidden : part of the moving increments that are too few ticks for a loss to be seen
+    lost : (n,) True for increments of zero, single or a few in a row, that should have been several ticks
+    seen : number of lost increments detected
+    of : number of increments, lost or not, whose loss would have been detected
+    hidden : fraction of the moving increments that have too few ticks for a loss to be detected
     """
 
     lost: NDArray[np.bool_]
@@ -124,26 +124,26 @@ class Losses(NamedTuple):
 
     @property
     def fraction(self) -> float:
-        """Part of the increments that is lost, of those a loss of which would be seen."""
+        """Fraction of increments lost, among those whose loss would have been detected."""
         return self.seen / max(self.of, 1)
 
 
 def losses(motion: Motion) -> Losses:
-    """Return which increments of an odometry are lost.
+    """Return the lost increments of an odometry.
 
-    An increment of zero is a loss where both of its neighbours are plainly larger than what increments usually differ
-    by: an encoder of coarse ticks reports zeros by itself, but none between increments of two ticks. A count that only
-    came late is none: a neighbour catches up, and the two beside it go farther than those around them.
+    An increment of zero is a loss if both neighbours are clearly larger than the usual change between increments: an
+    encoder of coarse ticks reports zeros, but none between increments of two ticks. A late count is not a loss: a
+    neighbour catches up, so the two neighbours are longer than the increments around them.
     """
     gone = np.zeros(len(motion), dtype=bool)
     arm_m = _ARM_M if motion.track_m is None else motion.track_m / 2.0
     travel = (np.hypot(motion.v, motion.vy) + arm_m * np.abs(motion.omega)) * motion.dt_s
     going = np.flatnonzero((np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s >= _STILL)
     way = travel[going]
-    if len(going) < _BESIDE + 2:
+    if len(going) < _NEIGHBOURS + 2:
         return Losses(gone, 0, 0, 0.0)
     fast = way > _MOVING_MPS * motion.dt_s[going]
-    plain = fast & (way > _MANY * _usual_change(going, way))
+    plain = fast & (way > _LEAST_TICKS * _usual_change(going, way))
 
     last, following = going[:-1], going[1:]
     gap = following - last - 1
@@ -154,12 +154,12 @@ def losses(motion: Motion) -> Losses:
     caught_up = zero & (way[:-1] + way[1:] > _CAUGHT_UP * 2.0 * _around(way))
     found = zero & ~caught_up
     if caught_up.sum() > found.sum():
-        found[:] = False  # this odometry's counts come late: those that seem lost did, too
-    if np.sum(found & (gap == 1)) < _OFTEN * np.sum(fast):
-        found &= gap == 1  # where hardly any is lost, several in a row are a stop
+        found[:] = False  # the counts of this odometry arrive late: the apparent losses did, too
+    if np.sum(found & (gap == 1)) < _FREQUENT * np.sum(fast):
+        found &= gap == 1  # if hardly any increment is lost, several zeros in a row are a stop
     for begin, count in zip(last[found], gap[found], strict=True):
         gone[begin + 1 : begin + 1 + count] = True
-    gone &= motion.dt_s > 0.0  # a stamp that came twice lost nothing
+    gone &= motion.dt_s > 0.0  # a duplicated stamp is no loss
 
     arrived = int(np.sum(plain[:-1] & plain[1:] & ((gap == 0) | found)))
     hidden = 1.0 - float(plain.sum()) / max(int(fast.sum()), 1)
@@ -167,15 +167,15 @@ def losses(motion: Motion) -> Losses:
 
 
 def _usual_change(going: NDArray[np.int64], way: Array) -> float:
-    """Return what an increment that moves usually differs by from the next one, metres, where it does: a tick."""
+    """Return the usual non-zero change between consecutive moving increments, metres: about one tick."""
     change = np.abs(np.diff(way))[np.diff(going) == 1]
     change = change[change > _ROUNDING_M]
-    return float(np.quantile(change, _USUALLY)) if len(change) else 0.0
+    return float(np.quantile(change, _USUAL_QUANTILE)) if len(change) else 0.0
 
 
 def _around(way: Array) -> Array:
-    """Return the mean (n - 1,) of the increments around each pair of neighbours, the pair left out."""
-    padded = np.concatenate((np.full(_BESIDE, way[0]), way, np.full(_BESIDE, way[-1])))
-    total = np.convolve(padded, np.ones(2 * _BESIDE + 2), "valid")
-    around: Array = (total[: len(way) - 1] - way[:-1] - way[1:]) / (2.0 * _BESIDE)
+    """Return the mean (n - 1,) of the increments around each pair of neighbours, excluding the pair."""
+    padded = np.concatenate((np.full(_NEIGHBOURS, way[0]), way, np.full(_NEIGHBOURS, way[-1])))
+    total = np.convolve(padded, np.ones(2 * _NEIGHBOURS + 2), "valid")
+    around: Array = (total[: len(way) - 1] - way[:-1] - way[1:]) / (2.0 * _NEIGHBOURS)
     return around

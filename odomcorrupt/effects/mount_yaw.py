@@ -1,4 +1,4 @@
-"""The truth's forward axis is not the robot's."""
+"""Forward axis of the truth that is not the robot's."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError,
 
 @dataclass(frozen=True, slots=True)
 class MountYaw(Effect):
-    """f = (cos(yaw) - 1, -sin(yaw)) v and the like for vy: the same motion seen in axes turned by yaw.
+    """f = (cos(yaw) - 1, -sin(yaw)) v, and likewise for vy: the same motion in axes rotated by yaw.
 
     Censi, Marchionni, Oriolo & Franchi 2013, IEEE T-RO 29(2) (a sensor's extrinsics).
     """
@@ -29,7 +29,7 @@ class MountYaw(Effect):
     yaw: float = parameter("rad", "heading of the truth frame on the robot", low=-3.2, high=3.2, typical=0.02)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: straight travel seems to slide sideways."""
+        """Return f: straight travel appears to slide sideways."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         along = (c - 1.0) * motion.v + s * motion.vy
         across = -s * motion.v + (c - 1.0) * motion.vy

@@ -1,4 +1,4 @@
-"""The odometry stands still for a while although the robot drives on."""
+"""Odometry that stops for a while although the robot drives on."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 class OdometryStop(Effect):
     """Increments that end between time and time + duration are reported as zero.
 
-    Afterwards their travel is lost, as when a motor controller restarts, or added to the next increment, as when its
-    bus was blocked and its encoders went on counting.
+    Their travel is then lost, as when a motor controller restarts, or added to the next increment, as when its bus was
+    blocked while its encoders went on counting.
     """
 
     name = "odometry_stop"
@@ -43,24 +43,24 @@ class OdometryStop(Effect):
 
     @property
     def window_s(self) -> tuple[float, float]:
-        """When it acts."""
+        """Begin and end of the event, seconds after the first odometry stamp."""
         return self.time, self.time + self.duration
 
     @property
     def lost_m(self) -> float:
-        """Unbounded: travel that was never reported is in no odometry."""
+        """Unbounded: travel that was never reported cannot be recovered."""
         return float("inf") if self.acts else 0.0
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the motion withheld so far: none."""
+        """Return the motion withheld so far: zero."""
         return np.zeros(3)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: it is no function of the odometry's motion."""
+        """Return f = 0: the loss is not a function of the odometry's motion."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
-        """Return the increments with those of the stop withheld."""
+        """Return the increments with those during the stop withheld."""
         begin, end = self.window_s
         inside = (t_s > begin) & (t_s <= end)
         after = np.flatnonzero(t_s > end)

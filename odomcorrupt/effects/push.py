@@ -1,4 +1,4 @@
-"""Somebody pushes the robot."""
+"""A push from outside that moves the robot once."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 class Push(Effect):
     """f = (along, across, yaw) / duration between time and time + duration, 0 otherwise.
 
-    The robot is moved and its wheels do not notice: a bump, a person who shoves it, a lift over a sill. In a corrupted
-    bag the odometry misses that motion.
+    The robot moves without its wheels registering it: a bump, a person's shove, a lift over a sill. The odometry of a
+    corrupted bag lacks that motion.
     """
 
     name = "push"
@@ -39,10 +39,10 @@ class Push(Effect):
 
     @property
     def window_s(self) -> tuple[float, float]:
-        """When it acts."""
+        """Begin and end of the event, seconds after the first odometry stamp."""
         return self.time, self.time + self.duration
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the push at an even speed."""
+        """Return f: the push at constant speed."""
         rate: Array = part_inside(motion, *self.window_s) / self.duration
         return TwistError(stacked(self.along * rate, self.across * rate, self.yaw * rate, rate), state)

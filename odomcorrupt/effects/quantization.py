@@ -1,4 +1,4 @@
-"""Encoders count ticks."""
+"""Quantisation of wheel travel to encoder ticks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Moments, Motion, Recorded, State, TwistError, parameter, stacked
-from odomcorrupt.effects.random_state import again
+from odomcorrupt.effects.random_state import copied
 from odomcorrupt.effects.wheels import Rims, body_of, needed_track_m, rims_of
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class _Count(NamedTuple):
-    """Travel of each wheel so far, metres, counted from a random place between two ticks."""
+    """Travel of each wheel so far, metres, from a random phase between two ticks."""
 
     right: float
     left: float
@@ -26,10 +26,10 @@ class _Count(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Quantization(Effect):
-    """Each wheel reports whole ticks: its travel so far rounded down to a multiple of `step`, from a random phase.
+    """Each wheel reports whole ticks: its total travel rounded down to a multiple of `step`, from a random phase.
 
-    What is lost in one increment comes in a later one: the error is bounded. No function of the reported motion could
-    take it back, hence f = 0 for correction and study; it counts as noise.
+    The remainder of one increment appears in a later one, so the error is bounded. It is not a function of the reported
+    motion and cannot be undone: f = 0 for correction and study, where it counts as noise.
     """
 
     name = "quantization"
@@ -48,16 +48,16 @@ class Quantization(Effect):
     step: float = parameter("m", "wheel travel of one tick", low=0.0, high=0.1, typical=0.0005)
 
     def start(self, rng: Generator) -> State:
-        """Return random phases between two ticks."""
-        right, left = again(rng).uniform(size=2)
+        """Return a random phase between two ticks for each wheel."""
+        right, left = copied(rng).uniform(size=2)
         return _Count(float(self.step * right), float(self.step * left))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: it is no function of the reported motion."""
+        """Return f = 0: the rounding is not a function of the reported motion."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
-        """Return increments of whole ticks; sideways travel of holonomic robots is left as it is."""
+        """Return increments of whole ticks; the sideways travel of holonomic robots is unchanged."""
         track = needed_track_m(self.name, track_m)
         if self.step == 0.0:
             return Recorded(steps, state)
@@ -71,7 +71,7 @@ class Quantization(Effect):
         return Recorded(reported, _Count(*ends))
 
     def moments(self, motion: Motion) -> Moments:
-        """Return no error on average, and the variance of a count of ticks whose phase is anywhere."""
+        """Return zero mean, and the variance of a tick count with uniformly random phase."""
         track = needed_track_m(self.name, motion.track_m)
         ticks = [np.abs(u) * motion.dt_s / self.step for u in rims_of(motion.v, motion.omega, track)]
         over = [t - np.floor(t) for t in ticks]

@@ -1,4 +1,4 @@
-"""What random effects share: generators that are never used up by looking, and processes in uneven time."""
+"""State of random effects: copies of generators, and autoregressive processes over uneven intervals."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["again", "autoregression"]
+__all__ = ["autoregression", "copied"]
 
 
-def again(rng: np.random.Generator) -> np.random.Generator:
-    """Return a generator that will draw what this one would: a state can then be gone on from twice."""
+def copied(rng: np.random.Generator) -> np.random.Generator:
+    """Return a copy of a generator, so that a state can be continued more than once."""
     return copy.deepcopy(rng)
 
 
 def autoregression(start: float, keep: Array, kick: Array) -> Array:
-    """Return x (n,) with x_i = keep_i x_(i-1) + kick_i, one after the other so that any cut gives the same bits."""
+    """Return x (n,) with x_i = keep_i x_(i-1) + kick_i, computed sequentially so that splitting gives the same bits."""
     x, out = start, np.empty(len(kick))
     for i, (kept, kicked) in enumerate(zip(keep.tolist(), kick.tolist(), strict=True)):
         x = kept * x + kicked

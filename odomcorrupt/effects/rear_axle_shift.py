@@ -1,4 +1,4 @@
-"""The odometry's reference point is not on the rear axle."""
+"""Odometry reference point that is not on the rear axle."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError,
 
 @dataclass(frozen=True, slots=True)
 class RearAxleShift(Effect):
-    """f = (0, x omega, 0): a car's wheels do not move sideways on its rear axle, and do x ahead of it.
+    """f = (0, x omega, 0): a car has no sideways motion at its rear axle, but x omega at a distance x ahead of it.
 
     Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle, rear axle as reference).
     """
@@ -30,5 +30,5 @@ class RearAxleShift(Effect):
     x: float = parameter("m", "of the odometry's point ahead of the rear axle", low=-5.0, high=5.0, typical=0.2)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the reference point swings sideways in turns."""
+        """Return f: the reference point moves sideways in turns."""
         return TwistError(stacked(0.0, self.x * motion.omega, 0.0, motion.v), state)

@@ -1,4 +1,4 @@
-"""Wheels slip on one patch of the floor."""
+"""Wheel slip on one patch of the floor."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 _MOST_DISCS = 400
 _LEAST_SHARE, _MOST_SHARE = 0.01, 0.8
-"""Parts of the way inside a disc below and above which nothing can be learnt from it."""
+"""Fractions of the path inside a disc below and above which its slip cannot be estimated."""
 
 
 @dataclass(frozen=True, slots=True)
 class RegionSlip(Effect):
-    """f = -slip (v, vy, omega) inside a disc of the truth frame, 0 outside; or each wheel as it is on the disc itself.
+    """f = -slip (v, vy, omega) inside a disc of the truth frame, 0 outside; of each wheel with contact = wheels.
 
-    At its edge one wheel slips before the other, and the robot turns.
+    With contact = wheels, one wheel slips before the other at the edge, and the robot turns.
     """
 
     name = "region_slip"
@@ -52,9 +52,9 @@ class RegionSlip(Effect):
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return discs over the ground that was covered: three sizes, centres half a radius to a radius apart.
+        """Return discs over the area covered: three sizes, centres half a radius to a radius apart.
 
-        Discs with hardly any of the way in them are left out, and so are those with nearly all of it.
+        Discs that contain hardly any or nearly all of the path are left out.
         """
         xy = np.concatenate([np.stack((m.x, m.y), axis=1) for m in motions])
         way = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in motions])
@@ -66,9 +66,9 @@ class RegionSlip(Effect):
         for radius in (extent / 12.0, extent / 6.0, extent / 3.0):
             if radius < 0.1:
                 continue
-            # what lies in a cell of the grid counts once: the sums below then do not grow with the rate
+            # positions are binned to grid cells, so that the cost of the sums below does not grow with the message rate
             cell = np.round((xy - low) / (radius / 4.0)).astype(np.int64)
-            # one number sorts as its two do, in a tenth of the time
+            # both cell indices in one number: it sorts like the pair, in a tenth of the time
             wide = int(cell[:, 1].max()) + 1
             numbers, which = np.unique(cell @ (wide, 1), return_inverse=True)
             places = np.stack(np.divmod(numbers, wide), axis=1)
@@ -83,7 +83,7 @@ class RegionSlip(Effect):
         return tuple(found[::every])
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: a scale error that depends on the place."""
+        """Return f: a scale error that depends on the position."""
         if self.contact == "wheels":
             track_m = needed_track_m(self.name, motion.track_m)
             rims = Rims(*(self._ratio(wheel) * wheel.v for wheel in wheel_motions(motion, track_m)))
@@ -93,6 +93,6 @@ class RegionSlip(Effect):
         return TwistError(stacked(slip * motion.v, slip * motion.vy, yaw, motion.v), state)
 
     def _ratio(self, motion: Motion) -> Array:
-        """Return the part (n,) of the way that is gained: below zero inside the disc, 0 outside."""
+        """Return the relative speed error (n,): -slip inside the disc, 0 outside."""
         inside = (motion.x - self.x) ** 2 + (motion.y - self.y) ** 2 <= self.radius**2
         return np.where(inside, -self.slip, 0.0)

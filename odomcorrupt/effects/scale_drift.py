@@ -1,4 +1,4 @@
-"""Wheels grow or shrink while the robot drives: they warm up, or lose pressure."""
+"""Wheel radii that change during a drive, with temperature or pressure."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ScaleDrift(Effect):
     heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: a scale error that grows."""
+        """Return f: a scale error that grows with time."""
         scale = self.rate * motion.t_s
         yaw = turning(self.heading, scale * motion.omega)
         return TwistError(stacked(scale * motion.v, scale * motion.vy, yaw, motion.v), state)

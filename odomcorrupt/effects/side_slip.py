@@ -1,4 +1,4 @@
-"""Tyres drift outwards in turns, the more so the faster the turn is taken."""
+"""Sideways slip of tyres in turns, growing with speed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rollers slip: what a robot with omnidirectional wheels drives sideways is not what its wheels say."""
+"""Roller slip of omnidirectional wheels: sideways travel is wrong by a factor."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError,
 
 @dataclass(frozen=True, slots=True)
 class SidewaysScale(Effect):
-    """f = (0, e vy, 0): only sideways travel is wrong."""
+    """f = (0, e vy, 0): only sideways travel is affected."""
 
     name = "sideways_scale"
     summary = "sideways the robot goes farther or less far than its wheels say"

@@ -1,4 +1,4 @@
-"""Now and then a wheel, or both, spin for a moment."""
+"""Short bursts of slip of one wheel or both at random times."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
-from odomcorrupt.effects.random_state import again
+from odomcorrupt.effects.random_state import copied
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, rims_of, turning
 
 if TYPE_CHECKING:
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _BOTH, _SINGLE = ((1.0, 1.0),), ((1.0, 0.0), (0.0, 1.0))
-"""How much of a burst the right wheel has, and the left."""
+"""Share of a burst's slip at the right wheel and at the left."""
 _MOST = 0.75
-"""A wheel that loses more than this part of its travel is not distinguishable from one that spins on the spot."""
+"""Largest slip: a wheel that loses more is not distinguishable from one that spins on the spot."""
 
 
 class _Burst(NamedTuple):
@@ -41,7 +41,7 @@ class _Burst(NamedTuple):
 
 
 class _Bursts(NamedTuple):
-    """Time gone, the burst that is on (or over), and the next one."""
+    """Elapsed time, the current (or last) burst, and the next one."""
 
     rng: Generator
     clock_s: float
@@ -51,10 +51,10 @@ class _Bursts(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SlipBurst(Effect):
-    """f of a wheel = -slip u during bursts, which begin at random, `rate` per second, and end after `duration`.
+    """f_wheel = -slip u during bursts, which begin at random with `rate` per second and last `duration`.
 
-    A burst takes the right wheel, the left or both alike, each as often; or always both, as without a track. Slips of
-    bursts are spread evenly about their mean, within 0 to 0.75. A new burst ends the one before.
+    A burst affects the right wheel, the left or both alike, with equal probability; without a track, always both. Slips
+    are uniformly distributed about their mean, within 0 to 0.75. A new burst ends the previous one.
     """
 
     name = "slip_burst"
@@ -85,23 +85,23 @@ class SlipBurst(Effect):
     sides: str = choice("which wheels slip: one or both by chance, or always both, which does not turn", "any", "both")
 
     def start(self, rng: Generator) -> State:
-        """Return a clock at zero, no burst, and the first one to come."""
-        rng = again(rng)
+        """Return zero elapsed time, no current burst, and the first burst."""
+        rng = copied(rng)
         return _Bursts(rng, 0.0, _Burst(-np.inf, 0.0, 0.0, 0.0), self._draw(rng, 0.0))
 
     def _spread(self) -> float:
         return min(self.slip, _MOST - self.slip)
 
     def _draw(self, rng: Generator, after_s: float) -> _Burst:
-        # three draws for each burst, whatever the parameters: neighbouring values of them give similar runs
+        # three draws per burst whatever the parameters, so that similar parameters give similar runs
         gap, place, side = float(rng.standard_exponential()), float(rng.uniform(-1.0, 1.0)), int(rng.integers(3))
         begin = after_s + gap / self.rate if self.rate > 0.0 else np.inf
         both = self.sides == "both"
         return _Burst(begin, self.slip + place * self._spread(), float(both or side != 1), float(both or side != 2))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: what is lost in the part of each interval that lies in a burst."""
-        rng, now, coming = again(state.rng), state.now, state.next
+        """Return f: the slip over the fraction of each interval that lies in a burst."""
+        rng, now, coming = copied(state.rng), state.now, state.next
         clock = np.cumsum(np.concatenate(([state.clock_s], motion.dt_s)))
         right, left = np.zeros(len(motion)), np.zeros(len(motion))
         while True:
@@ -134,7 +134,7 @@ class SlipBurst(Effect):
         return f
 
     def moments(self, motion: Motion) -> Moments:
-        """Return what bursts cost on average; variances for intervals much shorter than a burst."""
+        """Return the mean loss by bursts, and variances that hold for intervals much shorter than a burst."""
         gone = np.cumsum(motion.dt_s) - motion.dt_s / 2.0
         on = 1.0 - np.exp(-self.rate * np.minimum(gone, self.duration))
         square = self.slip**2 + self._spread() ** 2 / 3.0
@@ -145,11 +145,11 @@ class SlipBurst(Effect):
         return Moments(mean, on[:, None] * square * np.mean(np.square(sides), axis=0) - mean**2)
 
     def gains(self, motion: Motion) -> tuple[Gain, ...]:
-        """Return what both wheels report too much alike, and what one does more, as Markov numbers.
+        """Return the common and the differential error of the wheels as autoregressive coefficients.
 
-        A wheel that loses the part s of its way reports 1 / (1 - s) of what the robot drives, s spread evenly. A
-        burst's slip is the same all through it: the correlation of two moments is a triangle as long as a burst, of
-        which exp(-t / tau) with tau half of it has the integral.
+        A wheel that loses the fraction s of its travel reports 1 / (1 - s) of the true travel, s uniformly distributed.
+        The slip is constant within a burst: its autocorrelation is a triangle as long as a burst, with the same
+        integral as exp(-t / tau) for tau half of that length.
         """
         on = 1.0 - np.exp(-self.rate * self.duration)
         lasts_s = on / self.rate if self.rate > 0.0 else self.duration
@@ -160,7 +160,7 @@ class SlipBurst(Effect):
         one = np.ones(len(motion))
         if motion.track_m is None or self.sides == "both":
             return (_stationary(self._lost(motion, Rims(one, one)), keep, square - mean**2),)
-        # right, left, or both, each as often: half of sum and of difference have these squares, and no correlation
+        # right, left, or both, equally likely: half of sum and difference have these squares and are uncorrelated
         alike = square / 2.0 - (mean * 2.0 / 3.0) ** 2
         both, right, left = (self._lost(motion, Rims(r * one, f * one)) for r, f in (*_BOTH, *_SINGLE))
         return _stationary(both, keep, alike), _stationary(right - left, keep, square / 6.0)

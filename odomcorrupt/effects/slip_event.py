@@ -1,4 +1,4 @@
-"""Once, wheels slip: a wet patch, a cable, a threshold."""
+"""A single slip of the wheels: a wet patch, a cable, a threshold."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_tra
 class SlipEvent(Effect):
     """f_wheel = -slip u for each wheel's rim speed u between time and time + duration, 0 otherwise.
 
-    `region_slip` is the slip at a place, `slip_burst` slips at random times.
+    See `region_slip` for slip at a place and `slip_burst` for slip at random times.
     """
 
     name = "slip_event"
@@ -37,11 +37,11 @@ class SlipEvent(Effect):
 
     @property
     def window_s(self) -> tuple[float, float]:
-        """When it acts."""
+        """Begin and end of the event, seconds after the first odometry stamp."""
         return self.time, self.time + self.duration
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: what is lost in the part of each interval that lies in the event."""
+        """Return f: the slip over the fraction of each interval that lies in the event."""
         lost = -self.slip * part_inside(motion, *self.window_s)
         if self.side == "both":
             yaw = turning(self.heading, lost * motion.omega)

@@ -1,4 +1,4 @@
-"""On a slope the robot creeps downhill as it drives."""
+"""Downhill creep of a robot that drives on a slope."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _DIRECTIONS = 12
 
 @dataclass(frozen=True, slots=True)
 class Slope(Effect):
-    """f = creep abs(v) in a fixed direction of the truth frame, turned into the body.
+    """f = creep abs(v) in a fixed direction of the truth frame, rotated into the body frame.
 
-    Two of them at right angles span all directions, linearly; a negative creep is the opposite direction.
+    Two of them at right angles span all directions linearly; a negative creep is the opposite direction.
     """
 
     name = "slope"
@@ -42,17 +42,17 @@ class Slope(Effect):
     )
 
     @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - directions need no drive
-        """Return directions over half a turn, 15 degrees apart; the creep's sign does the other half."""
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - directions do not depend on the drive
+        """Return directions over half a turn, 15 degrees apart; the sign of the creep covers the other half."""
         return tuple(cls(direction=math.pi * i / _DIRECTIONS) for i in range(_DIRECTIONS))
 
     def plain(self) -> Self:
-        """Return a creep of more than zero, and the direction in which it goes."""
+        """Return the equivalent effect with positive creep."""
         turned = self.direction + (math.pi if self.creep < 0.0 else 0.0)
         return replace(self, creep=abs(self.creep), direction=math.remainder(turned, 2.0 * math.pi))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the way down, seen from the body."""
+        """Return f: the downhill creep in the body frame."""
         speed = self.creep * np.abs(motion.v)
         away = self.direction - motion.theta
         return TwistError(stacked(speed * np.cos(away), speed * np.sin(away), 0.0, motion.v), state)

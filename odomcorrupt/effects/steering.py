@@ -1,4 +1,4 @@
-"""What effects of a steering angle share: the curvature of a path, and the tangent of a steep angle."""
+"""Geometry of steering effects: curvature of a path, and the tangent of large steering angles."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 __all__ = ["CREEP_MPS", "axles_parameter", "on_every_axle_distance", "steepness"]
 
-CREEP_MPS = 0.05
-"""Below this speed a path does not tell the steering angle."""
+CREEP_MPS = 0.05 - 1e-9
+"""Speed below which a path does not show the steering angle, m/s; just below a round 0.05, which rounding may reach."""
 _STEEP = (0.3, 0.55)
-"""Tangents of the largest steering angle of which the distance between the axles is tried: 17 and 29 degrees."""
+"""Tangents of the largest steering angle that give trial distances between the axles: 17 and 29 degrees."""
 _TIGHTEST = 0.99
 
 E = TypeVar("E", bound=Effect)
 
 
 def axles_parameter() -> Any:
-    """Declare the distance between the axles, a nuisance: the tangent of a large steering angle goes by it."""
+    """Declare the distance between the axles, a nuisance: the tangent of a large steering angle depends on it."""
     return parameter(
         "m", "distance between the axles, where steering angles are large; 0: they are small", low=0.0, high=20.0,
         typical=0.5, amplitude=False, optional=True,
@@ -35,7 +35,7 @@ def axles_parameter() -> Any:
 
 
 def on_every_axle_distance(effect: E, motions: Sequence[Motion]) -> tuple[E, ...]:
-    """Return an effect for small steering angles, and for distances between the axles at which they are not."""
+    """Return the effect for small steering angles, and for each trial distance between the axles."""
     v, omega = (np.abs(np.concatenate([getattr(m, name) for m in motions])) for name in ("v", "omega"))
     turning = v > CREEP_MPS
     largest = float(np.quantile(omega[turning] / v[turning], _TIGHTEST)) if turning.any() else 0.0
@@ -44,7 +44,7 @@ def on_every_axle_distance(effect: E, motions: Sequence[Motion]) -> tuple[E, ...
 
 
 def steepness(v: Array, omega: Array, axles_m: float) -> Array:
-    """Return the tangent (n,) of the steering angle, between 0 and 1; 0 where a robot hardly travels."""
+    """Return the tangent (n,) of the steering angle, clipped to 0..1; 0 if the robot hardly travels."""
     tangent = np.divide(axles_m * np.abs(omega), np.abs(v), out=np.zeros_like(v), where=np.abs(v) > CREEP_MPS)
     steep: Array = np.minimum(tangent, 1.0)
     return steep

@@ -1,4 +1,4 @@
-"""The steering is not straight where its sensor says zero."""
+"""Steering that is not straight at a sensor reading of zero."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class SteeringOffset(Effect):
     """f = (0, 0, curvature v (1 + tan^2 delta)): the bicycle's yaw rate with an angle delta + d, curvature = d / L.
 
-    With the distance L between the axles, tan delta = L omega / v; without it delta is taken to be small.
+    With L the distance between the axles, tan delta = L omega / v; without it delta is assumed small.
     Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle): omega = v tan(delta) / L.
     """
 
@@ -44,6 +44,6 @@ class SteeringOffset(Effect):
         return on_every_axle_distance(cls(), motions)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the yaw error goes with the distance, and changes sign in reverse."""
+        """Return f: the yaw error is proportional to the distance, and changes sign in reverse."""
         steep = 1.0 + steepness(motion.v, motion.omega, self.axles) ** 2 if self.axles else 1.0
         return TwistError(stacked(0.0, 0.0, self.curvature * steep * motion.v, motion.v), state)

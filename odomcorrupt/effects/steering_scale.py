@@ -1,4 +1,4 @@
-"""The steering turns farther or less far than its sensor says."""
+"""Steering angle that differs from its sensor's by a factor."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _SMALL = 1e-6
 class SteeringScale(Effect):
     """f = (0, 0, e omega delta (1 + tan^2 delta) / tan delta): the bicycle's yaw rate with an angle delta (1 + e).
 
-    With the distance L between the axles, tan delta = L omega / v; without it delta is taken to be small, f = e omega.
-    A wheelbase L that is wrong by -e is the same. Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle).
+    With L the distance between the axles, tan delta = L omega / v; without it delta is assumed small, f = e omega.
+    A relative error -e of L is equivalent. Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle).
     """
 
     name = "steering_scale"
@@ -55,7 +55,7 @@ class SteeringScale(Effect):
         return TwistError(stacked(0.0, 0.0, self.e * self._steep(motion) * motion.omega, motion.v), state)
 
     def _steep(self, motion: Motion) -> Array:
-        """Return by how much more (n,) the tangent grows with its angle than in proportion."""
+        """Return the factor (n,) delta (1 + tan^2 delta) / tan delta; 1 at small angles."""
         tangent = np.maximum(steepness(motion.v, motion.omega, self.axles), _SMALL)
         steep: Array = np.arctan(tangent) * (1.0 + tangent**2) / tangent
         return steep

@@ -1,4 +1,4 @@
-"""The odometry's stamps are late or early by a constant."""
+"""Constant offset of the odometry's stamps."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TimeOffset(Effect):
-    """f = offset (a, ay, alpha); on a bag: every odometry stamp moves by the offset.
+    """f = offset (a, ay, alpha); in a bag, every odometry stamp moves by the offset.
 
-    Only the regression sees f; the shift itself is exact.
+    f is a first-order equivalent for the regression only; the stamp shift is exact.
     """
 
     name = "time_offset"
@@ -36,9 +36,9 @@ class TimeOffset(Effect):
     offset: float = parameter("s", "odometry stamp minus true time", low=-5.0, high=5.0, typical=0.03)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f to first order: the twist a little later, minus the twist now."""
+        """Return f to first order: the twist a little later minus the present twist."""
         return TwistError(self.offset * motion.acceleration, state)
 
     def stamp_shift_s(self, t_s: Array) -> Array:
-        """Return the constant shift."""
+        """Return the stamp shift (n,), seconds: the constant offset."""
         return np.full_like(t_s, self.offset)

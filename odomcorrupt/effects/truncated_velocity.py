@@ -1,4 +1,4 @@
-"""Velocities are cut to whole steps before odometry is computed from them."""
+"""Velocities truncated to whole steps before odometry is computed from them."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 _LONG_S = 3600.0
 _STILL = 0.02
-"""m/s and rad/s near which a smooth speed has no sign of its own: a robot that stands sways by as much."""
+"""Speed, m/s and rad/s, over which the sign of a smooth speed fades: a standing robot sways by about as much."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruncatedVelocity(Effect):
-    """f = (step sign(v) / 2, 0, turn sign(omega) / 2): on average half a step is cut off towards zero.
+    """f = (step sign(v) / 2, 0, turn sign(omega) / 2): on average half a step is truncated towards zero.
 
-    Corruption cuts speeds down to whole steps; what the rest was the report does not tell, so correction adds its mean.
-    Towards rest the sign fades, u / sqrt(u^2 + 0.02^2).
+    Corruption truncates speeds to whole steps. The report does not show the remainder, so correction adds its mean.
+    Towards rest the sign fades as u / sqrt(u^2 + 0.02^2).
     """
 
     name = "truncated_velocity"
@@ -51,12 +51,12 @@ class TruncatedVelocity(Effect):
 
     @property
     def lost_m(self) -> float:
-        """What was cut off lies between nothing and a step; the odometry does not show how much it was."""
+        """Bound on the uncorrectable error: the odometry does not show the truncated part, between zero and a step."""
         return sum(self.remainder) * _LONG_S
 
     @property
     def remainder(self) -> tuple[float, float]:
-        """Half a step: what was cut off less its mean."""
+        """Half a step, the largest difference between the truncated part and its mean."""
         return 0.5 * self.step, 0.5 * self.turn
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
@@ -67,7 +67,7 @@ class TruncatedVelocity(Effect):
         return TwistError(stacked(along, 0.0, yaw, motion.v), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
-        """Return increments of whole steps of speed."""
+        """Return increments with speeds truncated to whole steps."""
         last_s = float(t_s[-1]) if len(t_s) else state
         dt = np.diff(t_s, prepend=0.0 if state is None else state)
         cut = steps.copy()

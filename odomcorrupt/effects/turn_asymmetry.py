@@ -1,4 +1,4 @@
-"""Left turns and right turns have different gains."""
+"""Different gains of left and right turns."""
 
 from __future__ import annotations
 

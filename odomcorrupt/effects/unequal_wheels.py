@@ -1,4 +1,4 @@
-"""One wheel is larger than the other: straight lines bend."""
+"""Unequal wheel radii: straight lines bend."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError,
 
 @dataclass(frozen=True, slots=True)
 class UnequalWheels(Effect):
-    """f = (curvature b^2 omega / 4, 0, curvature v); the first term only where the track b is known.
+    """f = (curvature b^2 omega / 4, 0, curvature v); the first term only if the track b is known.
 
     With radii r_right / r_left = 1 + e, curvature = e / b. Borenstein & Feng 1996, IEEE T-RA 12(6), E_d.
     """
@@ -31,7 +31,7 @@ class UnequalWheels(Effect):
     )
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the yaw error goes with the distance, and changes sign in reverse."""
+        """Return f: the yaw error is proportional to the distance, and changes sign in reverse."""
         track = motion.track_m or 0.0
         return TwistError(
             stacked(self.curvature * track**2 / 4.0 * motion.omega, 0.0, self.curvature * motion.v, motion.v),

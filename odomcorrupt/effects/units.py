@@ -1,4 +1,4 @@
-"""Units of an expression's amplitudes, as the quantities beside them have it: k of yaw += k * v is in rad/m."""
+"""Units of an expression's amplitudes, derived from their factors: k of yaw += k * v is in rad/m."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ _OF = {
     "t": _Dimension(s=1), "x": _Dimension(m=1), "y": _Dimension(m=1), "distance": _Dimension(m=1),
     "theta": _Dimension(rad=1),
 }  # fmt: skip
-_KEEPING = ("abs", "min", "max", "hypot")
-"""Functions whose value has the unit of what they are given; of any other it has none."""
+_UNIT_PRESERVING = ("abs", "min", "max", "hypot")
+"""Functions with a value in the unit of their arguments; the value of any other has no unit."""
 
 
-class _Unclear(Exception):  # noqa: N818 - it never leaves this file
+class _Unclear(Exception):  # noqa: N818 - private to this module
     """The unit cannot be derived."""
 
 
 def amplitude_unit(statements: Sequence[ast.AugAssign], name: str) -> str:
-    """Return the unit of a parameter that statements are affine in, as "s^2/m"; "" where it has none or is unclear."""
+    """Return the unit of a parameter that statements are affine in, e.g. "s^2/m"; "" if none or unclear."""
     for node in statements:
         if _has(node.value, name):
             target = _TURN if isinstance(node.target, ast.Name) and node.target.id == "yaw" else _SPEED
             try:
-                return _written(target.times(_beside(node.value, name), -1))
+                return _written(target.times(_factor_of(node.value, name), -1))
             except _Unclear:
                 return ""
     return ""
@@ -53,22 +53,22 @@ def _has(node: ast.AST, name: str) -> bool:
     return any(isinstance(inner, ast.Name) and inner.id == name for inner in ast.walk(node))
 
 
-def _beside(node: ast.expr, name: str) -> _Dimension:
-    """Return the dimension of what the parameter is multiplied by."""
+def _factor_of(node: ast.expr, name: str) -> _Dimension:
+    """Return the dimension of the parameter's factor."""
     match node:
         case ast.Name(id=own) if own == name:
             return _PURE
         case ast.UnaryOp(operand=inner):
-            return _beside(inner, name)
+            return _factor_of(inner, name)
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
-            return _beside(left if _has(left, name) else right, name)
+            return _factor_of(left if _has(left, name) else right, name)
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
             with_it, other = (left, right) if _has(left, name) else (right, left)
-            return _beside(with_it, name).times(_dimension(other))
+            return _factor_of(with_it, name).times(_dimension(other))
         case ast.BinOp(left=left, op=ast.Div(), right=right) if not _has(right, name):
-            return _beside(left, name).times(_dimension(right), -1)
+            return _factor_of(left, name).times(_dimension(right), -1)
         case ast.Call(func=ast.Name(id="where"), args=[_, yes, no]):
-            return _beside(yes if _has(yes, name) else no, name)
+            return _factor_of(yes if _has(yes, name) else no, name)
     raise _Unclear
 
 
@@ -98,11 +98,11 @@ def _called(function: str, args: Sequence[ast.expr]) -> _Dimension:
         return _first(*args[1:])
     if function == "sqrt" and _dimension(args[0]) != _PURE:
         raise _Unclear
-    return _first(*args) if function in _KEEPING else _PURE
+    return _first(*args) if function in _UNIT_PRESERVING else _PURE
 
 
 def _first(*nodes: ast.expr) -> _Dimension:
-    """Return the dimension that one of several has: numbers take that of their neighbours."""
+    """Return the common dimension of several nodes: plain numbers take that of the others."""
     return next((d for d in map(_dimension, nodes) if d != _PURE), _PURE)
 
 

@@ -1,4 +1,4 @@
-"""Effects that a user writes as an expression in a model file: each becomes a class like those of the library."""
+"""User effects: a class for each expression in a model file, equivalent to the library's effects."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ __all__ = ["UserEffect", "user_effect"]
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}")
 _TAKEN = {*VARIABLES, *CONSTANTS, *FUNCTIONS, *CHANNELS, *SIDES, "name", "expression", "heading"}
-_FAR = 1e9
-"""Nobody knows what is physically possible for a user's parameter; this keeps it a number."""
+_MAX = 1e9
+"""Bound of a user's parameter, whose physical limits are unknown; it keeps the numbers finite."""
 
 
 class UserEffect(Effect):
-    """What the classes made by `user_effect` have in common."""
+    """Base class of the classes made by `user_effect`."""
 
     expression: ClassVar[Expression]
 
@@ -57,32 +57,32 @@ class UserEffect(Effect):
 
     @property
     def acts(self) -> bool:
-        """Whether it does anything: an amplitude is off zero, or something in it has no amplitude."""
+        """Whether it does anything: an amplitude is off zero, or a term of the expression has no amplitude."""
         return super().acts or not self.expression.vanishes
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the expression; what single wheels do, put together again."""
+        """Return f of the expression, with the errors of single wheels combined into a twist."""
         own = {p.name: np.float64(getattr(self, p.name)) for p in parameters(self)}
-        body = self._shown(motion) | own
+        body = self._variables(motion) | own
         f = np.stack([self.expression.added_to((channel,), body) for channel in CHANNELS], axis=1)
         if self.expression.by_wheel:
             track_m = needed_track_m(self.name, motion.track_m)
-            right, left = (self._shown(wheel) | own for wheel in wheel_motions(motion, track_m))
+            right, left = (self._variables(wheel) | own for wheel in wheel_motions(motion, track_m))
             rims = Rims(
                 self.expression.added_to(("right", "wheels"), right), self.expression.added_to(("left", "wheels"), left)
             )
             f += body_of(rims, track_m, getattr(self, "heading", "wheels"))
         return TwistError(f, state)
 
-    def _shown(self, motion: Motion) -> dict[str, Any]:
-        """Return the values of its variables, and those that its conditions use."""
+    def _variables(self, motion: Motion) -> dict[str, Any]:
+        """Return the values of the variables, and of the previous interval for discontinuous terms."""
         if self.expression.names.isdisjoint(ACCELERATIONS):
             return _values(motion)
         past = {f"{name}{PAST}": value for name, value in _values(motion.just_before).items()}
         return _values(motion.in_step) | past
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return how to make it again: its class has no place in any module."""
+        """Return the pickling recipe: the class is created at run time and belongs to no module."""
         own = parameters(self)
         values = {p.name: getattr(self, p.name) for p in own}
         words = {word: getattr(self, word) for word in choices(self)}
@@ -100,15 +100,15 @@ def user_effect(
     units: Mapping[str, str] | None = None,
     words: Mapping[str, str] | None = None,
 ) -> UserEffect:
-    """Return the effect of an expression, with the values of its parameters.
+    """Return the effect of an expression with the given parameter values.
 
-    A parameter that f is affine in is an amplitude, 0 where it does nothing; any other is a shape, which a fit holds.
-    One that adds to single wheels has a word, heading, like the library's effects of wheels.
+    A parameter that f is affine in is an amplitude, with identity 0; any other is a shape, which a fit holds fixed.
+    An expression that adds to single wheels also has the word-valued parameter `heading`, as the library's do.
 
     Raises
     ------
     EffectError
-        For a name that cannot be one, or an expression that is none.
+        If the name or the expression is invalid.
 
     """
     for word in (name, *values):
@@ -145,14 +145,14 @@ def _magnitude(value: float) -> float:
 
 @cache
 def _class_of(name: str, text: str, facts: tuple[tuple[str, str, bool, float, float], ...]) -> type[UserEffect]:
-    """Return the class of an expression; the same again for the same facts, so that equal effects are equal."""
+    """Return the class of an expression; cached: the same facts give the same class, and equal effects are equal."""
     expression = parse_expression(text, tuple(key for key, *_ in facts))
     fields: list[tuple[str, type, Any]] = [
         (
             key,
             float,
             parameter(
-                unit, "of the expression", low=-_FAR, high=_FAR, typical=typical, identity=identity, amplitude=amplitude
+                unit, "of the expression", low=-_MAX, high=_MAX, typical=typical, identity=identity, amplitude=amplitude
             ),
         )
         for key, unit, amplitude, identity, typical in facts

@@ -1,4 +1,4 @@
-"""Both wheels are larger or smaller than their nominal radius."""
+"""Both wheel radii larger or smaller than nominal."""
 
 from __future__ import annotations
 

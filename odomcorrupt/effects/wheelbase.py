@@ -1,4 +1,4 @@
-"""The effective track is wider or narrower than the nominal one."""
+"""Effective track that is wider or narrower than nominal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What single wheels do: rim speeds of the two sides, and back."""
+"""Rim speeds of the two sides, and effects of single wheels."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ __all__ = [
 
 _STILL_MPS = 1e-6
 TRACKS_M = (0.12, 0.22, 0.4, 0.7, 1.2)
-"""Tracks on which an effect of single wheels is tried where the robot's is not known."""
+"""Trial tracks of an effect of single wheels, metres, if the robot's track is unknown."""
 
 E = TypeVar("E", bound=Effect)
 
 
 def track_parameter() -> Any:
-    """Declare the track of an effect of single wheels, a nuisance that is estimated where the robot's is not known."""
+    """Declare the track of an effect of single wheels, a nuisance that is estimated if the robot's is unknown."""
     return parameter(
         "m", "distance between the wheels, where that of the robot is not known; 0: the robot's own", low=0.0, high=3.0,
         typical=0.3, amplitude=False, optional=True,
@@ -47,36 +47,36 @@ def track_parameter() -> Any:
 
 
 def brings_track(kind: type[Effect] | Effect) -> bool:
-    """Tell whether an effect of single wheels can be tried where the robot's track is not known."""
+    """Tell whether an effect of single wheels can be tried without a known track, i.e. has a parameter `track`."""
     return any(p.name == "track" and p.optional for p in parameters(kind))
 
 
 def on_every_track(effects: Sequence[E], motions: Sequence[Motion]) -> tuple[E, ...]:
-    """Return effects as they are where the robot's track is known, and on every track that is tried where it is not."""
+    """Return the effects unchanged if the robot's track is known; otherwise one copy for each trial track."""
     if all(m.track_m is not None for m in motions):
         return tuple(effects)
     return tuple(replace(effect, track=track_m) for effect in effects for track_m in TRACKS_M)  # type: ignore[type-var]
 
 
 def heading_choice() -> Any:
-    """Declare where the odometry's heading comes from: with a gyro, what the wheels do wrong is wrong along alone."""
+    """Declare the source of the odometry's heading: with a gyro, wheel errors change only the forward motion."""
     return choice("source of the odometry's heading; what wheels do wrong does not turn a gyro", "wheels", "gyro")
 
 
 def turning(heading: str, yaw: Array) -> Array:
-    """Return how much an error of the wheels turns the odometry, rad/s or rad, of what it would turn their heading."""
+    """Return the yaw error (rad/s or rad) of the odometry due to the wheels: `yaw`, or zero with a gyro."""
     return yaw if heading == "wheels" else np.zeros_like(yaw)
 
 
 class Rims(NamedTuple):
-    """Something per wheel, (n,) each: speeds in m/s or travel in m."""
+    """A quantity per wheel, (n,) each: speeds in m/s or travel in m."""
 
     right: Array
     left: Array
 
 
 def needed_track_m(name: str, track_m: float | None) -> float:
-    """Return the track; EffectError where it is not known."""
+    """Return the track; raise EffectError if it is unknown."""
     if track_m is None:
         raise EffectError(
             f"effect {name}: acts on single wheels and the track is not known; give it in metres with --track, or as "
@@ -86,21 +86,21 @@ def needed_track_m(name: str, track_m: float | None) -> float:
 
 
 def rims_of(along: Array, yaw: Array, track_m: float) -> Rims:
-    """Return what the two wheels do where the body moves along and turns, speeds or travel."""
+    """Return the wheels' speeds or travel for a body that moves forward and turns."""
     half = 0.5 * track_m * yaw
     return Rims(along + half, along - half)
 
 
 def body_of(rims: Rims, track_m: float, heading: str = "wheels") -> Array:
-    """Return what the odometry does, (n, 3), where the wheels do this."""
+    """Return the odometry's motion (n, 3) for given motions of the wheels."""
     yaw = turning(heading, (rims.right - rims.left) / track_m)
     return stacked(0.5 * (rims.right + rims.left), 0.0, yaw, rims.right)
 
 
 def error_of_each_wheel(error: Callable[[Array], Array], motion: Motion, track_m: float | None) -> Array:
-    """Return f (n, 3) of an error of each wheel by its speed; without a track, the body's, which then turns by as much.
+    """Return f (n, 3) of an error of each wheel by its speed; without a track, its limit for the body.
 
-    error : of rim speeds (n,), m/s
+    error : function of rim speeds (n,), m/s
     """
     if track_m is not None:
         return body_of(Rims(*(error(u) for u in rims_of(motion.v, motion.omega, track_m))), track_m)
@@ -109,27 +109,27 @@ def error_of_each_wheel(error: Callable[[Array], Array], motion: Motion, track_m
 
 
 def driven_speeds(motions: Sequence[Motion]) -> Array:
-    """Return the forward speeds (n,) of recordings where the robot moves, m/s, without their sign."""
+    """Return the absolute forward speeds (n,) of recordings while the robot moves, m/s."""
     speeds = np.abs(np.concatenate([m.v for m in motions]))
     moving: Array = speeds[speeds > _STILL_MPS]
     return moving
 
 
 def wheel_motions(motion: Motion, track_m: float) -> tuple[Motion, Motion]:
-    """Return the motion of the right wheel and of the left one: its rim speed, its acceleration and its place.
+    """Return the motion of the right wheel and of the left one: rim speed, acceleration and position.
 
-    Turn, time and distance are the body's.
+    Rotation, time and distance are the body's.
     """
     right, left = (_at_wheel(motion, 0.5 * track_m * side) for side in (1.0, -1.0))
     return right, left
 
 
 def _at_wheel(motion: Motion, arm_m: float) -> Motion:
-    """Return the motion so far to the right of the middle."""
+    """Return the motion of a point this far to the right of the middle."""
 
     def there(rates: Array) -> Array:
         moved = rates.copy()
-        moved[..., 0] += arm_m * rates[..., 2]  # what turns moves on, too
+        moved[..., 0] += arm_m * rates[..., 2]  # a rotation also moves a point off the middle
         return moved
 
     return replace(

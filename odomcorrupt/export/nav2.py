@@ -24,7 +24,7 @@ Turn = Literal["rolling", "spot"]
 class AmclAlphas:
     """Alpha1 to alpha5 of nav2, and the motion model they apply to; alpha5 is used by the omnidirectional one only.
 
-    depends_on : rate and speeds assumed, because the model's law depends on them; None where it does not
+    depends_on : rate and speeds assumed, if the model's law depends on them; None otherwise
     """
 
     alpha1: float

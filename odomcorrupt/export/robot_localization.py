@@ -38,7 +38,7 @@ class Steady:
 class MessageNoise:
     """Mean variances per message: heading, rad^2; along and across the heading, m^2.
 
-    late : part of the heading variance that acts after the translation
+    late : fraction of the heading variance that acts after the translation
     """
 
     heading: float

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["WHEEL_EFFECTS", "WheelMultipliers", "wheel_multipliers"]
 
 WHEEL_EFFECTS = frozenset({WheelScale.name, UnequalWheels.name, Wheelbase.name})
-"""Effects that are nothing but a wrong radius or a wrong track."""
+"""Effects that are equivalent to a wrong radius or a wrong track."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +31,12 @@ class WheelMultipliers:
 def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> WheelMultipliers:
     """Return the multipliers with which a controller computes v = v' + f_along and omega = omega' + f_yaw.
 
-    track_m : nominal distance between the wheels, where the model does not know it
+    track_m : nominal distance between the wheels, if the model does not contain it
 
     Raises
     ------
     ModelError
-        Where the track is needed and not known, or the effects leave no wheel of positive size.
+        If the track is needed and unknown, or a wheel's size would not be positive.
 
     """
     scale = 1.0 + sum(effect.e for effect in model.effects if isinstance(effect, WheelScale))

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 __all__ = ["amcl_text", "condensed", "numbers_of", "twists_text", "unexpressed", "wheels_text"]
 
 _UNKNOWN = 1e6
-"""Variance of what a planar robot's odometry does not measure."""
+"""Variance of quantities that a planar robot's odometry does not measure."""
 _WIDTH = 80
 
 
 def condensed(text: str, model: MotionModel) -> str:
-    """Return a snippet in flow style, with one comment: which effects of the model it may not express."""
+    """Return a snippet in flow style, with one comment that names the effects it cannot express."""
     left = unexpressed(text, model)
     said = f"# not expressed: {', '.join(left)} (-v says why)" if left else "# -v says what these numbers assume"
     lines = [said if len(said) <= _WIDTH else "# some effects are not expressed: -v names them"]
@@ -33,7 +33,7 @@ def condensed(text: str, model: MotionModel) -> str:
     for node in re.split(r"\n(?=\S)", bare):
         head, *entries = re.split(r"\n {4}(?=\S)", node)
         name = head.split(":")[0]
-        # a key and its number stay on one line
+        # a key and its number remain on one line
         flow = ", ".join(" ".join(entry.split()).replace(": ", ":\0") for entry in entries)
         lines += textwrap.wrap(f"{name}: {{ros__parameters: {{{flow}}}}}", _WIDTH, subsequent_indent="  ",
                                break_long_words=False, break_on_hyphens=False)  # fmt: skip
@@ -41,12 +41,12 @@ def condensed(text: str, model: MotionModel) -> str:
 
 
 def unexpressed(text: str, model: MotionModel) -> list[str]:
-    """Return the names of a model's effects that a snippet's comments name, because it cannot express them."""
+    """Return the names of a model's effects that a snippet cannot express, from its comments."""
     return [effect.name for effect in model.effects if effect.acts and effect.name in _comments(text)]
 
 
 def numbers_of(text: str) -> list[str]:
-    """Return a snippet's parameters as `name value`, of those that have one number, and its variances."""
+    """Return a snippet's single-valued parameters as `name value`, and its variances."""
     rows = [line.strip() for line in text.splitlines() if not line.lstrip().startswith("#")]
     single = [tuple(row.split(": ")) for row in rows if ": " in row and "[" not in row and '"' not in row]
     lists = [row.strip("[]") for row in rows if row.startswith("[")]
@@ -80,7 +80,7 @@ def wheels_text(model: MotionModel, multipliers: WheelMultipliers, controller: s
 
 
 def amcl_text(model: MotionModel, alphas: AmclAlphas, update_min_d: float, update_min_a: float, turn: str) -> str:
-    """Return the alphas of amcl and the update distances that they apply to, as YAML."""
+    """Return the alphas of amcl, and the update distances at which they apply, as YAML."""
     reference = "while rolling along an arc" if turn == "rolling" else "on the spot"
     lines = _comment(
         f"amcl's alphas (variance = alpha x motion^2 per update) with the variances of {law_words(model.noise)}; "

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["BEARING_MIN_M", "Increments", "RotTransRot", "accumulate", "increments", "rot_trans_rot"]
 
 BEARING_MIN_M = 0.05
-"""A step's bearing means something only from this translation on; below it, the turn is split evenly."""
+"""Smallest translation with a meaningful bearing, metres; below it, the turn is split evenly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +70,9 @@ def accumulate(start_xyt: Array, steps: Increments) -> Array:
 def rot_trans_rot(steps: Increments) -> RotTransRot:
     """Return increments as turn, drive, turn.
 
-    The bearing is used only where the translation is at least `BEARING_MIN_M`; below, rot1 = rot2 = dtheta / 2 and
-    the travel keeps the sign of ds. Where the bearing points backwards (|rot1| > pi/2), rot1 is turned by pi and
-    trans is negative: guards on rot1 alone make a slow reverse drive forwards (ros-planning/navigation #746).
+    The bearing is used only for translations of at least `BEARING_MIN_M`; below, rot1 = rot2 = dtheta / 2 and trans
+    keeps the sign of ds. If the bearing points backwards (|rot1| > pi/2), rot1 is turned by pi and trans is negative:
+    guards on rot1 alone turn slow reverse motion into forward motion (ros-planning/navigation #746).
     """
     trans = np.hypot(steps.ds_m, steps.dl_m)
     half = steps.dtheta_rad / 2.0

@@ -32,37 +32,37 @@ __all__ = [
 ]
 
 SMOOTHING_S = 0.2
-"""Window of the study's smooth speeds and accelerations: long enough to average ticks, short enough for stops."""
+"""Window of the study's smoothed speeds and accelerations: averages ticks, resolves stops."""
 
 TRAIL_S = 0.05
-"""Speeds are averaged over this time before they are differentiated: stamps bunch, and poses come in ticks."""
+"""Averaging time of speeds before differentiation, because stamps may be bunched and poses come in ticks."""
 
 TOLERANCE = 1e-12
-"""A correction is found when no increment moves by more between two rounds, metres or radians."""
+"""Largest change of an increment between two rounds at convergence of a correction, metres or radians."""
 
 MAX_ROUNDS = 2000
-"""Where a law switches on and off for seconds on end, each round gets no further than the next switch."""
+"""Large, because if an effect switches on and off for seconds, each round advances only to the next switch."""
 
 _NUDGE = 0.5
-"""How far off, m/s^2 and rad/s^2, it is tried how strongly an acceleration acts."""
+"""Step of the numerical derivative with respect to the acceleration, m/s^2 and rad/s^2."""
 
 _BLOCK = 1024
 
 _RUNAWAY = 1e6
-"""An increment that changes by more metres than this diverges."""
+"""Change of an increment, metres, at which the iteration counts as diverged."""
 
 
 class LineFits:
-    """Line fits to samples within +- width_s / 2 of some times: all of them that the times alone decide.
+    """Line fits to samples in windows around given times; sums that depend only on the times are precomputed.
 
-    Linear in the number of samples at any rate by running sums; stamps may be uneven. Sums start again every `_BLOCK`
-    windows: over an hour they would lose a thousandth of a speed. Where a window holds fewer than two samples, the
+    Running sums make the cost linear in the number of samples; stamps may be uneven. Sums restart every `_BLOCK`
+    windows, because over an hour they would lose a thousandth of a speed. If a window has fewer than two samples, the
     nearest ones on both sides are used.
 
     Parameters
     ----------
     t_s : (n,) times of the samples, seconds
-    at_s : (m,) middles of the windows, seconds
+    at_s : (m,) centres of the windows, seconds
     width_s : width of the windows
 
     """
@@ -83,7 +83,7 @@ class LineFits:
     def slopes(self, values: Array) -> Array:
         """Return the time derivatives (m, c) of values (n, c): the slopes of the lines.
 
-        Where no value changes they are zero: what sums round off would pass for motion at rest.
+        They are exactly zero in windows of constant values, so that rounding of the sums does not look like motion.
         """
         of_each = np.ascontiguousarray(values.T)
         slope = np.empty((len(of_each), len(self._first)))
@@ -97,13 +97,13 @@ class LineFits:
         return slope.T
 
     def _blocks(self) -> Iterator[tuple[slice, slice]]:
-        """Yield blocks of windows, and the samples that they hold."""
+        """Yield blocks of windows with the samples in them."""
         for begin in range(0, len(self._first), _BLOCK):
             rows = slice(begin, begin + _BLOCK)
             yield rows, slice(int(self._first[rows].min()), int(self._last[rows].max()))
 
     def _since(self, samples: slice) -> Array:
-        """Return the times of samples since the first of them, seconds."""
+        """Return the times of samples since the first one, seconds."""
         since: Array = self._t_s[samples] - self._t_s[samples.start]
         return since
 
@@ -210,7 +210,7 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
 
 def error_of(effect: Effect, motion: Motion) -> Array:
     """Return an effect's twist error f (n, 3), m/s and rad/s, over a whole motion from its initial state."""
-    # to seed a stream takes longer than most effects; one without memory has no use for it
+    # Seeding a stream takes longer than most effects; effects without state do not need it.
     state = effect.start(stream(0, 0, effect.name)) if type(effect).start is not Effect.start else None
     return effect.twist_error(motion, state).f
 
@@ -300,7 +300,7 @@ def _settled(
             distance=np.cumsum(np.hypot(steps[:, 0], steps[:, 1])),
         )
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is reported below
-            if number & (number - 1) == 0:  # ever less often, as the estimate of the truth improves
+            if number & (number - 1) == 0:  # at powers of two: less often as the estimate of the truth improves
                 # never decreased: too large a stiffness converges late, too small a one never
                 stiff = np.maximum(stiff, _stiffness(effects, seen))
             change = (known + _sum_of(effects, seen) - truth) / stiff
@@ -318,7 +318,7 @@ def _settled(
 
 
 def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:
-    """Return upper bounds (n, 1) of the diagonal of the Jacobian: 1 where f does not depend on the acceleration.
+    """Return upper bounds (n, 1) of the Jacobian's diagonal; 1 if f does not depend on the acceleration.
 
     A one-sided dependence, such as slip under braking only, counts with that side. Coupling between two channels adds
     its geometric mean, so that the slip of a single wheel counts in full. All channels share one number.

@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.info.scan import EdgeRecord, OdometryRecord
 
-__all__ = ["HUGE", "CovarianceWatch", "Findings", "disagreement_m", "findings"]
+__all__ = ["HUGE", "CovarianceCheck", "Findings", "disagreement_m", "findings"]
 
 HUGE = 1e3
-"""A variance from here on says "not known", m^2 or rad^2."""
+"""Smallest variance that means "unknown", m^2 or rad^2."""
 
 ROUNDING = 1e-9
-"""Part of the largest variance by which a covariance may miss being one."""
+"""Tolerance of the symmetry and positive-semidefiniteness checks, relative to the largest variance."""
 
 
 @dataclass(slots=True)
-class CovarianceWatch:
+class CovarianceCheck:
     """Faults of many 6 x 6 covariances in x, y and yaw."""
 
     count: int = 0
@@ -77,7 +77,7 @@ class CovarianceWatch:
 
 
 MOVING = 0.05
-"""Slower than this, m/s or rad/s, a robot counts as standing."""
+"""Speed, m/s or rad/s, below which a robot counts as standing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class Findings:
     """Motion of the robot of one odometry topic, and warnings.
 
     distance, reverse, sideways : metres; turned : radians; duration, standing : seconds
-    restarts : number of stamps that jump back by more than a second; swapped : by less
+    restarts : number of stamps that jump back by more than a second; swapped : by less than a second
     oddities : warnings, one sentence each
     """
 

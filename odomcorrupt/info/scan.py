@@ -14,7 +14,7 @@ from odomcorrupt.corruption.patch import PLANAR
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.unmodified_topics import frame_of
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
-from odomcorrupt.info.checks import CovarianceWatch
+from odomcorrupt.info.checks import CovarianceCheck
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -50,7 +50,7 @@ class TopicRecord:
 class OdometryRecord:
     """All messages of an odometry topic, or transforms of a TF edge used as odometry, in the order of arrival.
 
-    frame, child : of its first message
+    frame, child : frames of its first message
     stamps_ns (n,); xyt (n, 3) metres, radians; twist (n, 3) forward and leftward m/s, yaw rad/s, None for TF
     pose_covariance, twist_covariance : checks of the covariances
     zero_stamps : number of zero stamps
@@ -63,8 +63,8 @@ class OdometryRecord:
     stamps_ns: NDArray[np.int64]
     xyt: Array
     twist: Array | None
-    pose_covariance: CovarianceWatch
-    twist_covariance: CovarianceWatch
+    pose_covariance: CovarianceCheck
+    twist_covariance: CovarianceCheck
     zero_stamps: int
     faults: PoseFaults = field(default_factory=PoseFaults)
 
@@ -96,8 +96,8 @@ class BagScan:
 class _Odometry:
     frame: str = ""
     child: str = ""
-    pose_covariance: CovarianceWatch = field(default_factory=CovarianceWatch)
-    twist_covariance: CovarianceWatch = field(default_factory=CovarianceWatch)
+    pose_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
+    twist_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
     faults: PoseFaults = field(default_factory=PoseFaults)
     columns: defaultdict[str, list[NDArray[np.generic]]] = field(default_factory=lambda: defaultdict(list))
 
@@ -157,7 +157,7 @@ def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None)
 def _count(topics: dict[str, TopicRecord], channel: Channel, block: Block) -> None:
     record = topics.setdefault(channel.topic, TopicRecord(channel.topic, channel.msgtype))
     times = block.table["log_ns"][block.table["channel"] == channel.id]
-    # blocks of a bag may overlap in time: only what comes after all before ends a gap
+    # blocks of a bag may overlap in time: only a message later than all before it ends a gap
     known = times if record.count == 0 else np.append(record.last_ns, times)
     record.longest_gap_ns = max(record.longest_gap_ns, int(np.diff(np.maximum.accumulate(known)).max(initial=0)))
     record.count += len(times)

@@ -1,4 +1,4 @@
-"""Summary of a bag's odometry and of what corruption would move, as plain values and as text."""
+"""Summary of a bag's odometry and of the messages that corruption would modify, as plain values and as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from odomcorrupt.corruption.summary import SIDEWAYS
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
-from odomcorrupt.info.checks import CovarianceWatch, disagreement_m, findings
+from odomcorrupt.info.checks import CovarianceCheck, disagreement_m, findings
 from odomcorrupt.info.scan import OdometryRecord
 from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.standard_streams import visible
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 __all__ = ["SCHEMA", "brief", "summarise", "summary_text"]
 
 SCHEMA = 2
-"""Version of the values that `summarise` returns."""
+"""Version of the schema of `summarise`."""
 
 SCANS = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2")
 _GAP_S, _GAP_PERIODS = 2.0, 5.0
-"""A gap between scans that is reported is longer than so many seconds, and than so many usual periods."""
+"""A reported gap between scans is longer than this, in seconds and in usual periods."""
 AGREE_M = 0.01
-"""Odometry and TF that differ by less agree."""
+"""Largest difference at which odometry and TF agree, metres."""
 
 
 def summarise(
@@ -75,12 +75,12 @@ def summarise(
 
 
 def brief(values: dict[str, Any], name: str) -> Summary:
-    """Return a short summary: odometry source, its motion, what would move with it, warnings.
+    """Return a short summary: odometry source, its motion, messages that would be modified, warnings.
 
     Parameters
     ----------
-    values : as `summarise` returns them, with the bag's provenance
-    name : of the bag
+    values : result of `summarise`, with the bag's provenance
+    name : name of the bag
     """
     lines = []
     for o in values["odometry"]:
@@ -142,7 +142,7 @@ def _frames(source: OdometryRecord | None, odom: str | None, base: str | None) -
 
 
 def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> tuple[OdometryRecord, ...]:
-    """Return the TF edge between odom and base as odometry; empty where there is none."""
+    """Return the TF edge between odom and base as odometry; empty if there is none."""
     for edge in scan.edges:
         asked = "static" not in edge.topic if topic is None else plain(edge.topic) == plain(topic)
         if asked and {edge.parent, edge.child} == {frames.odom, frames.base}:
@@ -151,7 +151,7 @@ def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> tuple
             return (
                 OdometryRecord(
                     name, frames.odom, frames.base or "", edge.stamps_ns, xyt, None,
-                    CovarianceWatch(), CovarianceWatch(), edge.zero_stamps,
+                    CovarianceCheck(), CovarianceCheck(), edge.zero_stamps,
                 ),
             )  # fmt: skip
     return ()

@@ -1,1 +1,1 @@
-"""Maps: read and written, drawn by laser rays, and asked where a robot can be."""
+"""Maps: reading and writing, mapping with a laser, and motion constrained by a map."""

@@ -1,9 +1,9 @@
 """Motion within a map, p(x_t | u_t, x_t-1, m), by rejection: of one motion, and of many runs of a drive at once.
 
-The book (Probabilistic Robotics, section 5.5) multiplies the motion's density by whether the pose is free; repeating a
-draw until its pose is free samples exactly that. The number of tries is bounded, because from a dead end no motion is
-free. In many runs, a run of which no try is free is replaced by a copy of another one with its past, as a particle
-filter resamples (section 4.3).
+The book (Probabilistic Robotics, section 5.5) multiplies the motion's density by an indicator of a free pose.
+Drawing again until the pose is free samples exactly from that. The number of tries is bounded, because no motion from
+a dead end is free. Among many runs, one without a free try is replaced by a copy of another one with its past, as in
+the resampling of a particle filter (section 4.3).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
     NoFreePoseError,
     moved,
-    must_be_free,
+    require_free,
     rounds,
     swing_of,
     without_effects,
@@ -43,12 +43,12 @@ MAX_TRIES = 100
 
 @dataclass(frozen=True, slots=True)
 class FreeSamples:
-    """Samples that a map allows.
+    """Samples in the free space of a map.
 
     xyt : (n, 3) metres, radians
-    candidates : how many were drawn for them
-    lost : how many samples were given up: none of their tries was free
-    free_at_first : how many of the first tries were free
+    candidates : number of candidates drawn for them
+    lost : number of samples given up because none of their tries was free
+    free_at_first : number of first tries that were free
     """
 
     xyt: Array
@@ -58,7 +58,7 @@ class FreeSamples:
     tries: int
 
     def account(self) -> str:
-        """Return what it took, in one sentence."""
+        """Return the numbers of tries and failures, in one sentence."""
         asked = len(self.xyt) + self.lost
         said = (
             f"map: {self.free_at_first} of {asked} first draws were free, {self.candidates} draws made "
@@ -77,12 +77,12 @@ def move_sampled_in_map(
     check: Check = "endpoint",
     tries: int = MAX_TRIES,
 ) -> FreeSamples:
-    """Draw end poses of a motion that a map allows; see `samples.move_sampled`.
+    """Draw end poses of a motion in the free space of a map; see `samples.move_sampled`.
 
     Raises
     ------
     MapError
-        Where the motion begins in a wall, or no candidate at all is free.
+        If the motion begins in a wall, or no candidate is free.
 
     """
     if tries < 1:
@@ -115,17 +115,17 @@ def move_sampled_in_map(
 
 
 _AT_ONCE = 1024
-"""Increments that are held in memory together."""
+"""Largest number of increments held in memory together."""
 
 
 @dataclass(frozen=True, slots=True)
 class FreePaths:
-    """Paths that a map allows.
+    """Paths in the free space of a map.
 
-    xyt : (runs, k, 3) at the places asked for, metres and radians
+    xyt : (runs, k, 3) poses at the requested places, metres and radians
     redrawn : increments that were not free at the first draw, over all runs
-    resampled : how often a run without a free try was replaced by a copy of another one
-    increments : how many there were in all
+    resampled : number of times a run without a free try was replaced by a copy of another one
+    increments : total number of increments
     """
 
     xyt: Array
@@ -135,7 +135,7 @@ class FreePaths:
     tries: int
 
     def account(self) -> str:
-        """Return what it took, in one sentence."""
+        """Return the numbers of redrawn and resampled increments, in one sentence."""
         said = f"map: {self.redrawn} of {self.increments} increments were drawn again"
         if self.resampled:
             said += f"; {self.resampled} times none of {self.tries} tries was free, and another run was copied"
@@ -154,7 +154,7 @@ def free_paths(
     check: Check = "endpoint",
     tries: int = MAX_TRIES,
 ) -> FreePaths:
-    """Draw runs of a whole drive within free space, and return them at places (k,) of its n poses.
+    """Draw runs of a whole drive within free space, and return their poses at k of its n poses.
 
     See `FreeRuns`; stamps_ns is (n,), clean_xyt (n, 3) the odometry.
     """
@@ -173,10 +173,10 @@ def free_paths(
 class Walked:
     """Runs over n increments.
 
-    xyt : (runs, n, 3) poses after each
-    ancestors : (runs,) which run each one was a copy of when the batch began
-    parents : (n, runs) which run each one was a copy of after each increment
-    normals : (n, runs, 4) standard normals of rot1, trans, across and rot2 that each was drawn with
+    xyt : (runs, n, 3) poses after each increment
+    ancestors : (runs,) index that each run's ancestor had at the beginning of the batch
+    parents : (n, runs) index of the run that each one was a copy of, after each increment
+    normals : (n, runs, 4) standard normals of rot1, trans, across and rot2 of each run
     """
 
     xyt: Array
@@ -185,7 +185,7 @@ class Walked:
     normals: Array
 
     def lineage(self, run: int) -> tuple[Array, int]:
-        """Return the normals (n, 4) that led to a run, and which run it was when the batch began."""
+        """Return the normals (n, 4) that led to a run, and its ancestor's index at the beginning of the batch."""
         rows = np.empty((len(self.parents), 4))
         for i in range(len(self.parents) - 1, -1, -1):
             run = int(self.parents[i, run])
@@ -196,14 +196,14 @@ class Walked:
 class FreeRuns:
     """Runs of a drive that stay in free space, fed with the odometry batch by batch.
 
-    Every increment is first drawn with the numbers that corruption draws for that run; where the pose it leads to is
-    not free, it is drawn again from a stream of its own. So a run that meets no wall is the unconditioned run, and
-    unless it is resampled a run is the same however many others are drawn and however the odometry is cut.
+    Every increment is first drawn with the random numbers that corruption uses for that run. If its end is not free,
+    it is drawn again from a separate stream. A run that meets no wall therefore equals the unconditioned run. Unless
+    resampled, a run does not depend on the number of runs or on the division of the odometry into batches.
 
-    particles : 0, or how many variants of a single run are drawn in place of runs. They are drawn again only where all
-        are stuck, else copied: the law of whole paths that are free, and not of increments (section 4.3 of the book)
-    redrawn : increments so far that were not free at the first draw
-    resampled : how often a run without a free try was replaced by a copy of another one
+    particles : 0, or the number of variants of a single run, drawn instead of runs. They are redrawn only if all are
+        stuck, else copied: the distribution is that of whole free paths, not of increments (section 4.3 of the book)
+    redrawn : number of increments so far that were not free at the first draw
+    resampled : number of times a run without a free try was replaced by a copy of another one
     """
 
     def __init__(
@@ -227,12 +227,12 @@ class FreeRuns:
 
     @property
     def redrawn(self) -> int:
-        """Increments that were drawn again."""
+        """Number of increments drawn again."""
         return self._walk.redrawn
 
     @property
     def resampled(self) -> int:
-        """How often a run was replaced by a copy of another one."""
+        """Number of times a run was replaced by a copy of another one."""
         return self._walk.resampled
 
     def restart(self) -> None:
@@ -246,11 +246,11 @@ class FreeRuns:
         Raises
         ------
         MapError
-            Where the first pose is not free, or an increment has no free try in any run.
+            If the first pose is not free, or an increment has no free try in any run.
 
         """
         if not self._reader.begun:
-            must_be_free(self._space, clean_xyt[0])
+            require_free(self._space, clean_xyt[0])
             self._pose = np.repeat(clean_xyt[:1], len(self._own), axis=0)
         motions, pose = self._reader.read(stamps_ns, clean_xyt), self._pose
         poses = motions.clean_xyt
@@ -272,7 +272,7 @@ class FreeRuns:
 
 
 class _Walk:
-    """Takes many robots one increment further."""
+    """Propagates many robots by one increment at a time."""
 
     def __init__(
         self, space: FreeSpace, check: Check, tries: int, again: list[np.random.Generator],
@@ -284,21 +284,21 @@ class _Walk:
         self.redrawn = self.resampled = 0
 
     def on(self, pose: Array, step: Array, sd: Array, normals: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Return poses (runs, 3) after an increment, and which run (runs,) each is a copy of.
+        """Return poses (runs, 3) after an increment, and the index (runs,) of the run that each is a copy of.
 
-        normals : (runs, 4) of rot1, trans, across, rot2; those of tries that were taken instead are put in their place
+        normals : (runs, 4) of rot1, trans, across, rot2; replaced by those of the tries that were accepted
         """
         ahead = moved(pose, step, normals * sd, self._swing)
         parents: NDArray[np.intp] = np.arange(len(pose))
         if not (sd.any() or step[:3].any()):
             return ahead, parents
         bad = ~self._space.allows(pose[:, :2], ahead[:, :2], self._check)
-        # a robot whose pose was set into a wall is let out of it
+        # a robot whose pose was set into a wall may leave it
         stuck = np.flatnonzero(bad & self._space.free(pose[:, :2]))
         self.redrawn += len(stuck)
         for count in () if self._whole and len(stuck) < len(pose) else self._rounds:
             if len(stuck):
-                stuck = self._again_from(pose, step, sd, stuck, count, ahead, normals)
+                stuck = self._redraw_stuck(pose, step, sd, stuck, count, ahead, normals)
         if len(stuck):
             alive = np.setdiff1d(parents, stuck)
             if not len(alive):
@@ -312,10 +312,10 @@ class _Walk:
             parents[stuck] = alive[self._choose.integers(len(alive), size=len(stuck))]
         return ahead[parents], parents
 
-    def _again_from(
+    def _redraw_stuck(
         self, pose: Array, step: Array, sd: Array, stuck: NDArray[np.intp], count: int, ahead: Array, normals: Array
     ) -> NDArray[np.intp]:
-        """Draw so many candidates for each stuck run, put the first free one into `ahead`, return who is stuck yet."""
+        """Draw `count` candidates per stuck run, put the first free one into `ahead`, and return the runs not freed."""
         again = np.concatenate([self._again[run].standard_normal((count, 4)) for run in stuck])
         origin = np.repeat(pose[stuck], count, axis=0)
         candidates = moved(origin, step, again * sd, self._swing)

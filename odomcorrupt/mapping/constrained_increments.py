@@ -1,4 +1,4 @@
-"""A drive's increments as what is drawn again where a map forbids where they lead."""
+"""Increments of a drive with their noise, in the form in which a map constrains and redraws them."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ __all__ = [
     "Motions",
     "NoFreePoseError",
     "moved",
-    "must_be_free",
+    "require_free",
     "rounds",
     "swing_of",
     "without_effects",
 ]
 
 FIRST_TRIES = 12
-"""A few tries are mostly enough, and a robot that is stuck takes all."""
+"""Number of tries of the first round, usually sufficient; a stuck robot needs all rounds."""
 
 
 class NoFreePoseError(MapError):
-    """No try of an increment ended where the map is free."""
+    """No try of an increment ended in free space."""
 
 
 def rounds(tries: int) -> tuple[int, ...]:
-    """Return how many are drawn at once, after a first draw that was not free."""
+    """Return the numbers of simultaneous tries, round by round, after a first draw that was not free."""
     left = tries - 1
     return tuple(count for count in (min(FIRST_TRIES, left), left - FIRST_TRIES) if count > 0)
 
 
 def without_effects(model: MotionModel) -> MotionModel:
-    """Return a model that a map can be held against; ModelError where it has effects that act."""
+    """Return a model that a map can constrain; ModelError if it has acting effects."""
     acting = [effect.name for effect in model.effects if effect.acts]
     if acting:
         raise ModelError(f"--map: {acting[0]} is no noise and cannot be drawn again; leave out effects, or --map")
     return model
 
 
-def must_be_free(space: FreeSpace, first_xyt: Array) -> None:
-    """Raise MapError where a drive's first pose (3,) is not free."""
+def require_free(space: FreeSpace, first_xyt: Array) -> None:
+    """Raise MapError if a drive's first pose (3,) is not free."""
     if not space.free(first_xyt[None, :2])[0]:
         x, y = first_xyt[:2]
         raise MapError(
@@ -66,9 +66,9 @@ def must_be_free(space: FreeSpace, first_xyt: Array) -> None:
 class Motions:
     """n increments and their noise.
 
-    clean_xyt : (n + 1, 3) the odometry before and after them, metres and radians
-    jump : (n,) set and not driven: nothing is drawn across, but the odom frame's correction is held
-    step : (n, 4) ahead (m), to the left (m), turn (rad), and bearing of the noise's own axes (rad)
+    clean_xyt : (n + 1, 3) odometry before and after the increments, metres and radians
+    jump : (n,) pose reset, not driven: nothing is drawn across it, but the odom frame's correction is held
+    step : (n, 4) forward (m), to the left (m), turn (rad), and bearing of the noise's axes (rad)
     sd : (n, 4) of rot1 (rad), trans (m), across (m), rot2 (rad)
     """
 
@@ -79,13 +79,13 @@ class Motions:
 
     @property
     def rest(self) -> NDArray[np.bool_]:
-        """Which increments (n,) neither move nor are noisy."""
+        """Increments (n,) that neither move nor are noisy."""
         moves = np.logical_or(self.sd.any(axis=1), self.step[:, :3].any(axis=1))
         return np.logical_not(moves)
 
 
 class MotionReader:
-    """Turns odometry, batch by batch, into motions; any cut gives the same."""
+    """Converts odometry into motions, batch by batch; the division into batches has no influence."""
 
     def __init__(self, model: MotionModel) -> None:
         self._noise = model.noise
@@ -102,7 +102,7 @@ class MotionReader:
         return self._last is not None
 
     def read(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Motions:
-        """Return the motions that end at the next n poses (n, 3), n > 0; a first pose ends a motion of nothing."""
+        """Return the motions that end at the next n poses (n, 3), n > 0; a first pose ends an empty motion."""
         before_ns, before_xyt = (int(stamps_ns[0]), clean_xyt[0]) if self._last is None else self._last
         poses: Array = np.concatenate((before_xyt[None], clean_xyt))
         dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
@@ -119,7 +119,7 @@ class MotionReader:
 
 
 def swing_of(model: MotionModel) -> float:
-    """Return how much of rot1 has happened when an increment's translation points: half of it on an arc."""
+    """Return the fraction of rot1 that precedes an increment's translation: half of it on an arc."""
     return 0.5 if model.noise.law.arc else 1.0
 
 

@@ -1,13 +1,13 @@
-"""The noisy path of one run that never enters a wall: the noisy path of `--map`.
+"""Noisy path of one run that never enters a wall, for `--map`.
 
-Most increments are free at their first draw. A piece of the path is drawn as without a map up to its first pose that is
-not free; that one increment is drawn again, and the next piece begins behind it. A run that meets no wall has the bits
-that it has without a map.
+Most increments are free at their first draw. A piece of the path is drawn without the map up to its first pose that is
+not free. That one increment is drawn again, and the next piece begins after it. A run that meets no wall equals the
+run without a map, bit by bit.
 
-Drawn increment by increment, a path can end in a pocket of the map from which no increment leads. Then many variants
-of a run are drawn side by side as by a particle filter: those that are stuck are replaced by copies of others, and one
-that reached the end is taken with its whole past. Only the first states of blocks are kept in memory; a block is drawn
-twice, the second time from the end, to follow the ancestors of the path that was taken.
+Drawn increment by increment, a path can end in a pocket of the map without exit. In that case many variants of a run
+are drawn in parallel as by a particle filter: stuck ones are replaced by copies of others, and one that reached the
+end is taken with its whole past. Only the first states of blocks are kept in memory. Each block is drawn twice, the
+second time from the end, to trace the ancestors of the chosen path.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
     NoFreePoseError,
     moved,
-    must_be_free,
+    require_free,
     rounds,
     swing_of,
     without_effects,
@@ -45,19 +45,19 @@ __all__ = ["PARTICLES", "FreePath", "Plan", "plan_path", "whole_path"]
 
 PARTICLES = 64
 _BLOCK = 1024
-_TOO_FAR = 6.0
-"""A drift at the end of more than so many of its standard deviations is the map's doing and not the noise's."""
-_ASTRAY = 0.25
-"""Odometry of which more lies where the map is not free was recorded elsewhere, or the map is elsewhere."""
+_MOST_SIGMAS = 6.0
+"""Drift at the end, in standard deviations, above which it is attributed to the map instead of the noise."""
+_MOST_OUTSIDE = 0.25
+"""Fraction of odometry poses outside free space above which map and recording do not belong together."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """Normals of a path that is free as a whole.
 
-    stamps_ns : (n,) of the poses that the increments end at
+    stamps_ns : (n,) stamps of the poses at which the increments end
     normals : (n, 4) of rot1, trans, across and rot2
-    particles, resampled : how many paths were drawn side by side, and how often one was replaced
+    particles, resampled : number of parallel paths, and number of replacements among them
     """
 
     stamps_ns: NDArray[np.int64]
@@ -66,7 +66,7 @@ class Plan:
     resampled: int
 
     def at(self, stamps_ns: NDArray[np.int64], otherwise: Array) -> Array:
-        """Return the normals (m, 4) of increments that end at stamps (m,); for unknown stamps those given instead."""
+        """Return the normals (m, 4) of increments that end at stamps (m,); for unknown stamps those of `otherwise`."""
         place = np.minimum(np.searchsorted(self.stamps_ns, stamps_ns), len(self.stamps_ns) - 1)
         known = self.stamps_ns[place] == stamps_ns
         return np.where(known[:, None], self.normals[place], otherwise)
@@ -88,12 +88,12 @@ def plan_path(
     Parameters
     ----------
     stamps_ns, clean_xyt : (n,) and (n, 3)
-        The odometry, nanoseconds, metres and radians.
+        Odometry, nanoseconds, metres and radians.
 
     Raises
     ------
     MapError
-        Where the drive's first pose is not free, or all paths are stuck at one place.
+        If the drive's first pose is not free, or all paths are stuck at one place.
 
     """
     runs = FreeRuns(model, space, seed=seed, runs=range(run, run + 1), check=check, tries=tries, particles=PARTICLES)
@@ -120,20 +120,20 @@ def whole_path(
     check: Check = "endpoint",
     tries: int = MAX_TRIES,
 ) -> FreePath:
-    """Return where one run of a known drive goes within free space; increment by increment where that reaches the end.
+    """Return one run of a known drive within free space, drawn increment by increment if that reaches the end.
 
     See `plan_path` for parameters.
 
     Raises
     ------
     MapError
-        Where the map and the drive do not fit: much of the odometry is not free itself, no path is free, or the only
-        free ones are far from what noise does.
+        If map and drive do not match: much of the odometry is not free, no path is free, or the only free ones
+        are far outside the noise.
 
     """
-    must_be_free(space, clean_xyt[0])
+    require_free(space, clean_xyt[0])
     astray = 1.0 - float(np.mean(space.free(clean_xyt[:, :2])))
-    if astray > _ASTRAY:
+    if astray > _MOST_OUTSIDE:
         raise MapError(
             f"the map and the drive do not fit: {astray:.0%} of the odometry's own poses are not free; check "
             "--map-pose, --robot-radius and --unknown, or leave out --map"
@@ -150,11 +150,11 @@ def whole_path(
 
 
 def _refuse_held_back(samples: PathSamples) -> None:
-    """Raise NoFreePoseError where a path ends further from the odometry than its noise leads."""
+    """Raise NoFreePoseError if a path ends farther from the odometry than its noise explains."""
     meter = DriftMeter()
     meter.add(samples)
     drift = meter.result()
-    if drift is not None and drift.end_drawn_m > _TOO_FAR * drift.end_expected_m > 0.0:
+    if drift is not None and drift.end_drawn_m > _MOST_SIGMAS * drift.end_expected_m > 0.0:
         raise NoFreePoseError(
             f"the map and the drive do not fit: within the map the odometry ends {drift.end_drawn_m:.3g} m from where "
             f"it was recorded, and noise of this model makes about {drift.end_expected_m:.2g} m; check --map-pose, "
@@ -163,16 +163,16 @@ def _refuse_held_back(samples: PathSamples) -> None:
 
 
 _SHORT, _LONG = 4, 1024
-"""Increments drawn ahead: few after a wall was met, more while none is."""
+"""Increments drawn ahead: few after meeting a wall, more otherwise."""
 
 
 class FreePath:
-    """Says where odometry goes within free space; see `FreeRuns` for what is drawn, and how often.
+    """Source of one run's path within free space; see `FreeRuns` for the draws and their number.
 
-    plan : normals of a path that is free as a whole, which are drawn first; None: the run's own
-    increments : how many were driven so far
-    redrawn : of these, not free at the first draw
-    astray : odometry poses, without any noise, that are not free themselves
+    plan : normals of a path that is free as a whole, which are drawn first; None: the run's usual normals
+    increments : number of increments so far
+    redrawn : number of them that were not free at the first draw
+    astray : number of odometry poses that are not free even without noise
     """
 
     def __init__(
@@ -204,7 +204,7 @@ class FreePath:
         self._ahead = _LONG
 
     def account(self) -> str:
-        """Return what it took, in one or two sentences."""
+        """Return the numbers of redrawn increments and poses outside, in one or two sentences."""
         said = f"Map: {self.redrawn} of {self.increments} increments were drawn again"
         if self._plan is not None:
             said += f"; one of {self._plan.particles} paths, resampled {self._plan.resampled} times"
@@ -218,14 +218,14 @@ class FreePath:
         Raises
         ------
         MapError
-            Where the first pose is not free, or no try of an increment ends where the map is free.
+            If the first pose is not free, or no try of an increment ends in free space.
 
         """
         if not len(stamps_ns):
             return self._path.feed(stamps_ns, clean_xyt)
         first = not self._reader.begun
         if first:
-            must_be_free(self._space, clean_xyt[0])
+            require_free(self._space, clean_xyt[0])
             self._pose = clean_xyt[0].copy()
         motions = self._reader.read(stamps_ns, clean_xyt)
         self.increments += len(stamps_ns) - first
@@ -236,16 +236,16 @@ class FreePath:
         parts, done = [], 0
         while done < len(stamps_ns):
             rows = slice(done, done + self._ahead)
-            part = self._as_far_as_free(stamps_ns[rows], motions, done, normals[rows])
+            part = self._free_prefix(stamps_ns[rows], motions, done, normals[rows])
             if not len(part):
-                part = self._one_again(stamps_ns[rows][:1], motions, done)
+                part = self._redraw_one(stamps_ns[rows][:1], motions, done)
             self._pose = part.clean_xyt[-1] + part.error_xyt[-1]
             parts.append(part)
             done += len(part)
         return _joined(parts)
 
-    def _as_far_as_free(self, stamps_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> PathSamples:
-        """Draw increments ahead, and go on those that come before the first one that is not free."""
+    def _free_prefix(self, stamps_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> PathSamples:
+        """Draw increments ahead, and keep those before the first one that is not free."""
         count = len(stamps_ns)
         clean_xyt = motions.clean_xyt[at + 1 : at + 1 + count]
         trial = copy.copy(self._path)
@@ -255,7 +255,7 @@ class FreePath:
         from_xy = np.concatenate((self._pose[None, :2], noisy_xy[:-1]))
         good = self._space.allows(from_xy, noisy_xy, self._check)
         good |= (motions.jump | motions.rest)[at : at + count]
-        # a robot whose pose was set into a wall is let out of it
+        # a robot whose pose was set into a wall may leave it
         good |= ~self._space.free(from_xy)
         if good.all():
             self._path = trial
@@ -266,8 +266,8 @@ class FreePath:
         self._replay.rows = normals[:free]
         return self._path.feed(stamps_ns[:free], clean_xyt[:free])
 
-    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> PathSamples:
-        """Go on one increment whose first draw is not free."""
+    def _redraw_one(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> PathSamples:
+        """Draw one increment again whose first draw is not free."""
         self.redrawn += 1
         clean_xyt, step, sd = motions.clean_xyt[at + 1 : at + 2], motions.step[at], motions.sd[at]
         for count in rounds(self._tries):
@@ -278,7 +278,7 @@ class FreePath:
                 trial = copy.copy(self._path)
                 self._replay.rows = again[number : number + 1]
                 samples = trial.feed(stamp_ns, clean_xyt)
-                # on the edge of a cell the last bit decides, and the path's own counts
+                # at the edge of a cell rounding decides, and the path's own pose counts
                 there_xy = clean_xyt[:, :2] + samples.error_xyt[:, :2]
                 if self._space.allows(from_xy[:1], there_xy, self._check)[0]:
                     self._path = trial
@@ -291,13 +291,13 @@ class FreePath:
 
 
 class _Replay:
-    """Hands out the normals that were chosen for the next increments."""
+    """Source of previously chosen normals for the next increments."""
 
     def __init__(self) -> None:
         self.rows = np.zeros((0, 4))
 
     def standard_normal(self, size: tuple[int, int]) -> Array:
-        """Return the rows, which are as many as are asked for."""
+        """Return the chosen rows, as many as requested."""
         return self.rows.reshape(size)
 
 

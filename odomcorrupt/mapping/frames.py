@@ -1,4 +1,4 @@
-"""Where frames sit on a robot, and a map in the odom frame: TF read without ROS."""
+"""Poses of frames on a robot, and of a map in the odom frame, from TF messages without ROS."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ __all__ = ["FrameTree", "Mount", "mount_at"]
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """How a laser sits on a robot.
+    """Pose of a laser on the robot.
 
     position_xy : (2,) in the robot's frame, metres
-    plane : (2, 2) what turns directions in the laser's plane into the robot's; a laser hung upside down mirrors
+    plane : (2, 2) rotation of directions from the laser's plane to the robot's; mirrored if mounted upside down
     """
 
     position_xy: Array
@@ -39,14 +39,14 @@ def mount_at(xyt: Array) -> Mount:
 
 
 class FrameTree:
-    """The first transform of every edge, those of static topics before others."""
+    """Transforms of a bag: the first one of every edge, static topics before others."""
 
     def __init__(self) -> None:
         self._static: dict[str, tuple[str, Array]] = {}
         self._moving: dict[str, tuple[str, Array]] = {}
 
     def take(self, block: Block, channels: Iterable[Channel]) -> None:
-        """Take what a block says."""
+        """Read the transforms of a block."""
         for channel in channels:
             if channel.msgtype not in TRANSFORMS:
                 continue
@@ -62,7 +62,7 @@ class FrameTree:
                     edges[child] = (parent, _matrix(position, quat))
 
     def mount(self, base: str, laser: str, bag: str) -> Mount:
-        """Return how a laser sits on the robot; TopicError where TF does not say."""
+        """Return the pose of a laser on the robot; TopicError if TF does not contain it."""
         whole = self._between(plain(base), plain(laser))
         if whole is None:
             known = ", ".join(sorted({*self._static, *self._moving})) or "nothing"
@@ -73,14 +73,14 @@ class FrameTree:
         return Mount(whole[:2, 3].copy(), whole[:2, :2].copy())
 
     def pose(self, parent: str, child: str) -> Array | None:
-        """Return the planar pose (3,) of a frame in another; None where TF does not say."""
+        """Return the planar pose (3,) of a frame in another; None if TF does not contain it."""
         whole = self._between(plain(parent), plain(child))
         if whole is None:
             return None
         return np.array([whole[0, 3], whole[1, 3], np.arctan2(whole[1, 0], whole[0, 0])])
 
     def _between(self, frame: str, other: str) -> Array | None:
-        """Return the other frame seen from one (4, 4)."""
+        """Return the pose (4, 4) of one frame in another."""
         up_frame, up_other = self._ancestors(frame), self._ancestors(other)
         shared = next((name for name in up_other if name in up_frame), None)
         if shared is None:
@@ -89,7 +89,7 @@ class FrameTree:
         return whole
 
     def _ancestors(self, frame: str) -> dict[str, Array]:
-        """Return every frame above one, the nearest first, and the one seen from each (4, 4)."""
+        """Return the ancestors of a frame, the nearest first, with the pose (4, 4) of the frame in each."""
         pose: Array = np.eye(4)
         found = {frame: pose}
         while (edge := self._static.get(frame, self._moving.get(frame))) is not None:

@@ -1,4 +1,4 @@
-"""Where a robot can be: free cells of a map, its radius from the nearest wall, and ways that cross none."""
+"""Free space of a robot in a map: positions clear of walls by its radius, and straight paths between them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ CHECKS: tuple[Check, ...] = get_args(Check)
 
 @dataclass(frozen=True, slots=True)
 class FreeSpace:
-    """A map asked for a robot.
+    """Map inflated for a robot.
 
-    blocked : (rows, columns) 1 where the robot's middle cannot be
+    blocked : (rows, columns) 1 in cells where the robot's centre cannot be
     map_from_odom : (3,) pose of the odom frame in the map; positions are given in the odom frame
-    outside : 1 where beyond the map's border counts as blocked
+    outside : 1 if positions beyond the map's border count as blocked
     """
 
     grid: Grid
@@ -41,18 +41,18 @@ class FreeSpace:
     outside: int
 
     def free(self, xy: Array) -> NDArray[np.bool_]:
-        """Tell of positions (n, 2) in the odom frame whether the robot can be there."""
+        """Return whether the robot can be at positions (n, 2) in the odom frame."""
         out: NDArray[np.bool_] = self.grid.look_up(self.blocked, self._in_map(xy), self.outside) == 0
         return out
 
     def reachable(self, from_xy: Array, to_xy: Array) -> NDArray[np.bool_]:
-        """Tell of positions (n, 2) whether the straight way there is free all along, both ends included.
+        """Return whether the straight path to each position (n, 2) is free, both ends included.
 
-        The lecture's star: behind a wall is free, and not reachable.
+        The lecture's star: a position behind a wall is free, but not reachable.
         """
         rows, columns = self.blocked.shape
         clear = self.free(to_xy)
-        # where the end is blocked the way need not be walked
+        # a path to a blocked end need not be checked
         left = np.flatnonzero(clear)
         start, end = (self.grid.places(self._in_map(xy[left])) for xy in (from_xy, to_xy))
         for number, cell in traverse(start, end):
@@ -63,7 +63,7 @@ class FreeSpace:
         return clear
 
     def allows(self, from_xy: Array, to_xy: Array, check: Check) -> NDArray[np.bool_]:
-        """Tell of motions (n, 2) to (n, 2) whether they are possible, by their end or by the whole way."""
+        """Return whether motions (n, 2) to (n, 2) are possible, by their end or by the whole path."""
         return self.free(to_xy) if check == "endpoint" else self.reachable(from_xy, to_xy)
 
     def _in_map(self, xy: Array) -> Array:
@@ -80,19 +80,19 @@ def free_space(
     Parameters
     ----------
     grid
-        The map.
+        Occupancy grid.
     radius_m
-        Of the robot. A cell is blocked where a wall is nearer than this to its middle: half a cell's diagonal fine.
+        Radius of the robot. A cell is blocked if a wall is nearer than this to its centre, to half a cell's diagonal.
     unknown
-        Whether the robot's middle may be in an unknown cell, or beyond the map. Walls keep their distance, the
-        unknown does not: it is no obstacle, only nothing to stand on.
+        Whether the robot's centre may be in an unknown cell, or beyond the map. Only walls are inflated by the
+        radius; unknown cells are not.
     map_from_odom
-        Pose of the odom frame in the map, none for the same frame.
+        Pose of the odom frame in the map; by default the same frame.
 
     """
     if not (np.isfinite(radius_m) and radius_m >= 0.0):
         raise MapError(f"robot radius: {radius_m} m; it must be zero or more")
-    # a radius of three cells and a half must not become a little less by division
+    # a radius of three and a half cells must not be reduced by rounding
     blocked = _inflated(grid.cells == OCCUPIED, radius_m / grid.resolution_m * (1.0 + 1e-9))
     if unknown == "blocked":
         blocked |= grid.cells == UNKNOWN
@@ -101,10 +101,10 @@ def free_space(
 
 
 def _inflated(walls: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """Return the cells whose middle is no further than a radius, in cells, from a wall's square.
+    """Return the cells with a centre within the radius, in cells, of a wall's square.
 
-    A disc is a stack of rows; a row's run of cells is looked up in running sums, so the cost grows with the radius
-    and not with its square.
+    A disc is a stack of rows. Each row's range is looked up in cumulative sums, so the cost grows with the radius
+    instead of its square.
     """
     rows, columns = walls.shape
     reach = int(np.floor(radius + 0.5))
@@ -116,7 +116,7 @@ def _inflated(walls: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
         gap = max(down - 0.5, 0.0)
         if gap > radius:
             break
-        # a radius of nothing still keeps the robot's middle out of the wall itself
+        # even a zero radius keeps the robot's centre out of the wall cell
         run = int(np.floor(np.sqrt(radius**2 - gap**2) + 0.5)) if radius > 0.0 else 0
         near = total[:, np.minimum(here + run + 1, columns)] > total[:, np.maximum(here - run, 0)]
         out[down:] |= near[: rows - down]

@@ -1,4 +1,4 @@
-"""The map that a corrupted path must respect: read from a file or a bag, and the path drawn within it."""
+"""Map condition of corruption: a map from a file or a bag, and the path drawn within its free space."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 OCCUPIED_PERCENT, FREE_PERCENT = 65, 25
-"""What counts as a wall and as free in an OccupancyGrid, as map_server's thresholds say."""
+"""Values of an OccupancyGrid from which a cell is occupied, and up to which it is free: map_server's thresholds."""
 
 
 class RecordedMap(NamedTuple):
@@ -77,7 +77,7 @@ def read_recorded_map(path: Path, topic: str, *, recover: bool = False) -> Recor
 
 
 def read_map_from_odom(path: Path, map_frame: str, odom_frame: str, *, recover: bool = False) -> Array | None:
-    """Return the pose (3,) of the odom frame in the map by the first transforms of a bag; None where TF has none."""
+    """Return the pose (3,) of the odom frame in the map from the first transforms of a bag; None if TF has none."""
     tree = FrameTree()
     with open_reader(path, recover=recover) as reader:
         for block in reader.blocks():
@@ -88,16 +88,18 @@ def read_map_from_odom(path: Path, map_frame: str, odom_frame: str, *, recover: 
     return None
 
 
-def read_odom_frame(path: Path, options: Options, *, recover: bool = False) -> str:
-    """Return the frame that the odometry of a bag is in, by its first message.
+def read_odom_frame(path: Path, options: Options, learned_from: str | None = None, *, recover: bool = False) -> str:
+    """Return the frame of a bag's odometry, from its first message.
+
+    learned_from : topic of the odometry if the bag has several: the one that the model was learned from
 
     Raises
     ------
     TopicError
-        Where no odometry is there.
+        If the bag has no odometry.
 
     """
-    source = OdometrySource(options.odom_topic, options.odom_frame, options.base_frame)
+    source = OdometrySource(options.odom_topic, options.odom_frame, options.base_frame, learned_from)
     with open_reader(path, recover=recover) as reader:
         source.prepare(reader, reader.name)
         for block in reader.blocks():
@@ -118,16 +120,16 @@ class _Given(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class MapCondition:
-    """Free space, how a motion is held against it, and how often one motion is drawn at most."""
+    """Free space, the check of a motion against it, and the largest number of draws per motion."""
 
     space: FreeSpace
     check: Check = "endpoint"
     tries: int = 100
 
     def path(self, model: MotionModel, seed: int, run: int, drive: CleanDrive | None = None) -> FreePath | None:
-        """Return the path of one run within the free space; None where no noise is drawn, and nothing moves.
+        """Return the path of one run within the free space; None if no noise is drawn, and nothing moves.
 
-        drive : the odometry, of which whole paths can be drawn; None where it is not known
+        drive : odometry, required to draw whole paths; None if unknown
         """
         if without_effects(model).noise.coefficients.silent:
             return None
@@ -137,7 +139,7 @@ class MapCondition:
         return whole_path(drive.stamps_ns, drive.xyt, model, self.space, **given)
 
     def provenance(self) -> dict[str, str]:
-        """Return what an output says of its map: a hash of the blocked cells stands for it, no file is named."""
+        """Return the map's record for an output: a hash of the blocked cells, without a file name."""
         grid = self.space.grid
         digest = hashlib.sha256(self.space.blocked.tobytes())
         digest.update(repr((self.space.blocked.shape, grid.resolution_m, grid.origin_xyt.tolist())).encode())
@@ -147,7 +149,7 @@ class MapCondition:
 
 
 def is_map_file(name: str) -> bool:
-    """Tell whether a map is named by its .yaml file, and not by a topic."""
+    """Tell whether a name is that of a map's .yaml file, instead of a topic."""
     return name.endswith((".yaml", ".yml"))
 
 
@@ -170,26 +172,26 @@ def read_condition(
     name : str
         A map's .yaml file, or a topic of the bag.
     bag : Path, optional
-        Where the topic and the place of odom in the map are read.
+        Source of the topic, and of the pose of odom in the map.
     odom_frame : str
         Frame of the odometry.
     map_pose : (3,), optional
-        Odom frame in the map, metres and radians; by default what TF in the bag says, without a bag zero.
+        Pose of the odom frame in the map, metres and radians; by default from TF in the bag, or zero without a bag.
     radius_m : float
         Radius of the robot, metres.
     unknown : {"blocked", "free"}
-        Whether the robot may be where the map knows nothing.
+        Whether the robot may be in unknown cells.
     check : {"endpoint", "path"}
-        Whether the end of a motion must be free, or all of it.
+        Whether only the end of a motion must be free, or all of it.
     tries : int
-        How often one motion is drawn at most.
+        Largest number of draws per motion.
     recover : bool
-        Whether a damaged bag is read as far as it is whole.
+        Whether to read the undamaged part of a damaged bag.
 
     Raises
     ------
     MapError
-        Where the map cannot be read, or nothing says where odom is in it.
+        If the map cannot be read, or the pose of odom in it is unknown.
 
     """
     frame = "map"

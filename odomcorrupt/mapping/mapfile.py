@@ -1,4 +1,4 @@
-"""Occupancy grids, and their files as map_server of nav2 and ROS 1 keeps them: a .yaml that names a .pgm."""
+"""Occupancy grids, and their files in the format of nav2's and ROS 1's map_server: a .yaml that names a .pgm."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Cells of a plane.
+    """An occupancy grid in the plane.
 
     cells : (rows, columns) uint8 of FREE, OCCUPIED or UNKNOWN; rows go along the grid's y axis
-    resolution_m : side of a cell
-    origin_xyt : (3,) the outer corner of cell (0, 0), and where the grid's x axis points
+    resolution_m : side of a cell, metres
+    origin_xyt : (3,) pose of the grid's outer corner of cell (0, 0), with the direction of its x axis
     """
 
     cells: NDArray[np.uint8]
@@ -43,14 +43,14 @@ class Grid:
         return out
 
     def states(self, xy: Array) -> NDArray[np.uint8]:
-        """Return the state of the cells that positions (n, 2) lie in; UNKNOWN outside the map."""
+        """Return the state of the cells at positions (n, 2); UNKNOWN outside the map."""
         return self.look_up(self.cells, xy, UNKNOWN)
 
     def look_up(self, layer: NDArray[np.uint8], xy: Array, outside: int) -> NDArray[np.uint8]:
         """Return the entries of a layer (rows, columns) at positions (n, 2)."""
         rows, columns = layer.shape
         place = np.floor(self.places(xy))
-        # what is not finite lies outside too
+        # non-finite positions count as outside
         x, y = place[..., 0], place[..., 1]
         inside = (x >= 0.0) & (x < columns) & (y >= 0.0) & (y < rows)
         column, row = (np.where(inside, part, 0.0).astype(np.int64) for part in (x, y))
@@ -58,14 +58,14 @@ class Grid:
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom, top in metres, of a map whose axes are not turned."""
+        """Left, right, bottom, top in metres, for a map with unrotated axes."""
         rows, columns = self.cells.shape
         x, y = self.origin_xyt[:2]
         return float(x), float(x + columns * self.resolution_m), float(y), float(y + rows * self.resolution_m)
 
 
 SAVED_UNKNOWN = 205
-"""What every map_saver writes for unknown: with nav2's own free_thresh of 0.25 it would load as free."""
+"""Pixel value of unknown in every map_saver; with nav2's own free_thresh of 0.25 it would load as free."""
 
 _YAML_BYTES = 65_536
 _LINE = re.compile(r"\s*([A-Za-z_]+)\s*:\s*(.*?)\s*(?:#.*)?\Z")
@@ -74,7 +74,7 @@ _HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _GAP
 
 
 def read_map(path: Path) -> Grid:
-    """Read a map by its .yaml.
+    """Read the map of a .yaml file.
 
     Cells darker than `occupied_thresh` are occupied, lighter than `free_thresh` free, all others unknown; in mode
     `raw` a value of 0 to 100 is a probability in percent.
@@ -82,7 +82,7 @@ def read_map(path: Path) -> Grid:
     Raises
     ------
     MapError
-        Where the .yaml or the image it names cannot be read or makes no sense.
+        If the .yaml or its image cannot be read or is invalid.
 
     """
     keys = _keys(path)
@@ -107,12 +107,12 @@ def read_map(path: Path) -> Grid:
     cells[(dark > _number(path, keys, "occupied_thresh", 0.65)) & (dark <= 1.0)] = OCCUPIED
     if mode == "trinary":
         cells[value == SAVED_UNKNOWN] = UNKNOWN
-    # an image's first row is the top one
+    # the first row of an image is the top one
     return Grid(np.ascontiguousarray(cells[::-1]), resolution, np.array(origin))
 
 
 def format_map(grid: Grid, image_name: str) -> tuple[bytes, str]:
-    """Return a map's .pgm and the .yaml that names it."""
+    """Return a map's .pgm, and the .yaml that names it."""
     value = np.array([254, 0, SAVED_UNKNOWN], dtype=np.uint8)[grid.cells[::-1]]
     rows, columns = value.shape
     x, y, yaw = grid.origin_xyt
@@ -124,7 +124,7 @@ def format_map(grid: Grid, image_name: str) -> tuple[bytes, str]:
 
 
 def _keys(path: Path) -> dict[str, str]:
-    """Return the keys of a flat .yaml as text: a map needs no more, and no more can go wrong."""
+    """Return the keys of a flat .yaml as text: sufficient for a map, and simple enough to be safe."""
     with open_input(path, MapError) as file:
         raw = file.read(_YAML_BYTES + 1)
     if len(raw) > _YAML_BYTES or b"\0" in raw:
@@ -137,7 +137,7 @@ def _keys(path: Path) -> dict[str, str]:
             continue
         key, value = match.groups()
         if not value:
-            # a list may stand below its key, one item a line
+            # a list may follow its key, one item per line
             items = [entry.strip() for entry in lines[i + 1 : i + 4]]
             value = ",".join(entry[1:] for entry in items if entry.startswith("-"))
         found[key] = value
@@ -145,7 +145,7 @@ def _keys(path: Path) -> dict[str, str]:
 
 
 def _image(path: Path, name: str) -> Path:
-    """Return where the image lies: in the .yaml's directory or below, for a stranger's map opens no other file."""
+    """Return the path of the image, in the .yaml's directory or below; an untrusted map must not open other files."""
     image = path.parent / name
     try:
         inside = image.resolve().is_relative_to(path.parent.resolve())
@@ -172,7 +172,7 @@ def _float(path: Path, key: str, text: str) -> float:
 
 
 def _read_pgm(path: Path) -> NDArray[np.uint8]:
-    """Read a binary .pgm (rows, columns); nothing is made of a size before the bytes for it are there."""
+    """Read a binary .pgm (rows, columns); memory is allocated only after enough bytes for its size are present."""
     with open_input(path, MapError) as file:
         raw = file.read()
     match = _HEADER.match(raw[:4096])

@@ -1,6 +1,6 @@
 """Read laser scans and occupancy grids from serialised messages.
 
-A message is untrusted: every count is held against the bytes that are there before anything is made of it.
+Messages are untrusted: every count is checked against the bytes present before memory is allocated.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ScanMessage:
 
 @dataclass(frozen=True, slots=True)
 class CloudMessage:
-    """A sensor_msgs/PointCloud2: positions (n, 3) in metres, and times (n,) after the first of them, seconds."""
+    """A sensor_msgs/PointCloud2: positions (n, 3) in metres, and times (n,) since the first of them, seconds."""
 
     stamp_ns: int
     frame_id: str
@@ -75,7 +75,7 @@ class GridMessage:
 
 
 class _Cursor:
-    """Walks over one message."""
+    """Sequential reader of one message."""
 
     def __init__(self, data: bytes, topic: str, encoding: str) -> None:
         self._data, self._topic = data, topic
@@ -102,7 +102,7 @@ class _Cursor:
         return piece
 
     def numbers(self, kind: str, count: int = 1) -> list[float]:
-        """Read so many numbers of one struct kind."""
+        """Read this many numbers of one struct type."""
         size = struct.calcsize(kind)
         if self._cdr:
             self._take((4 - self._at) % min(size, self._align))
@@ -110,15 +110,15 @@ class _Cursor:
         return list(values)
 
     def whole(self, kind: str = "I") -> int:
-        """Read one whole number."""
+        """Read one integer."""
         return int(self.numbers(kind)[0])
 
     def text(self) -> str:
-        """Read a string; CDR ends it with a zero byte."""
+        """Read a string; CDR terminates it with a zero byte."""
         return self._take(self.whole()).removesuffix(b"\0").decode(errors="replace")
 
     def sequence(self, kind: str) -> NDArray[np.generic]:
-        """Read a sequence of numbers of one numpy kind."""
+        """Read a sequence of numbers of one numpy type."""
         dtype = np.dtype(self._order + kind)
         count = self.whole()
         return np.frombuffer(self._take(count * dtype.itemsize), dtype)
@@ -141,12 +141,12 @@ def read_scan(data: bytes, topic: str, encoding: str) -> ScanMessage:
 
 
 def read_cloud(data: bytes, topic: str, encoding: str) -> CloudMessage:
-    """Read the positions and, where they are there, the times of a point cloud.
+    """Read the positions and, if present, the times of a point cloud.
 
     Raises
     ------
     BagError
-        Where the message is damaged, or has no x, y and z of 4 or 8 bytes.
+        If the message is damaged, or has no x, y and z of 4 or 8 bytes.
 
     """
     cursor = _Cursor(data, topic, encoding)
@@ -181,7 +181,7 @@ def read_cloud(data: bytes, topic: str, encoding: str) -> CloudMessage:
 
 
 def _after_s(times: Array, kind: str) -> Array:
-    """Return seconds after the first point: drivers write seconds, or whole nanoseconds or microseconds."""
+    """Return seconds since the first point; drivers write seconds, or integer nanoseconds or microseconds."""
     after = times - times.min() if len(times) else times
     last = float(after.max()) if len(after) else 0.0
     unit = 1.0 if kind.startswith("f") and last < 1.0 else 1e-9 if last > 1e6 else 1e-6
@@ -192,7 +192,7 @@ def read_grid(data: bytes, topic: str, encoding: str) -> GridMessage:
     """Read an occupancy grid."""
     cursor = _Cursor(data, topic, encoding)
     _, frame = cursor.header()
-    cursor.numbers("I", 2)  # when it was loaded
+    cursor.numbers("I", 2)  # map_load_time
     resolution = cursor.numbers("f")[0]
     width, height = cursor.whole(), cursor.whole()
     pose = np.array(cursor.numbers("d", 7))

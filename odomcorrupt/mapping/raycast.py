@@ -1,7 +1,7 @@
-"""Cells that straight lines cross, for many lines at once, and maps made by laser rays.
+"""Ray casting: cells that straight lines cross, for many lines at once, and maps from laser rays.
 
-Traversal is that of Amanatides & Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987: every
-cell that a line crosses, none twice. A map counts for each cell the rays that ended there and those that passed.
+Traversal follows Amanatides & Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987: every
+cell on a line, once each. A map counts for each cell the rays that ended in it and those that passed through.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 __all__ = ["MAX_CELLS", "Canvas", "canvas_for", "draw_map", "traverse"]
 
 MAX_CELLS = 50_000_000
-"""A map of more cells than this is a mistake: a drift of kilometres, or a resolution of millimetres."""
+"""Largest number of cells of a map; more indicate an error: a drift of kilometres or a resolution of millimetres."""
 
 OCCUPIED_SHARE = 0.25
-"""A cell is a wall where at least this share of the rays that reached it ended in it (as gmapping's occ_thresh)."""
+"""Smallest share of the rays reaching a cell that end in it, for the cell to be a wall (gmapping's occ_thresh)."""
 
 _RAYS_AT_ONCE = 1 << 15
 
@@ -42,7 +42,7 @@ class Canvas:
 
 
 def canvas_for(points_xy: Array, resolution_m: float) -> Canvas:
-    """Return the smallest canvas that holds points (n, 2) with half a metre around them, on whole cells."""
+    """Return the smallest canvas of whole cells that holds points (n, 2) with a margin of half a metre."""
     low = np.floor((points_xy.min(axis=0) - 0.5) / resolution_m) * resolution_m
     columns, rows = np.ceil((points_xy.max(axis=0) + 0.5 - low) / resolution_m)
     if not rows * columns <= MAX_CELLS:
@@ -53,17 +53,17 @@ def canvas_for(points_xy: Array, resolution_m: float) -> Canvas:
 
 
 def traverse(start: Array, end: Array) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield, step by step, the cells that lines from start to end (n, 2), in cells, are in.
+    """Yield, step by step, the cells on lines from start to end (n, 2), in cells.
 
-    Each step gives the numbers (m,) of the lines that are not at their end yet, and their cells (m, 2) as column and
-    row; the cell of the end itself is not given.
+    Each step gives the indices (m,) of the lines that have not reached their end, and their cells (m, 2) as column and
+    row; the end cell itself is not given.
     """
     cell, last = np.floor(start).astype(np.int64), np.floor(end).astype(np.int64)
     direction = end - start
     way = np.sign(direction).astype(np.int64)
     with np.errstate(divide="ignore", invalid="ignore"):
         stride = np.abs(1.0 / direction)
-        # how far along the line, as a share of it, the next border of a column or row lies
+        # distance to the next border of a column or row, as a fraction of the line
         border = np.where(way > 0, cell + 1.0 - start, start - cell) * stride
     border, stride = np.where(way == 0, np.inf, border), np.where(way == 0, np.inf, stride)
     left = np.abs(last - cell).sum(axis=1)
@@ -73,7 +73,7 @@ def traverse(start: Array, end: Array) -> Iterator[tuple[NDArray[np.int64], NDAr
             number, left, cell, way = number[going], left[going], cell[going], way[going]
             border, stride, last = border[going], stride[going], last[going]
         yield number, cell
-        # rounding must not carry a line past its last column or row
+        # rounding must not move a line past its last column or row
         border = np.where(cell == last, np.inf, border)
         axis = np.argmin(border, axis=1)
         row = np.arange(len(axis))
@@ -84,13 +84,13 @@ def traverse(start: Array, end: Array) -> Iterator[tuple[NDArray[np.int64], NDAr
 
 
 def draw_map(canvas: Canvas, from_xy: Array, to_xy: Array) -> Grid:
-    """Return the map that n rays (n, 2) from lasers to what they hit make, metres in the map's frame."""
+    """Return the map of n rays (n, 2) from laser positions to hits, metres in the map's frame."""
     rows, columns = canvas.shape
     passed, hit = np.zeros(rows * columns, dtype=np.int64), np.zeros(rows * columns, dtype=np.int64)
     start, end = ((xy - canvas.low_xy) / canvas.resolution_m for xy in (from_xy, to_xy))
     inside = ((start >= 0.0) & (start < (columns, rows)) & (end >= 0.0) & (end < (columns, rows))).all(axis=1)
     start_cell, end_cell = np.floor(start[inside]).astype(np.int64), np.floor(end[inside]).astype(np.int64)
-    # a laser sees more finely than cells: rays between the same two cells are walked once, from middle to middle
+    # a laser is finer than the cells: rays between the same two cells are traversed once, from centre to centre
     flat_end = end_cell[:, 1] * columns + end_cell[:, 0]
     key = (start_cell[:, 1] * columns + start_cell[:, 0]) * (rows * columns) + flat_end
     _, first, weight = np.unique(key, return_index=True, return_counts=True)

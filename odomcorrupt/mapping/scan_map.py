@@ -1,4 +1,4 @@
-"""What a laser sees through one odometry and through another: maps, and how thick their walls became."""
+"""Laser maps through different odometries: the maps, and their growing wall thickness."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ __all__ = ["Slow", "Survey", "View", "place", "slow_rays", "survey"]
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Rays placed by one path.
+    """Rays transformed by one path.
 
-    from_xy, to_xy : (n, 2) where each ray began and ended, metres in the path's frame
+    from_xy, to_xy : (n, 2) start and end of each ray, metres in the path's frame
     """
 
     from_xy: Array
@@ -37,11 +37,11 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """A map through one path.
+    """Laser map from one path.
 
     marks_m : (k,) distances travelled
-    thickness_m : (k,) how thick the walls are in the map of what was seen up to there
-    off_surface_m : (k,) root mean square distance from the clean map's walls of what was hit since the mark before
+    thickness_m : (k,) wall thickness of the map of everything seen up to each distance
+    off_surface_m : (k,) root mean square distance of the hits since the previous distance from the clean map's walls
     """
 
     name: str
@@ -54,7 +54,7 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """Rays that were shot while the robot hardly turned, and where on the way: travelled_m (n,)."""
+    """Rays received while the robot hardly turned, with the distance travelled at each: travelled_m (n,)."""
 
     rays: Rays
     travelled_m: Array
@@ -62,9 +62,9 @@ class Slow:
 
 
 def slow_rays(rays: Rays, drive: Drive, max_yaw_rate: float | None) -> Slow:
-    """Return the rays shot during a drive while it turned no faster than so many rad/s; None keeps them all.
+    """Return the rays received while the yaw rate was at most `max_yaw_rate` rad/s; None keeps all.
 
-    A stamp that is a few milliseconds wrong does nothing to a ray of a robot that does not turn.
+    For a robot that does not turn, a stamp error of a few milliseconds does not move a ray.
     """
     during = (rays.stamps_ns >= drive.stamps_ns[0]) & (rays.stamps_ns <= drive.stamps_ns[-1])
     notes = [*rays.notes]
@@ -73,7 +73,7 @@ def slow_rays(rays: Rays, drive: Drive, max_yaw_rate: float | None) -> Slow:
     kept = during
     interval = np.clip(np.searchsorted(drive.stamps_ns, rays.stamps_ns, side="right") - 1, 0, len(drive) - 2)
     if max_yaw_rate is not None:
-        # over a tenth of a second around each ray: single increments jitter
+        # mean over a tenth of a second around each ray: single increments are noisy
         half_ns = 50_000_000
         turned = np.concatenate(([0.0], np.cumsum(increments(drive.xyt).dtheta_rad)))
         heading = [np.interp(rays.stamps_ns + side * half_ns, drive.stamps_ns, turned) for side in (-1, 1)]
@@ -89,7 +89,7 @@ def slow_rays(rays: Rays, drive: Drive, max_yaw_rate: float | None) -> Slow:
 
 
 def place(rays: Rays, path: Trajectory) -> View:
-    """Return rays placed by a path: each by the pose at its own time, on arcs between the path's stamps."""
+    """Return rays transformed by a path: each by the pose at its own time, on arcs between the path's stamps."""
     origin = int(path.stamps_ns[0])
     poses = path.at((rays.stamps_ns - origin) * np.float64(1e-9), origin)
     start = poses[:, :2] + rotate(np.broadcast_to(rays.from_xy, (len(rays), 2)), poses[:, 2])
@@ -99,7 +99,7 @@ def place(rays: Rays, path: Trajectory) -> View:
 def survey(
     name: str, path_xyt: Array, view: View, clean: View, travelled_m: Array, canvas: Canvas, marks: int = 8
 ) -> Survey:
-    """Return the map of a view, the thickness of its walls as it grew, and how far its hits are from the clean walls.
+    """Return the map of a view, its wall thickness against distance, and the distance of its hits from the clean walls.
 
     clean : the same rays through the clean odometry
     """

@@ -1,4 +1,4 @@
-"""Laser scans out of a bag, as rays in the robot's frame with a time each."""
+"""Laser scans of a bag, as rays in the robot's frame with individual times."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ __all__ = ["Rays", "read_rays"]
 
 @dataclass(frozen=True, slots=True)
 class Rays:
-    """n rays that hit something.
+    """n rays with a return.
 
-    stamps_ns : (n,) when each was shot
-    from_xy : (2,) where the laser sits in the robot's frame, metres
-    to_xy : (n, 2) where each ray ended, in the robot's frame at its own time
-    scans : how many scans they are from
-    frame_id : of the laser
-    notes : what was left out, in words
+    stamps_ns : (n,) time of each ray
+    from_xy : (2,) position of the laser in the robot's frame, metres
+    to_xy : (n, 2) end of each ray, in the robot's frame at the ray's time
+    scans : number of scans
+    frame_id : frame of the laser
+    notes : omissions, in words
     """
 
     stamps_ns: NDArray[np.int64]
@@ -56,16 +56,16 @@ def read_rays(path: Path, topic: str | None, base_frame: str, mount: Mount | Non
     path
         A bag.
     topic
-        Laser scans; None takes the only such topic.
+        Topic of laser scans; None takes the only one.
     base_frame
-        The robot's frame, to which TF must lead from the laser's.
+        The robot's frame, which TF must connect with the laser's.
     mount
-        Where the laser sits, where TF is not to be asked.
+        Pose of the laser, to be used instead of TF.
 
     Raises
     ------
     TopicError
-        Where there are no scans, several topics of them, or TF does not say where the laser sits.
+        If there are no scans, several topics of them, or TF does not contain the laser's pose.
 
     """
     scans: list[ScanMessage] = []
@@ -108,7 +108,7 @@ def _rays(scans: list[ScanMessage], mount: Mount, frame: str) -> Rays:
     lost = total = 0
     for scan in scans:
         number = np.arange(len(scan.ranges_m))
-        # a comparison with a range that is no number is false: such rays go, as do those that met nothing
+        # comparisons with NaN are false: such rays are dropped, as are those without a return
         good = (scan.ranges_m >= scan.range_min_m) & (scan.ranges_m < scan.range_max_m)
         total += len(number)
         lost += int(np.count_nonzero(~good))

@@ -1,10 +1,10 @@
-"""How thick the walls of a map are: the mean plane variance, in the plane.
+"""Wall thickness of a map: the mean plane variance, in two dimensions.
 
-Razlaw, Droeschel, Holz & Behnke, "Evaluation of registration methods for sparse 3D laser scans" (ECMR 2015), judge a
-map without truth by the variance of its points about the plane through their neighbours: the smallest eigenvalue of
-the covariance of all points near a point, averaged over points. Here planes are lines, neighbours lie in a square of
-`WINDOW_M`, and what is reported is the root: a deviation in metres. Corners are no lines and count in every map
-alike, so it is the difference between two maps of one drive that says what odometry did.
+Razlaw, Droeschel, Holz & Behnke, "Evaluation of registration methods for sparse 3D laser scans" (ECMR 2015), evaluate
+a map without truth by the variance of its points about the plane through their neighbours: the smallest eigenvalue of
+the covariance of all points near a point, averaged over points. Here planes are lines, neighbours are those in a
+square of `WINDOW_M`, and the root is reported: a deviation in metres. Corners are not lines, but count equally in
+every map, so the difference between two maps of one drive measures the effect of the odometry.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
 __all__ = ["WINDOW_M", "added_thickness", "distance_to_surface", "wall_thickness"]
 
 WINDOW_M = 1.0
-"""Side of the square of neighbours; walls that lie further apart than half of it are two walls."""
+"""Side of the square of neighbours, metres; walls more than half of it apart are separate walls."""
 
 MIN_NEIGHBOURS = 8
 
 _FLAT = 0.1
-"""Of the larger variance: where the smaller one is more, the points are no wall and have no normal."""
+"""Ratio of the smaller to the larger variance above which points are not a wall and have no normal."""
 
 
 def added_thickness(clean_m: Array, noisy_m: Array) -> Array:
-    """Return what noise adds to walls (k,), metres: variances of independent errors add up, and so differ."""
+    """Return the increase of wall thickness by noise (k,), metres, as the root of the difference of the variances."""
     out: Array = np.sqrt(np.maximum(noisy_m**2 - clean_m**2, 0.0))
     return out
 
 
 def wall_thickness(points_xy: Array, *, cell_m: float = 0.02) -> float:
-    """Return the root of the mean plane variance of points (n, 2), metres; nan where no point has neighbours.
+    """Return the root of the mean plane variance of points (n, 2), metres; nan if no point has neighbours.
 
     Points are binned into cells of `cell_m` and keep their own coordinates in the sums; the window is that of the
     cell, so its edge is rounded to a cell.
@@ -48,14 +48,14 @@ def wall_thickness(points_xy: Array, *, cell_m: float = 0.02) -> float:
 
 
 def distance_to_surface(clean_xy: Array, noisy_xy: Array, *, cell_m: float = 0.02) -> Array:
-    """Return how far noisy hits are from the walls of the clean map (n,), metres; nan where a clean hit is on no wall.
+    """Return the distance of noisy hits from the walls of the clean map (n,), metres; nan for clean hits on no wall.
 
-    The displacement of a hit is taken across the wall that its clean twin is on: shifts along a wall cannot be seen
-    in a map, and a wall that has moved by more than the window is still compared with itself.
+    The displacement of a hit is measured across the wall of its clean counterpart: shifts along a wall are not visible
+    in a map, and a wall displaced by more than the window is still compared with itself.
 
     Parameters
     ----------
-    clean_xy, noisy_xy : (n, 2) ends of the same rays, placed by clean and by noisy odometry, metres
+    clean_xy, noisy_xy : (n, 2) ends of the same rays, transformed by clean and by noisy odometry, metres
 
     """
     xx, xy, yy = _covariances(clean_xy, cell_m)
@@ -74,9 +74,9 @@ def _smaller(xx: Array, xy: Array, yy: Array) -> Array:
 
 
 def _covariances(points_xy: Array, cell_m: float) -> tuple[Array, Array, Array]:
-    """Return xx, xy and yy (n,) of the points in the window around each point; nan where these are too few."""
+    """Return xx, xy and yy (n,) of the points in the window around each point; nan if there are too few."""
     low = points_xy.min(axis=0) - 2.0 * cell_m
-    # coordinates from the middle: the covariance is a small difference of large sums
+    # centred coordinates, because the covariance is a small difference of large sums
     centred = points_xy - points_xy.mean(axis=0)
     column, row = np.floor((points_xy - low) / cell_m).astype(np.int64).T
     shape = int(row.max()) + 2, int(column.max()) + 2
@@ -91,7 +91,7 @@ def _covariances(points_xy: Array, cell_m: float) -> tuple[Array, Array, Array]:
 
 
 class _Windows:
-    """Sums over the square window around each point, by running sums over cells in both directions."""
+    """Sums over the square window around each point, by cumulative sums over cells in both directions."""
 
     def __init__(self, row: NDArray[np.int64], column: NDArray[np.int64], shape: tuple[int, int], half: int) -> None:
         self._shape = shape

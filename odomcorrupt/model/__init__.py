@@ -1,1 +1,1 @@
-"""A robot's motion model: noise laws, coefficients, presets and the model file."""
+"""A robot's motion model: noise laws, coefficients, presets, and the model file."""

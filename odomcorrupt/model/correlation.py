@@ -1,7 +1,7 @@
-"""Correlation of a fit's parameters: those that one recording cannot separate have correlated errors.
+"""Correlation of the errors of a fit's parameters.
 
-A wheel scale and a wheelbase that were fitted to one drive are uncertain along one line, not in a whole box; robots
-that are drawn from their standard errors alone would be worse copies than the data allow.
+A wheel scale and a wheelbase fitted to one drive are uncertain along one direction, not in a whole box. Robots drawn
+from the standard errors alone would therefore differ more than the data allow.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 __all__ = ["Correlation"]
 
 MOST = 64
-"""More parameters than this no fit has."""
+"""Largest number of parameters accepted; no fit has more."""
 
 _DIGITS = 4
 _ROUNDED = 1e-3
-"""A written matrix is rounded; an eigenvalue this far below zero is its digits' fault."""
+"""Tolerance below zero for eigenvalues of a matrix rounded in a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +56,15 @@ class Correlation:
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], known: Container[str]) -> Correlation:
-        """Return what a model file's [fit.correlation] says; known are the parameters that have a standard error.
+        """Return the correlation in a model file's [fit.correlation]; `known` are the parameters with a standard error.
 
-        A file whose effects or coefficients were edited by hand may name parameters that it no longer has: then no
-        correlation is known, and a warning says so.
+        If effects or coefficients of the file were edited by hand, the table may name parameters that no longer exist.
+        Then the table is ignored with a warning.
 
         Raises
         ------
         ModelError
-            Where the table or its numbers make no sense.
+            If the table is malformed or its matrix is not a correlation matrix.
 
         """
         for key in table:
@@ -79,7 +79,7 @@ class Correlation:
         lowest = float(np.linalg.eigvalsh(matrix)[0]) if len(names) else 0.0
         if lowest < -_ROUNDED * len(names):
             raise ModelError(
-                f"fit.correlation.matrix: no errors hang together like this (its smallest eigenvalue is {lowest:.3g}, "
+                f"fit.correlation.matrix: it is no correlation matrix (its smallest eigenvalue is {lowest:.3g}, "
                 "below 0); move its numbers towards 0"
             )
         gone = [name for name in names if name not in known]
@@ -101,7 +101,7 @@ class Correlation:
         )
 
     def groups(self) -> list[tuple[str, ...]]:
-        """Return the names in groups that hang together, by whatever chain; who stands alone is in none."""
+        """Return groups of names connected, directly or indirectly, by correlations; single names are left out."""
         left = list(range(len(self)))
         found = []
         while left:
@@ -117,10 +117,10 @@ class Correlation:
         return found
 
     def factor(self) -> list[list[float]]:
-        """Return L (n, n), lower triangular with rows of length one: L z of standard normals z hangs together so.
+        """Return L (n, n), lower triangular with unit rows: L z has this correlation for standard normal z.
 
-        Where rounding made the matrix indefinite, what is below zero counts as zero. Plain loops in a fixed order: the
-        same bits everywhere.
+        If rounding made the matrix indefinite, negative pivots count as zero. Plain loops in a fixed order give the
+        same bits on every machine.
         """
         n = len(self)
         rows = [[0.0] * n for _ in range(n)]

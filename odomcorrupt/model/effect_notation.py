@@ -1,4 +1,4 @@
-"""Effects as a person writes them: "wheelbase:e=1%", "slip_burst", "my_file.Wobble:size=0.1"."""
+"""Parsing of effects in command-line notation: "wheelbase:e=1%", "slip_burst", "my_file.Wobble:size=0.1"."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _PERCENT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*%\s*\Z"
 
 
 class WrittenEffect(NamedTuple):
-    """An effect as it was written, and what was assumed where nothing was.
+    """A parsed effect, with the values that were assumed for parameters not given.
 
-    assumed : sizes that were not given and are the typical ones, as in "curvature 0.005 1/m"; "" where all were given
+    assumed : typical sizes that were used, as in "curvature 0.005 1/m"; "" if sizes were given
     """
 
     effect: Effect
@@ -29,15 +29,15 @@ class WrittenEffect(NamedTuple):
 
 
 def parse_effect(text: str) -> WrittenEffect:
-    """Return the effect written as NAME or NAME:key=value,key=value, NAME being one of the library or module.Class.
+    """Return the effect written as NAME or NAME:key=value,key=value; NAME is in the library or is module.Class.
 
-    Values are numbers, per cent where a parameter has no unit (1%), or angles (5deg). Without any amplitude the effect
-    has its typical size.
+    Values are numbers, percentages for parameters without unit (1%), or angles (5deg). If no amplitude is given, the
+    typical one is used.
 
     Raises
     ------
     EffectError
-        Where the name or a parameter is not known, or a value makes no sense.
+        If the name or a parameter is unknown, or a value is invalid.
 
     """
     name, _, rest = text.partition(":")

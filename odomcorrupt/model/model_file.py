@@ -1,6 +1,6 @@
-"""Model files: a motion model as TOML that a person reads and edits. Schema 1 is described in docs/model-file.md.
+"""Reading and writing of model files: motion models as editable TOML. Schema 1 is described in docs/model-file.md.
 
-Reading one runs no code and opens no other file.
+Reading executes no code and opens no other file.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _SPREAD = re.compile(r"\s*(\S+)\s*(?:\+-|±)\s*(\S+)\s*")
 
 
 def read_model(path: Path) -> MotionModel:
-    """Return the model in a file; ModelError says what is wrong with it, in one line."""
+    """Return the model in a file; a ModelError describes the first fault in one line."""
     text = read_model_text(path)
     try:
         return parse_model(text)
@@ -56,7 +56,7 @@ def read_model(path: Path) -> MotionModel:
 
 
 def read_model_text(path: Path) -> str:
-    """Return the text of a model file, as it stands."""
+    """Return the text of a model file, unparsed."""
     try:
         return read_input(path, _LIMIT_BYTES, "model file", ModelError).decode()
     except UnicodeDecodeError as error:
@@ -65,11 +65,11 @@ def read_model_text(path: Path) -> str:
 
 def parse_model(text: str) -> MotionModel:
     """Return the model written in TOML text."""
-    import tomllib  # noqa: PLC0415 - writing a model, which every bag's provenance is, needs none
+    import tomllib  # noqa: PLC0415 - not needed for writing a model, which happens for every bag
 
     try:
         table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits is no TOMLDecodeError
+    except (ValueError, RecursionError) as error:  # an integer of thousands of digits raises a plain ValueError
         raise ModelError(f"not valid TOML ({error})") from error
     _only(table, ("schema", "noise", "effect", "robot", "setup", "source", "fit"), "the file")
     if table.get("schema") != SCHEMA:
@@ -186,7 +186,7 @@ def _source(table: Mapping[str, Any]) -> Mapping[str, str | float | list[str]]:
 
 
 def _measured(value: Any, key: str, errors: dict[str, float], unit: str | None = None) -> float:
-    """Return a value, and keep its standard error where it has one."""
+    """Return a value; its standard error, if given, is stored in `errors`."""
     if isinstance(value, dict):
         _only(value, ("value", "standard_error", "unit"), key)
         if "value" not in value:
@@ -203,7 +203,7 @@ def _measured(value: Any, key: str, errors: dict[str, float], unit: str | None =
 
 
 def _number(value: Any, key: str) -> tuple[float, float | None]:
-    """Return a number and its spread from 0.01, "5deg" or "0.004 +- 0.001"."""
+    """Return a number and its standard error or None, from 0.01, "5deg" or "0.004 +- 0.001"."""
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 1 << 62:
         raise ModelError(f"{key}: an integer of {value.bit_length()} bits; write a number that a robot can have")
     if isinstance(value, (int, float)) and not isinstance(value, bool):
@@ -231,7 +231,7 @@ def _only(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
 
 
 def format_model(model: MotionModel) -> str:
-    """Return a model as TOML text; reading it back gives the same model to nine digits."""
+    """Return a model as TOML text; parsing it gives the same model to nine digits."""
     errors = model.standard_errors
     lines = [
         "# A motion model for odomcorrupt: a person reads and edits it.",
@@ -261,7 +261,7 @@ def format_model(model: MotionModel) -> str:
 
 
 def _drawn(model: MotionModel) -> list[str]:
-    """Return the parameters of noise and effects that have a standard error, in the file's order."""
+    """Return the noise and effect parameters that have a standard error, in the file's order."""
     names = [*_COEFFICIENTS, *(f"{effect.name}.{p.name}" for effect in model.effects for p in parameters(effect))]
     return [name for name in dict.fromkeys(names) if name in model.standard_errors]
 
@@ -298,7 +298,7 @@ def _effect_lines(effect: Effect, errors: Mapping[str, float]) -> list[str]:
     for p in parameters(effect):
         error = errors.get(f"{effect.name}.{p.name}")
         value, unit = getattr(effect, p.name), p.unit
-        if isinstance(effect, UserEffect) and unit and error is None:  # nobody else knows it
+        if isinstance(effect, UserEffect) and unit and error is None:  # the unit is stored nowhere else
             lines.append(f"{p.name} = {{ value = {_figure(value)}, unit = {_text(unit)} }}")
         else:
             lines.append(f"{p.name} = {_value(value, error, unit)}")
@@ -315,7 +315,7 @@ def _value(value: float, error: float | None, unit: str = "") -> str:
 
 
 def _figure(value: float, digits: int = 9) -> str:
-    """Return a TOML float (or integer) of enough digits."""
+    """Return a TOML float (or integer) with a given number of significant digits."""
     if isinstance(value, int):
         return str(value)
     text = f"{value:.{digits}g}"

@@ -24,7 +24,7 @@ _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(deg|r
 
 _NUMBER = r"[\d.eE+-]+"
 UPDATE_MIN_D_M, UPDATE_MIN_A_RAD = 0.25, 0.2
-"""Of nav2's amcl, where a step names a distance or an angle alone."""
+"""Defaults of nav2's amcl, for a step given by a distance or an angle only."""
 
 
 def parse_alpha(text: str) -> float:
@@ -38,7 +38,7 @@ def parse_alpha(text: str) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """The stretch of path a book law is applied to: it ends at a distance or at an angle, whichever comes first."""
+    """Length of path over which a per-step law is applied: it ends at a distance or an angle, whichever comes first."""
 
     distance_m: float
     angle_rad: float
@@ -54,7 +54,7 @@ class Step:
     def parse(cls, text: str) -> Step | None:
         """Return the step written as "0.25m,0.2rad" (deg is accepted), or None for "message".
 
-        Of "0.25m" or "0.2rad" alone, the other one is nav2's default: update_min_d 0.25 m, update_min_a 0.2 rad.
+        If only one of the two is given, the other is nav2's default: update_min_d 0.25 m, update_min_a 0.2 rad.
         """
         if text == "message":
             return None
@@ -67,7 +67,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """A law, its coefficients, and for the book laws the step it is applied to (None: once per message)."""
+    """A noise law with its coefficients and, for per-step laws, the step of its application (None: each message)."""
 
     law_name: str
     coefficients: Coefficients
@@ -79,7 +79,7 @@ class Noise:
 
     @property
     def law(self) -> Law:
-        """The law itself."""
+        """The noise law."""
         return law_named(self.law_name)
 
 
@@ -94,7 +94,7 @@ class TruthNoise:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where on Earth the frame of satellite fixes has its origin: x points east there and y north."""
+    """Geodetic origin of the frame of satellite fixes; there x points east and y north."""
 
     latitude_deg: float
     longitude_deg: float
@@ -110,12 +110,12 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What belongs to a measurement and not to the robot; corruption and correction pass it by.
+    """Properties of the measurement and not of the robot; corruption and correction ignore them.
 
     effects : lever arm and mounting yaw of the truth
-    drive_type : how the wheels steer the robot, see `drive_types`; "" where nothing is said
-    clocks : by recording, offset (s) and rate of the odometry's clock; for the reader, every run has its own
-    origin : of the truth's frame where it was satellite fixes; places of effects are metres east and north of it
+    drive_type : steering of the robot's wheels, see `drive_types`; "" if not given
+    clocks : by recording, offset (s) and rate of the odometry's clock; informative only, every run has its own
+    origin : geodetic origin of the truth's frame, for satellite fixes; places of effects are metres east and north
     pose_corrections : whether a filter steps towards poses that it is given; the model is of the odometry between these
         steps, and correction takes them out
     """
@@ -132,9 +132,9 @@ class Setup:
 class MotionModel:
     """Noise and effects of one robot.
 
-    standard_errors maps "effect.parameter" and names of coefficients to one standard error, where a fit made them.
-    correlation says how these errors hang together, of the parameters that it names.
-    source says where the numbers come from: "recordings" lists the files that were fitted, "odometry" is their topic.
+    standard_errors : by "effect.parameter" or name of a coefficient, one standard error, if the model was fitted
+    correlation : correlations of these errors, for the parameters that it names
+    source : origin of the values: "recordings" lists the fitted files, "odometry" is their topic
     """
 
     noise: Noise
@@ -147,17 +147,17 @@ class MotionModel:
 
     @property
     def odometry_topic(self) -> str | None:
-        """Topic of the odometry that it was learned from, if it says so."""
+        """Topic of the odometry that the model was learned from, if recorded."""
         topic = self.source.get("odometry")
         return topic if isinstance(topic, str) else None
 
     @property
     def placed(self) -> tuple[Effect, ...]:
-        """Effects of places and headings in the frame of the truth that it was learned from."""
+        """Effects that depend on places or headings in the frame of the truth that the model was learned from."""
         learned = bool(self.source.get("recordings"))
         return tuple(effect for effect in self.effects if learned and effect.reads_places and effect.acts)
 
     @property
     def silent(self) -> bool:
-        """Whether it changes nothing at all."""
+        """Whether the model changes nothing."""
         return self.noise.coefficients.silent and not self.effects

@@ -1,17 +1,17 @@
-"""Noise laws: how uncertain one increment is, given how far it went and turned.
+"""Noise laws: variances of the noise on an increment as functions of its travel and turn.
 
 **The alpha convention.** Coefficients are named noise-in_caused-by: `rot_rot, rot_trans, trans_trans, trans_rot` are
-alpha1..4, in metres and radians. What they mean differs between laws, and the numbers are not interchangeable:
+alpha1..4, in metres and radians. Their meaning differs between laws, and the numbers are not interchangeable:
 
-* `diffusion`: standard deviation after one metre or one radian; variance grows with distance, whatever the rate.
+* `diffusion`: standard deviation after one metre or one radian; variance grows with distance, at any message rate.
 * `linear` (the article; MRPT): standard deviation of one step = coefficient times motion of that step.
 * `article-code` (the article's listing, literally): as `linear`, with each standard deviation squared.
 * `quadratic` (Probabilistic Robotics, table 5.6; nav2, amcl diff-corrected): *variance* of one step = coefficient times
   squared motion of that step. `velocity` (table 5.3; its alphas in the book's order: trans_trans, trans_rot, rot_trans,
   rot_rot, end_trans, end_rot) and `omni` (amcl omni-corrected, with alpha5) scale the variance likewise.
 
-All but the first depend on the step they are applied to. A law is one function from magnitudes of motion to variances;
-corruption, fit, sampling and density all call these same functions.
+All but the first depend on the step that they are applied to. A law is one function from magnitudes of motion to
+variances; corruption, fit, sampling and density all call these functions.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ __all__ = ["LAWS", "Coefficients", "Law", "Variances", "law_named", "magnitudes"
 
 @dataclass(frozen=True, slots=True)
 class Coefficients:
-    """Alpha1..4, and what only some laws have.
+    """Alpha1..4, and coefficients of some laws only.
 
-    across_trans : sideways noise: of `diffusion` per sqrt(m), 0 unless a fit found it; alpha5 of `omni`
-    end_trans, end_rot : alpha5 and alpha6 of `velocity`, the turn at the end of a step
-    white_v, white_omega : m/s and rad/s, standard deviations of white noise on every twist, whatever the law; it acts
-        at rest too, and its drift depends on the message rate
+    across_trans : sideways noise: for `diffusion` per sqrt(m), 0 unless a fit found it; alpha5 of `omni`
+    end_trans, end_rot : alpha5 and alpha6 of `velocity`, for the turn at the end of a step
+    white_v, white_omega : m/s and rad/s, standard deviations of white noise on every twist, with any law; it acts
+        also at rest, and its drift depends on the message rate
     """
 
     rot_rot: float
@@ -58,22 +58,22 @@ class Coefficients:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             value = getattr(self, name)
-            if not 0.0 <= value <= _MOST:
-                raise ModelError(f"coefficient {name}: {value}; it must be a number from zero to {_MOST:g}")
+            if not 0.0 <= value <= _MAX_COEFFICIENT:
+                raise ModelError(f"coefficient {name}: {value}; it must be a number from zero to {_MAX_COEFFICIENT:g}")
 
     @property
     def silent(self) -> bool:
-        """Whether no noise is drawn at all."""
+        """Whether all coefficients are zero."""
         return not any(getattr(self, name) for name in self.__slots__)
 
 
-_MOST = 1e6
-"""Of a coefficient: no robot is near, and squares of it are numbers still."""
+_MAX_COEFFICIENT = 1e6
+"""Largest coefficient: far above any robot's, and its square is still finite."""
 
 
 @dataclass(frozen=True, slots=True)
 class Variances:
-    """Variances of what is added to n steps, (n,) each: rad^2, m^2, m^2, rad^2.
+    """Variances of the noise added to n steps, (n,) each: rad^2, m^2, m^2, rad^2.
 
     rot1 turns the robot before it translates, trans and across shift it along and to the left, rot2 turns it after.
     """
@@ -91,15 +91,15 @@ class _Rule(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """A named rule.
+    """A named noise law.
 
-    per_step : whether the drift it makes depends on the step it is applied to
-    degree : variances are homogeneous of this degree in the coefficients (a fit needs to know)
-    alphas : which coefficients alpha1, alpha2, ... are
+    per_step : whether its drift depends on the step that it is applied to
+    degree : degree of homogeneity of the variances in the coefficients, used by fits
+    alphas : names of the coefficients alpha1, alpha2, ...
     split : whether rot1 is measured to the bearing of the step; otherwise the turn is split evenly
-    arc : whether rot1 is spread evenly over the translation, and not made before it
-    along_travel : whether trans and across are along and across the travel, and not the body's x and y
-    fitted : whether robots are fitted with it; what imitates a listing is not
+    arc : whether rot1 is distributed evenly over the translation, instead of preceding it
+    along_travel : whether trans and across refer to the direction of travel, instead of the body's x and y
+    fitted : whether it is available for fits; imitations of a listing are not
     """
 
     name: str
@@ -113,12 +113,12 @@ class Law:
     fitted: bool = True
 
     def coefficients(self, alphas: Sequence[float]) -> Coefficients:
-        """Return the coefficients for alpha1, alpha2, ... in the order of this law's source; at least the first four.
+        """Return the coefficients for alpha1, alpha2, ... in the order of the law's source; at least the first four.
 
         Raises
         ------
         ModelError
-            Where there are too few or too many.
+            If there are too few or too many.
 
         """
         if not 4 <= len(alphas) <= len(self.alphas):
@@ -144,7 +144,7 @@ def _linear(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variance
 
 
 def _article_code(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
-    """Do as the article's listing does: pass sd * sd where a standard deviation is asked for."""
+    """Return the variances of the article's listing, which passes sd * sd in place of a standard deviation."""
     v = _linear(k, rot1, trans, rot2)
     return Variances(v.rot1**2, v.trans**2, v.across**2, v.rot2**2)
 
@@ -159,7 +159,7 @@ def _quadratic(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Varia
 
 
 def _velocity(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
-    """Noise on v and omega over the step's time; the time cancels, v dt is the travel and omega dt the turn."""
+    """Return the variances for noise on v and omega; the step's time cancels: v dt is travel, omega dt is turn."""
     turn2, trans2 = (rot1 + rot2) ** 2, trans**2
     return Variances(
         k.rot_trans * trans2 + k.rot_rot * turn2,
@@ -190,11 +190,11 @@ LAWS: Mapping[str, Law] = {
         Law("article-code", _article_code, degree=4, split=True, fitted=False),
     )
 }
-"""Their sources are named above."""
+"""Noise laws by name; the module's docstring gives their sources."""
 
 
 def law_named(name: str) -> Law:
-    """Return the law of that name; ModelError names the ones there are."""
+    """Return the law with a given name; a ModelError lists the available names."""
     try:
         return LAWS[name]
     except KeyError:
@@ -202,21 +202,21 @@ def law_named(name: str) -> Law:
 
 
 def variances(law: Law, k: Coefficients, steps: Increments) -> Variances:
-    """Return the variances of noise on n increments, the law applied to each increment as one step.
+    """Return the variances of noise on n increments, with the law applied to each increment as one step.
 
-    `diffusion` uses only |dtheta| and the length of the travel, not its bearing: a parked robot with
-    10 um of jitter does not spin. The laws of turn, drive, turn split it at the bearing, see `rot_trans_rot`.
-    White noise on twists, which goes with time, is not counted here.
+    `diffusion` uses only |dtheta| and the length of the travel, not its bearing, so a parked robot with 10 um of jitter
+    does not spin. Laws with `split` divide the turn at the bearing, see `rot_trans_rot`. White noise on twists, which
+    depends on time, is not included.
     """
     return law.rule(k, *magnitudes(law, steps))
 
 
 def magnitudes(law: Law, steps: Increments) -> tuple[Array, Array, Array]:
-    """Return the arguments of a law: rot1, trans and rot2 of each step (n,), none negative."""
+    """Return the arguments of a law: rot1, trans and rot2 of each step, (n,) each, non-negative."""
     if not law.split:
         half = np.abs(steps.dtheta_rad) / 2.0
         travel = np.hypot(steps.ds_m, steps.dl_m)
-        # the book's v dt is the way along the arc, of which the step is the chord
+        # the book's v dt is the length of the arc, and the step is its chord
         return half, travel / np.sinc(half / np.pi) if law.arc else travel, half
     parts = rot_trans_rot(steps)
     return np.abs(parts.rot1_rad), np.abs(parts.trans_m), np.abs(parts.rot2_rad)

@@ -1,6 +1,6 @@
-"""Ready-made noise models: law, numbers and where they come from.
+"""Predefined noise models with their coefficients and sources.
 
-Those of real robots are made again by `benchmarks/fit_presets.py`: noise alone, without what is systematic.
+Those of real robots can be refitted with `benchmarks/fit_presets.py`: noise only, without systematic effects.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ PRESETS: Mapping[str, Preset] = {
 
 
 def preset_named(name: str) -> Preset:
-    """Return the preset of that name; ModelError names the ones there are."""
+    """Return the preset with a given name; a ModelError lists the available names."""
     try:
         return PRESETS[name]
     except KeyError:

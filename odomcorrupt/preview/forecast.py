@@ -1,4 +1,4 @@
-"""How far a bag's odometry will drift: a forecast from many runs, as text and as plain values."""
+"""Forecast of the drift of a bag's odometry from many runs, as text and as plain values."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["CleanDrive", "Forecast", "brief", "forecast", "forecast_json", "forecast_text", "read_clean_drive"]
 
 DRAWN_POINTS, DRAWN_RUNS = 600, 100
-"""Points of a path, and runs, that are kept for a picture at most."""
+"""Largest numbers of points per path, and of runs, kept for a figure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +63,8 @@ class Forecast:
     """Forecast of a model's drift on a drive.
 
     distance_m, sideways_m : length of the clean drive, and its lateral part
-    half_rate_position, half_rate_heading : factor on the final noise at half the message rate; 1 where it does not
-    depend on the rate
+    half_rate_position, half_rate_heading : factor on the final noise at half the message rate; 1 for a law that does
+        not depend on the rate
     clean_xy : (m, 2), noisy_xy : (k, m, 2) first paths, for plots, metres
     """
 
@@ -166,10 +166,10 @@ def _row(after_m: float, errors: Array) -> Row:
 
 
 SCHEMA = 2
-"""Version of the values that `forecast_json` returns."""
+"""Version of the schema of `forecast_json`."""
 
 SAME = 0.03
-"""Factors this near 1 are the discretisation of the drive, not a law that depends on the rate."""
+"""Deviation of a factor from 1 explained by the discretisation of the drive, not by a law that depends on the rate."""
 
 
 def _changes_at_half_rate(outlook: Forecast) -> bool:
@@ -184,7 +184,7 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, followi
     outlook, model : the forecast, and its model
     origin : source of the model's numbers, in words
     seed : seed of the runs
-    following : the command to type next; none for no such line
+    following : suggested next command, if any
     """
     end = outlook.rows[-1]
     said = f"{size_words(end.position_rms_m, end.heading_rms_rad)} RMS after {outlook.distance_m:.4g} m"

@@ -1,1 +1,1 @@
-"""Pictures and reports: drawing only here."""
+"""Figures and reports of results; the only package that draws."""

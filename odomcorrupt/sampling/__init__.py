@@ -1,1 +1,1 @@
-"""One motion drawn many times: samples, moments, densities, and what the coefficients of one law are in another."""
+"""Sampling of one motion: samples, moments, densities, and conversion of coefficients between noise laws."""

@@ -1,9 +1,9 @@
-"""What the coefficients of one law are in another.
+"""Conversion of coefficients between noise laws.
 
-Two laws are taken for equal when they make the same drift on a straight drive and on a turn on the spot, per metre and
-per radian. That fixes the four coefficients one by one: each of them is the only one that acts on its kind of error
-(heading, travel) in its kind of motion. Where a robot drives and turns at once the laws still differ: `linear` adds
-deviations, the others variances.
+Two laws count as equal if they give the same drift per metre of a straight drive and per radian of a turn on the spot.
+This determines the four coefficients separately: each is the only one that acts on its kind of error (heading, travel)
+in its kind of motion. For combined driving and turning the laws still differ: `linear` adds standard deviations, the
+others variances.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 __all__ = ["Drift", "convert", "drift_of"]
 
 ANY_STEP = Step(1.0, 1.0)
-"""For laws that are the same at every step."""
+"""For laws that do not depend on the step."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """How fast variances grow: per metre of a straight drive, per radian of a turn on the spot.
+    """Growth of the variances: per metre of a straight drive, and per radian of a turn on the spot.
 
     rot_trans : rad^2/m; trans_trans, across_trans : m^2/m; rot_rot : rad^2/rad; trans_rot : m^2/rad
     """
@@ -42,12 +42,12 @@ class Drift:
 
 
 def drift_of(noise: Noise) -> Drift:
-    """Return the drift a noise model makes, its law applied once per step.
+    """Return the drift of a noise model whose law is applied once per step.
 
     Raises
     ------
     ModelError
-        Where a book law is applied once per message: what drift that makes depends on the rate.
+        If a per-step law is applied once per message, because its drift then depends on the message rate.
 
     """
     law = noise.law
@@ -59,12 +59,12 @@ def drift_of(noise: Noise) -> Drift:
 
 
 def convert(noise: Noise, law: Law, step: Step | None) -> Noise:
-    """Return the noise of another law, applied once per step, that makes the same drift.
+    """Return the noise of another law, applied once per step, with the same drift.
 
     Raises
     ------
     ModelError
-        Where a step is missing, or the other law cannot make that drift.
+        If a step is missing, or the other law cannot give this drift.
 
     """
     if law.per_step and step is None:
@@ -76,7 +76,7 @@ def convert(noise: Noise, law: Law, step: Step | None) -> Noise:
         value = getattr(wanted, field.name)
         if not value:
             continue
-        # variances are homogeneous in the coefficients, so one evaluation scales to all
+        # Variances are homogeneous in the coefficients, so one evaluation gives the scale.
         unit = _drift(law, dataclasses.replace(nothing, **{field.name: 1.0}), step or ANY_STEP)
         if not getattr(unit, field.name):
             raise ModelError(f"law {law.name}: has no {field.name}; the drift of {value:g} from it cannot be converted")

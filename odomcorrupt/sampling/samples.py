@@ -1,4 +1,4 @@
-"""Samples of the motion model for one motion (sample_motion_model), their moments, and a book's examples."""
+"""Samples of the motion model for one motion (sample_motion_model), their moments, and examples from the literature."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Move:
 
     start_xyt, end_xyt : (3,) odometry before and after, metres and radians
     shift_xy : (2,) from start to end, metres
-    along_xy : (2,) unit vector along which noise on the travel acts: the bearing of the motion, or where that means
-        nothing (below `BEARING_MIN_M`) the heading after half the turn
-    swing : share of rot1's error by which the travel is turned: all of it, or half where a law spreads it over an arc.
-        Then the travel is the arc's chord, shorter than the way driven by sin(turn / 2) / (turn / 2)
+    along_xy : (2,) unit vector along which noise on the travel acts: the bearing of the motion, or below
+        `BEARING_MIN_M`, where it is meaningless, the heading after half the turn
+    swing : fraction of rot1's error that rotates the travel: one, or one half if the law distributes it over an arc.
+        Then the travel is the arc's chord, shorter than the driven arc by sin(turn / 2) / (turn / 2)
     steps : the motion as one increment
     """
 
@@ -53,16 +53,16 @@ class Move:
 
     @property
     def arc(self) -> bool:
-        """Whether the motion is an arc, as under the velocity law, and not turn, drive, turn."""
+        """Whether the motion is an arc, as with the velocity law, instead of turn, drive, turn."""
         return self.swing < 1.0
 
     def chord_per_arc(self, turn_rad: Array) -> Array:
-        """Return how long the chord of an arc (n,) is that turns so far, as part of its length; 1 where none is."""
+        """Return the ratio of chord to arc length (n,) for given turns (n,); ones if the motion is not an arc."""
         return np.sinc(turn_rad / (2.0 * np.pi)) if self.arc else np.ones_like(turn_rad)
 
     @property
     def arc_m(self) -> float:
-        """Length of the way driven, positive along `along_xy`."""
+        """Driven length, positive along `along_xy`, metres."""
         return float(self.shift_xy @ self.along_xy) / float(self.chord_per_arc(np.array([self.turn_rad]))[0])
 
     @property
@@ -74,7 +74,7 @@ class Move:
 def move_between(start_xyt: Array, end_xyt: Array, *, arc: bool = False) -> Move:
     """Return the motion between two poses (3,).
 
-    arc : whether the law is one that spreads rot1 over the translation, `Law.arc`
+    arc : whether the law distributes rot1 over the translation, `Law.arc`
     """
     steps = increments(np.stack((start_xyt, end_xyt)))
     shift = end_xyt[:2] - start_xyt[:2]
@@ -85,7 +85,7 @@ def move_between(start_xyt: Array, end_xyt: Array, *, arc: bool = False) -> Move
 
 
 def move_variances(noise: Noise, move: Move) -> Variances:
-    """Return the variances of noise on a motion, (1,) each: those that corruption would draw with."""
+    """Return the variances of the noise on a motion, (1,) each, as used in corruption."""
     if noise.coefficients.white_v or noise.coefficients.white_omega:
         raise ModelError("white noise on twists goes with time, and one motion has none; draw along a bag instead")
     return noise_variances(noise, move.steps, np.zeros(1), StepGrowth()).variances
@@ -101,7 +101,7 @@ class Moments:
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """An ellipse about a mean position: half axes in metres, the longer one first, and where that one points."""
+    """An ellipse about a mean position: half axes in metres, the longer one first, and the angle of that axis."""
 
     centre_xy: Array
     major_m: float
@@ -112,7 +112,7 @@ class Ellipse:
 def move_sampled(move: Move, variances: Variances, count: int, rng: np.random.Generator) -> Array:
     """Return end poses (count, 3) drawn for a motion; headings are not wrapped.
 
-    variances : (1,) each, of the motion, see `move_variances`
+    variances : (1,) each, for this motion, see `move_variances`
     """
     return with_noise(move, rng.standard_normal((count, 4)) * deviations(variances))
 
@@ -125,10 +125,10 @@ def deviations(variances: Variances) -> Array:
 
 
 def with_noise(move: Move, noise: Array) -> Array:
-    """Return end poses (n, 3) of a motion to which errors (n, 4) of rot1, trans, across and rot2 are added.
+    """Return the end poses (n, 3) of a motion with errors (n, 4) of rot1, trans, across and rot2 added.
 
-    On an arc rot1 is the error of its turn and trans that of its length: the arc is driven exactly (Probabilistic
-    Robotics, table 5.3), and rot2 turns at its end.
+    On an arc, rot1 is the error of its turn and trans the error of its length: the arc is integrated exactly
+    (Probabilistic Robotics, table 5.3), and rot2 turns at its end.
     """
     rot1, trans, across, rot2 = noise.T
     along = move.along_xy
@@ -147,10 +147,10 @@ def sample_moments(xyt: Array) -> Moments:
 
 
 def linearised_moments(move: Move, variances: Variances) -> Moments:
-    """Return a Kalman filter's prediction: the odometry's end, and its covariance to first order in the noise."""
+    """Return the prediction of a Kalman filter: the odometry's end, and the covariance to first order in the noise."""
     along, shift = move.along_xy, move.shift_xy
     shorter = float(move.chord_per_arc(np.array([move.turn_rad]))[0])
-    # a chord shrinks as its arc turns more
+    # the chord shortens as the arc turns more
     half = move.turn_rad / 2.0
     shrinks = move.arc_m * (np.cos(half) - shorter) / move.turn_rad if move.arc and abs(half) > 1e-6 else 0.0
     jacobian = np.array(
@@ -166,7 +166,7 @@ def linearised_moments(move: Move, variances: Variances) -> Moments:
 
 
 def ellipse(moments: Moments, sigmas: float) -> Ellipse:
-    """Return the ellipse of x and y at so many standard deviations."""
+    """Return the ellipse of x and y at a number of standard deviations."""
     values, vectors = np.linalg.eigh(moments.covariance[:2, :2])
     minor, major = np.sqrt(np.maximum(values, 0.0)) * sigmas
     angle = np.arctan2(vectors[1, 1], vectors[0, 1])
@@ -180,7 +180,7 @@ Pose = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Example:
-    """A motion with its noise: poses in metres and radians, how many samples, and whose numbers these are."""
+    """A motion with its noise: poses in metres and radians, number of samples, and the source of the values."""
 
     name: str
     noise: Noise
@@ -212,7 +212,7 @@ EXAMPLES: Mapping[str, Example] = {
 
 
 def example_named(name: str) -> Example:
-    """Return the example of that name; ModelError names the ones there are."""
+    """Return the example with a given name; a ModelError lists the available names."""
     try:
         return EXAMPLES[name]
     except KeyError:

@@ -1,4 +1,4 @@
-"""Samples as CSV, as JSON, and in words."""
+"""Output of samples: CSV, JSON, and text."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _ARTICLE_CODE = (
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """Samples of a motion and how they came about.
+    """Samples of a motion and the settings that produced them.
 
     xyt : (n, 3) metres, radians
-    notes : what else is to be said, in words
+    notes : further remarks for the report
     """
 
     move: Move
@@ -42,12 +42,12 @@ class Drawn:
 
     @property
     def article_code(self) -> bool:
-        """Whether deviations are squared, as the article's listing does."""
+        """Whether standard deviations are squared, as in the article's listing."""
         return self.noise.law_name == "article-code"
 
 
 def brief(drawn: Drawn, following: str = "") -> Summary:
-    """Return mean and spread of the samples, beside those of the linearised model.
+    """Return mean and spread of the samples, and those of the linearised model.
 
     Parameters
     ----------
@@ -70,13 +70,13 @@ def brief(drawn: Drawn, following: str = "") -> Summary:
 
 
 def csv_text(xyt: Array) -> str:
-    """Return samples as lines of x, y, theta that read back to the same bits."""
+    """Return samples as lines of x, y, theta that parse to the same bits."""
     rows = [",".join(repr(float(value)) for value in row) for row in xyt]
     return "\n".join(["x_m,y_m,theta_rad", *rows]) + "\n"
 
 
 def drawn_json(drawn: Drawn) -> dict[str, Any]:
-    """Return everything as plain values: motion, noise, samples, moments drawn and linearised."""
+    """Return motion, noise, samples and moments (of the samples and linearised) as JSON values."""
     noise, v = drawn.noise, drawn.variances
     parts = drawn.move.parts
     linear = linearised_moments(drawn.move, v)
@@ -113,7 +113,7 @@ def _moments(moments: Moments) -> dict[str, Any]:
 
 
 def report_text(drawn: Drawn) -> str:
-    """Return what was drawn in a few lines."""
+    """Return a summary of the samples in a few lines."""
     move, v, parts, degrees = drawn.move, drawn.variances, drawn.move.parts, math.degrees
     rot1, rot2, trans = (float(values[0]) for values in (parts.rot1_rad, parts.rot2_rad, parts.trans_m))
     deviation = [math.sqrt(float(values[0])) for values in (v.rot1, v.trans, v.rot2)]
@@ -143,14 +143,14 @@ def report_text(drawn: Drawn) -> str:
 
 
 def law_words(noise: Noise) -> str:
-    """Return the law and its coefficients, with the convention that they follow."""
+    """Return the law and its coefficients, with their alpha convention."""
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in _numbers(noise))
     step = f", once per {noise.step}" if noise.step is not None else ""
     return f"law {noise.law_name} ({law_meaning(noise)}{step}): {numbers}"
 
 
 def law_meaning(noise: Noise) -> str:
-    """Return what a law's coefficients are, in words."""
+    """Return the meaning of a law's coefficients, for reports."""
     return {
         "diffusion": "deviation after 1 m or 1 rad",
         "linear": "deviation = coefficient x motion",
@@ -159,7 +159,7 @@ def law_meaning(noise: Noise) -> str:
 
 
 def title(drawn: Drawn) -> str:
-    """Return the heading of a picture: two short lines."""
+    """Return the title of a plot: two short lines."""
     numbers = "  ".join(f"{name} {value:.3g}" for name, value in _numbers(drawn.noise))
     name = "article-code (sd passed squared)" if drawn.article_code else drawn.noise.law_name
     step = f" per {drawn.noise.step}" if drawn.noise.step is not None else ""
@@ -167,7 +167,7 @@ def title(drawn: Drawn) -> str:
 
 
 def _numbers(noise: Noise) -> list[tuple[str, float]]:
-    """Return the four coefficients, and those of the rarer ones that are not zero."""
+    """Return the four coefficients, and the others that are not zero."""
     values = dataclasses.asdict(noise.coefficients)
     return [(name, value) for i, (name, value) in enumerate(values.items()) if i < 4 or value]
 

@@ -1,4 +1,4 @@
-"""What the noise does to somebody's localisation: errors of its estimates over the runs of a batch, and a gate.
+"""Errors of a localisation or SLAM under odometry noise, over the runs of a batch, and a gate for regressions.
 
 `score` reads the estimates of a batch, `check` compares the result with an earlier one.
 """
@@ -32,7 +32,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name when it is first asked for."""
+    """Import a name on first access."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,9 +1,9 @@
 """Errors of one estimated trajectory against the truth: ATE, RPE, errors of 10 s motions, NEES, coverage, failures.
 
 ATE and RPE are those of Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012, with the
-definitions of the tool evo (root mean squares; alignment after Umeyama, PAMI 13(4), 1991, without scale; motions one
-after the other). The truth is interpolated at the stamps of the estimate, where evo takes the nearest pose within
-0.01 s: with equal stamps the numbers agree.
+definitions of the tool evo (root mean squares; alignment after Umeyama, PAMI 13(4), 1991, without scale; consecutive
+motions). The truth is interpolated at the stamps of the estimate, whereas evo takes the nearest pose within 0.01 s;
+with equal stamps the numbers agree.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Alignment = Literal["rigid", "origin", "none"]
 ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
 
 RPE_M = 1.0
-"""Path length of the motions that RPE compares, metres."""
+"""Path length of the motions compared by RPE, metres."""
 
 WINDOW_S = 10.0
 """Duration of the motions of the 10 s error, seconds."""
@@ -54,12 +54,12 @@ class ScoreError(OdomCorruptError):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What counts as a failure of a run.
+    """Limits beyond which a run has failed.
 
     lost_m : position error above which the estimate is lost, metres
-    lost_s : for how long it must stay above; at the end of a run any time counts, seconds
-    jump_m : a change of the error by this much from one estimate to the next, at most 1 s later, is a jump, metres
-    least_coverage : part of the truth's path that the estimate must cover
+    lost_s : shortest duration above `lost_m`; at the end of a run any duration counts, seconds
+    jump_m : change of the error between estimates at most 1 s apart that counts as a jump, metres
+    least_coverage : fraction of the truth's path that the estimate must cover
     """
 
     lost_m: float = 1.0
@@ -76,7 +76,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """When a run failed: "lost" or "diverged" (the error grew beyond ten times `lost_m`), and where the robot was."""
+    """Time, place and kind of a failure: "lost", or "diverged" (the error exceeded ten times `lost_m`)."""
 
     kind: Literal["lost", "diverged"]
     t_s: float
@@ -86,14 +86,14 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class PathErrors:
-    """An aligned estimate beside the truth at its n stamps.
+    """An aligned estimate and the truth at its n stamps.
 
     t_s : (n,) seconds since the first stamp of the truth
-    distance_m : (n,) path length of the truth there
-    truth_xyt, estimate_xyt : (n, 3) metres and radians; headings are NaN where either has positions alone
-    nees : (n,) normalised squared error per degree of freedom, empty where the estimate carries no covariance
-    inside_95 : part of the errors inside the 95 % ellipsoids of the estimate's covariance, NaN without
-    coverage : part of the truth's path length that lies between the estimate's first and last stamp
+    distance_m : (n,) path length of the truth up to each stamp
+    truth_xyt, estimate_xyt : (n, 3) metres and radians; headings are NaN if either has positions only
+    nees : (n,) normalised squared error per degree of freedom, empty if the estimate has no covariance
+    inside_95 : fraction of the errors inside the 95 % ellipsoids of the estimate's covariance, NaN without
+    coverage : fraction of the truth's path length between the estimate's first and last stamp
     """
 
     t_s: Array
@@ -116,7 +116,7 @@ class PathErrors:
         return wrap(self.estimate_xyt[:, 2] - self.truth_xyt[:, 2])
 
     def metrics(self) -> dict[str, float]:
-        """Return the run's numbers by name: metres, radians; NaN where headings or length are missing."""
+        """Return the run's metrics by name: metres, radians; NaN without headings or sufficient length."""
         position = self.position_m
         rpe = relative_errors(self.truth_xyt, self.estimate_xyt, RPE_M)
         window = _windows(self.truth_xyt, self.estimate_xyt, self.t_s)
@@ -133,7 +133,7 @@ class PathErrors:
         }
 
     def failure(self, limits: Limits) -> Failure | None:
-        """Return when the estimate was lost for `lost_s` seconds or until its end; None where it never was."""
+        """Return the failure of an estimate lost for `lost_s` seconds or until its end; None if it never was."""
         over = self.position_m > limits.lost_m
         edges = np.flatnonzero(np.diff(np.concatenate(([False], over, [False])).astype(np.int8)))
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -157,22 +157,22 @@ class PathErrors:
 def path_errors(
     estimate: Trajectory, truth: Trajectory, *, align: Alignment = "rigid", covariance: Array | None = None
 ) -> PathErrors:
-    """Return the errors of an estimate at its stamps within the truth's time.
+    """Return the errors of an estimate at its stamps within the truth's period.
 
     Parameters
     ----------
     estimate, truth
-        Headings may be NaN, where positions alone were recorded.
+        Headings may be NaN, if only positions were recorded.
     align
-        "rigid": turned and shifted so that positions lie closest; "origin": first poses put onto each other; "none":
-        as recorded, both in one frame.
+        "rigid": rotated and translated for the smallest distance of positions; "origin": first poses made equal;
+        "none": as recorded, both in one frame.
     covariance : (n, 3, 3)
-        Of x, y (metres) and heading (radians) in the estimate's frame.
+        Covariance of x, y (metres) and heading (radians) in the estimate's frame.
 
     Raises
     ------
     ScoreError
-        Where they share no time.
+        If they do not overlap in time.
 
     """
     origin = int(truth.stamps_ns[0])
@@ -214,7 +214,7 @@ def _positions_at(truth: Trajectory, truth_s: Array, t_s: Array) -> Array:
 
 
 def _windows(true: Array, own: Array, t_s: Array) -> Array:
-    """Return position errors (m,) of motions one after the other, each `WINDOW_S` long, from the true pose on."""
+    """Return position errors (m,) of consecutive motions of `WINDOW_S`, each starting from the true pose."""
     cuts = [0]
     while (following := int(np.searchsorted(t_s, t_s[cuts[-1]] + WINDOW_S - 1e-6))) < len(t_s):
         cuts.append(following)
@@ -226,14 +226,14 @@ def _windows(true: Array, own: Array, t_s: Array) -> Array:
 
 
 def _nees(true: Array, own: Array, covariance: Array, turned_rad: float) -> tuple[Array, float]:
-    """Return NEES per degree of freedom (m,), and the part of it inside 95 %, where the covariance is one."""
+    """Return NEES per degree of freedom (m,), and the fraction inside 95 %, for valid covariances."""
     error: Array = own - true
     error[:, 2] = wrap(error[:, 2])
-    # into the axes of the covariance, which the alignment has turned
+    # into the axes of the covariance, which the alignment has rotated
     error[:, :2] = rotate(error[:, :2], np.full(len(error), -turned_rad))
     dof = 3 if np.isfinite(error[:, 2]).all() else 2
     error, covariance = error[:, :dof], covariance[:, :dof, :dof]
-    usable: NDArray[np.bool_] = np.asarray((np.abs(covariance) < 1e12).all(axis=(1, 2)))  # NaN is not
+    usable: NDArray[np.bool_] = np.asarray((np.abs(covariance) < 1e12).all(axis=(1, 2)))  # false for NaN
     symmetric = (covariance + np.swapaxes(covariance, 1, 2)) / 2.0
     eigenvalues = np.linalg.eigvalsh(np.where(usable[:, None, None], symmetric, np.eye(dof)))
     usable &= eigenvalues[:, 0] > 1e-15

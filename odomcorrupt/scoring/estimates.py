@@ -1,4 +1,4 @@
-"""Find and read what somebody's localisation said of each run: a topic, an edge of TF, a TUM or CSV file."""
+"""Discovery and reading of a localisation's estimate of each run: a topic, an edge of TF, a TUM or CSV file."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class NoEstimateError(ScoreError):
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A trajectory as somebody estimated it.
+    """A trajectory estimated by a localisation.
 
     source : file and topic
-    frame : the frame it is given in, "" where nobody says
-    covariance : (n, 3, 3) of x, y, heading, where the messages carry any
-    notes : what was left out
+    frame : frame of the poses, "" if unknown
+    covariance : (n, 3, 3) of x, y, heading, if the messages contain any
+    notes : omissions in reading
     """
 
     source: str
@@ -55,21 +55,21 @@ class Estimate:
 def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path:
     """Return the file with the estimate of a run.
 
-    It is what `directory` holds under the run's name with or without an addition (`run_000012.tum`,
+    That is a file or bag in `directory` with the run's name, with or without a suffix (`run_000012.tum`,
     `run_000012_amcl.mcap`, a ROS 2 bag `run_000012/`), else the run's bag itself.
 
     Parameters
     ----------
-    directory : where outputs are
-    run_file : the corrupted run
-    needs_topic : whether a topic was named, so that the run's bag itself may hold the estimate
+    directory : directory of the localisation's outputs
+    run_file : corrupted run
+    needs_topic : whether a topic was given, so that the run's bag itself may contain the estimate
 
     Raises
     ------
     NoEstimateError
-        Where there is none.
+        If there is none.
     ScoreError
-        Where several files could be meant.
+        If several files are possible.
 
     """
     name = run_file.name.split(".")[0]
@@ -103,7 +103,7 @@ def read_estimate(path: Path, address: str | None) -> Estimate:
     Raises
     ------
     OdomCorruptError
-        Where the file cannot be read, or holds no such topic; NoEstimateError where the topic holds no message.
+        If the file cannot be read, or has no such topic; NoEstimateError if the topic has no message.
 
     """
     place = str(path)
@@ -126,7 +126,7 @@ def read_estimate(path: Path, address: str | None) -> Estimate:
 
 
 def _bag_in(path: Path) -> Path:
-    """Return the bag of a directory: itself, or the only bag inside."""
+    """Return the bag in a directory: itself, or the only bag inside."""
     if not path.is_dir() or (path / "metadata.yaml").exists():
         return path
     inside = [one for one in sorted(path.iterdir()) if one.suffix in _BAGS or one.is_dir()]
@@ -136,7 +136,7 @@ def _bag_in(path: Path) -> Path:
 
 
 def _covariances(path: Path, topic: str, ordered: Samples) -> Array | None:
-    """Return covariances (n, 3, 3) at the stamps of samples that were read from a topic, None where it has none."""
+    """Return covariances (n, 3, 3) at the stamps of samples read from a topic, None if it has none."""
     stamps, values = [], []
     with open_reader(path) as reader:
         channels = [c for c in reader.channels.values() if plain(c.topic) == plain(topic)]
@@ -160,7 +160,7 @@ def _covariances(path: Path, topic: str, ordered: Samples) -> Array | None:
 
 
 def read_first(paths: list[Path], address: str) -> Estimate:
-    """Read a topic from the first of several bags that has it; TopicError of the last one where none has."""
+    """Read a topic from the first of several bags that has it; TopicError of the last one if none has."""
     last: OdomCorruptError = TopicError(f"{address}: no bag to read it from; name one with --truth-bag")
     for path in paths:
         if path.exists() and not _is_trajectory(path):

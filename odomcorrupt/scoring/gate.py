@@ -1,11 +1,11 @@
-"""A gate on the rise of an error: runs of two versions paired by seed, so that few runs suffice.
+"""A gate on the rise of an error: runs of two versions are paired by seed, so that few runs suffice.
 
-Where nothing has changed, the two numbers of a pair are exchangeable, so that the log ratios are symmetric about 0. Two
-tests use that, each at half the error rate. The first is Wilcoxon's signed-rank test of all log ratios, exact up to
-200 pairs: it finds a rise that all runs share (a factor) with the power of a t test, and outliers do not move it. The
-second swaps pairs at random and compares the very statistic that the rule names: it finds a rise that only the worst
-runs have. A rise that is found must also be estimated as more than half of the rise that the rule forbids, so that
-a thousand runs do not turn 1 % into a failure.
+If nothing has changed, the two numbers of a pair are exchangeable, and the log ratios are symmetric about 0. Two tests
+use that, each at half the error rate. The first is Wilcoxon's signed-rank test of all log ratios, exact up to 200
+pairs. It detects a rise common to all runs (a factor) with the power of a t test, and is robust to outliers. The
+second swaps pairs at random and compares the statistic named in the rule: it detects a rise in only the worst runs.
+A detected rise must also be estimated as more than half of the forbidden one, so that a thousand runs do not turn
+1 % into a failure.
 
 Sources: Wilcoxon, Biometrics Bulletin 1(6), 1945; Hodges & Lehmann, Ann. Math. Stat. 34, 1963; permutation tests:
 Fisher, The Design of Experiments, 1935. Rates of errors of both kinds: `benchmarks/gate.py`.
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 __all__ = ["LEAST_PAIRS", "STATISTICS", "Comparison", "Rule", "Verdict", "check", "compare_paired", "parse_rule"]
 
 FALSE_RED = 0.01
-"""Largest part of unchanged versions that a rule turns red."""
+"""Largest probability that a rule fails an unchanged version."""
 
 LEAST_PAIRS = 8
-"""With fewer pairs no outcome is as rare as half of `FALSE_RED`: a gate could never turn red."""
+"""Smallest number of pairs with which an outcome can be as rare as half of `FALSE_RED`, i.e. the gate can fail."""
 
 _EXACT = 200
 _SWAPS = 1_999
 _SEED = 20_250_101
-"""Of the swaps: the same numbers, the same verdict."""
+"""Seed of the random swaps, fixed so that verdicts are reproducible."""
 
 _METRICS = {
     "ate": "ate_m", "ate_rad": "ate_rad", "max": "max_m", "rpe": "rpe_m", "rpe_rad": "rpe_rad",
@@ -56,12 +56,12 @@ _RULE = re.compile(r"\s*([a-z0-9_]+?)\s*(\+|>)\s*([0-9.]+(?:e-?[0-9]+)?)\s*(%?)\
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What turns the gate red.
+    """Condition under which the gate fails.
 
-    metric : a name of `score.run.METRICS`, or "lost": the part of runs that failed
-    statistic : "mean", "median", "p90", "p95" or "max" over runs; "" of "lost"
-    kind : "rise": against a baseline, by `amount` (0.2 is 20 %; of "lost" 0.05 is 5 of 100 runs more);
-        "above": more than `amount`, whatever was before
+    metric : a name of `score.run.METRICS`, or "lost": the fraction of failed runs
+    statistic : "mean", "median", "p90", "p95" or "max" over runs; "" for "lost"
+    kind : "rise": against a baseline, by `amount` (0.2 is 20 %; for "lost" 0.05 is 5 of 100 runs more);
+        "above": more than `amount`, regardless of a baseline
     """
 
     text: str
@@ -73,13 +73,13 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two versions, paired.
+    """Paired comparison of two versions.
 
-    pairs : how many
-    ratio, low, high : new over old, of a typical run (Hodges-Lehmann), with its 95 % interval
-    statistic_ratio : of the statistic that was asked for
-    p : probability of this much where nothing has changed; of the more telling test, doubled for having two
-    detectable : smallest rise that is found in 95 of 100 cases with as many pairs that scatter as much; 0.2 is 20 %
+    pairs : number of pairs
+    ratio, low, high : new over old for a typical run (Hodges-Lehmann), with its 95 % interval
+    statistic_ratio : new over old for the requested statistic
+    p : probability of this rise or more if nothing has changed; the smaller of both tests' p, doubled
+    detectable : smallest rise detected in 95 of 100 cases with the same number and scatter of pairs; 0.2 is 20 %
     """
 
     pairs: int
@@ -94,7 +94,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Outcome of one rule: red or not, a sentence, and the numbers behind it where runs were paired."""
+    """Outcome of one rule: whether it failed, a sentence, and the comparison if runs were paired."""
 
     rule: str
     failed: bool
@@ -108,7 +108,7 @@ def parse_rule(text: str) -> Rule:
     Raises
     ------
     ScoreError
-        Where it is none.
+        If it is not a rule.
 
     """
     match = _RULE.match(text)
@@ -135,21 +135,21 @@ def parse_rule(text: str) -> Rule:
 
 
 def compare_paired(old: Array, new: Array, *, rise: float = 0.2, statistic: str = "median") -> Comparison:
-    """Return by which factor an error has changed between two versions, and whether that is a forbidden rise.
+    """Return the factor by which an error has changed between two versions, and whether that is a forbidden rise.
 
     Parameters
     ----------
     old, new : (n,)
-        Errors of the same runs, more than zero.
+        Errors of the same runs, above zero.
     rise
-        What must be found: 0.2 is 20 %.
+        Rise to detect: 0.2 is 20 %.
     statistic
         "mean", "median", "p90", "p95" or "max" over runs.
 
     Raises
     ------
     ScoreError
-        Where there are fewer than `LEAST_PAIRS` pairs, or a number is not above zero.
+        If there are fewer than `LEAST_PAIRS` pairs, or a number is not above zero.
 
     """
     if len(old) != len(new) or len(old) < LEAST_PAIRS:
@@ -159,7 +159,7 @@ def compare_paired(old: Array, new: Array, *, rise: float = 0.2, statistic: str 
     both = np.array([old, new], dtype=float)
     if not (np.isfinite(both).all() and (both >= 0.0).all()):
         raise ScoreError("errors of two versions: each must be a finite number of at least 0")
-    # an error of zero is one below all that is measured
+    # an error of zero is replaced by one below any measured error
     logs = np.log(np.maximum(both, 1e-12))
     d = logs[1] - logs[0]
     centre, low, high = _hodges_lehmann(d)
@@ -189,13 +189,13 @@ def _hodges_lehmann(d: Array) -> tuple[float, float, float]:
 
 
 def _signed_rank(d: Array) -> float:
-    """Return the one-sided p of Wilcoxon's signed-rank test that d (n,) is above 0; zeros are left out."""
+    """Return the one-sided p of Wilcoxon's signed-rank test that d (n,) is above 0; zeros are dropped."""
     d = d[d != 0.0]
     n = len(d)
     if n == 0:
         return 1.0
     _, inverse, counts = np.unique(np.abs(d), return_inverse=True, return_counts=True)
-    # mean ranks of ties, doubled to be whole
+    # mean ranks of ties, doubled to be integers
     doubled = (2 * np.cumsum(counts) - counts + 1)[inverse]
     observed = int(doubled[d > 0.0].sum())
     if n > _EXACT:
@@ -236,14 +236,14 @@ def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str
     Parameters
     ----------
     report, baseline
-        Scores as JSON has them (`report.json.score.score_json`, or what `odomcorrupt score --json` wrote).
+        Scores as JSON (from `report.json.score.score_json` or `odomcorrupt score --json`).
     rules
-        As `parse_rule` understands them.
+        In the syntax of `parse_rule`.
 
     Raises
     ------
     ScoreError
-        Where a rule is none, a rise has no baseline, or the two have too few runs of equal seeds.
+        If a rule is invalid, a rise has no baseline, or the two have too few runs with equal seeds.
 
     """
     return [_verdict(parse_rule(text), report, baseline) for text in rules]
@@ -311,7 +311,7 @@ def _above(rule: Rule, runs: Mapping[Any, Mapping[str, Any]]) -> Verdict:
 
 
 def _lost(rule: Rule, pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Verdict:
-    """Return whether more runs fail than before: the exact sign test of runs that differ (McNemar, 1947)."""
+    """Return whether more runs fail than before: the exact sign test of discordant runs (McNemar, 1947)."""
     counted = [(old, new) for old, new in pairs if old["counted"] and new["counted"]]
     worse = sum(new["failed"] and not old["failed"] for old, new in counted)
     better = sum(old["failed"] and not new["failed"] for old, new in counted)

@@ -1,4 +1,4 @@
-"""Score the estimates of a batch's runs: per run, over runs, against the drift that was put in."""
+"""Scores of a batch's estimates: per run, over runs, and against the odometry's drift."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ __all__ = ["METRICS", "RunScore", "ScoreReport", "Status", "score"]
 Status = Literal["ok", "lost", "diverged", "partial", "missing", "unreadable"]
 
 METRICS = ("ate_m", "ate_rad", "max_m", "rpe_m", "rpe_rad", "error_10s_m", "end_m", "nees", "inside_95")
-"""Numbers of a run, in the order in which they are shown."""
+"""Metrics of a run, in the order of display."""
 
 _KEPT = 400
-"""Points kept of each run's errors along the path, for pictures."""
+"""Number of points of each run's errors along the path that are kept for figures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunScore:
-    """The estimate of one run.
+    """Score of the estimate of one run.
 
-    name : "run_000012", below the point of a sweep "alpha-scale=2/run_000012"
-    seed, run : of the corruption
+    name : "run_000012", for a point of a sweep "alpha-scale=2/run_000012"
+    seed, run : seed and run of the corruption
     status : "ok", "lost" or "diverged"; "partial": it covers less of the path than `Limits.least_coverage`;
-        "missing": no output; "unreadable": the reason says why
-    reason : a sentence, "" where status is "ok"
-    drift : the odometry's error after 10 m, rms, as a part of these 10 m (of shorter drives, at the end); NaN unknown
-    drift_end_m : the odometry's position error at the end
-    metrics : by the names of `METRICS`; empty where there are no errors
-    failure : when it was lost
-    jumps_s : when it jumped, seconds since the truth's first stamp
-    coverage : part of the truth's path that it covers
-    events : what the model put in at a time: name, from, to (seconds since the first stamp)
-    notes : what reading it left out
+        "missing": no output; "unreadable": see `reason`
+    reason : a sentence, "" if status is "ok"
+    drift : rms error of the odometry after 10 m, relative to 10 m (for shorter drives, at the end); NaN if unknown
+    drift_end_m : position error of the odometry at the end, metres
+    metrics : by the names of `METRICS`; empty without errors
+    failure : time and place of the failure
+    jumps_s : times of jumps, seconds since the truth's first stamp
+    coverage : fraction of the truth's path that the estimate covers
+    events : events of the model: name, begin, end (seconds since the first stamp)
+    notes : omissions in reading
     """
 
     name: str
@@ -78,7 +78,7 @@ class RunScore:
 
     @property
     def scored(self) -> bool:
-        """Whether the run counts in numbers over runs: an output that covers the path."""
+        """Whether the run is included in statistics over runs: its output covers the path."""
         return self.status in ("ok", "lost", "diverged")
 
 
@@ -86,11 +86,11 @@ class RunScore:
 class ScoreReport:
     """Scores of n runs.
 
-    runs : all of them, in the order of the manifest
-    align, limits, count_missing : how they were scored
-    estimate, truth : where these were read
-    clean_m, clean_xy : (k,) metres driven along the truth, (k, 2) where
-    notes : what concerns all runs
+    runs : all runs, in the order of the manifest
+    align, limits, count_missing : options of the scoring
+    estimate, truth : sources of both
+    clean_m, clean_xy : (k,) metres driven along the truth, and (k, 2) positions there
+    notes : notes on all runs
     """
 
     runs: tuple[RunScore, ...]
@@ -104,34 +104,34 @@ class ScoreReport:
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        """Return one line."""
+        """Return a one-line description."""
         lost = sum(self.failed(run) for run in self.runs)
         return (
             f"ScoreReport({len(self.runs)} runs, {lost} failed, median ATE {self.summary('ate_m').median.value:.3g} m)"
         )
 
     def failed(self, run: RunScore) -> bool:
-        """Return whether a run counts as a failure: lost, or without a whole output where the user counts these."""
+        """Return whether a run counts as a failure: lost, or without a complete output if `count_missing`."""
         return run.lost or (self.count_missing and not run.scored)
 
     @property
     def counted(self) -> tuple[RunScore, ...]:
-        """Runs that are in the part of failures: all with an output, and those without if these count."""
+        """Runs in the denominator of the failure rate: those with an output, and those without if `count_missing`."""
         return tuple(run for run in self.runs if run.scored or self.count_missing)
 
     def values(self, metric: str) -> Array:
-        """Return a metric of the scored runs (n,); NaN where a run has none."""
+        """Return a metric of the scored runs (n,); NaN for runs without it."""
         if metric not in METRICS:
             raise ScoreError(f"{metric}: is no metric; there are {', '.join(METRICS)}")
         return np.array([run.metrics.get(metric, float("nan")) for run in self.runs if run.scored])
 
     def summary(self, metric: str) -> Summary:
-        """Return a metric over the scored runs."""
+        """Return statistics of a metric over the scored runs."""
         return summarise(self.values(metric))
 
     @property
     def breakdown(self) -> Breakdown:
-        """The drift at which 5 % of runs fail, see `statistics.breakdown`."""
+        """Drift at which 5 % of runs fail, see `statistics.breakdown`."""
         runs = self.counted
         return breakdown(
             np.array([run.drift for run in runs]), np.array([self.failed(run) for run in runs], dtype=bool)
@@ -139,7 +139,7 @@ class ScoreReport:
 
     @property
     def growth(self) -> Growth | None:
-        """How ATE grows with the drift over the runs that were not lost."""
+        """Growth of ATE with the drift over the runs that were not lost."""
         runs = [run for run in self.runs if run.status == "ok"]
         return growth(np.array([run.drift for run in runs]), np.array([run.metrics["ate_m"] for run in runs]))
 
@@ -168,23 +168,23 @@ def score(
     Parameters
     ----------
     runs
-        Directory of a batch, or of a sweep with batches below it; several are one report.
+        Directory of a batch, or of a sweep with several batches, combined in one report.
     estimate
-        Topic, or edge of TF as "/tf:map.base_link", in the bags with the estimates; None where these are text files.
+        Topic, or edge of TF such as "/tf:map.base_link", in the bags with the estimates; None for text files.
     truth
-        Topic or edge of TF with the truth: in the batch's input, else in the run or in the bag with the estimate. None:
-        the odometry before it was corrupted (`clean.tum` of the batch), the truth of a simulation.
+        Topic or edge of TF of the truth: in the batch's input, else in the run or in the bag with the estimate. None:
+        the odometry before corruption (`clean.tum` of the batch), i.e. the truth of a simulation.
     truth_file
-        Bag, TUM or CSV file with the truth, where it is another one.
+        Bag, TUM or CSV file with the truth, if it is a separate one.
     outputs
-        Directory with the estimates, see `estimates.find_estimate`; None: beside the runs. Of a sweep, its points are
-        directories in it.
+        Directory with the estimates, see `estimates.find_estimate`; None: beside the runs. For a sweep, it contains a
+        directory for each point.
     align
         See `errors.path_errors`.
     limits
-        What counts as lost, as a jump, as covered.
+        Limits of loss, jumps and coverage.
     count_missing
-        Whether runs without a whole output are failures.
+        Whether runs without a complete output are failures.
 
     Returns
     -------
@@ -194,7 +194,7 @@ def score(
     Raises
     ------
     ScoreError
-        Where there is no batch, or no run at all has an estimate.
+        If there is no batch, or no run has an estimate.
 
     Examples
     --------
@@ -245,7 +245,7 @@ def _batches(root: Path) -> list[tuple[str, Path, Path]]:
 
 
 def _put_in(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a record of the manifest says of the drift that was put in."""
+    """Return the drift that a record of the manifest states."""
     drift = record.get("drift", {})
     end, distance = drift.get("end_drawn_m", float("nan")), drift.get("distance_m", 0.0)
     leg = drift.get("leg_drawn_m")
@@ -255,7 +255,7 @@ def _put_in(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class _Truth:
-    """The truth of a batch's runs: read once where all share it."""
+    """Source of the truth of a batch's runs; read once if all share it."""
 
     def __init__(self, directory: Path, topic: str | None, file: Path | None) -> None:
         self._directory, self._topic, self._file = directory, topic, file
@@ -293,7 +293,7 @@ def _scored(
     align: Alignment,
     limits: Limits,
 ) -> tuple[RunScore, Trajectory | None]:
-    """Return the score of one run, and its truth where that could be read."""
+    """Return the score of one run, and its truth if that could be read."""
     try:
         path = find_estimate(outputs, run_file, needs_topic=estimate is not None)
         got = read_estimate(path, estimate)
@@ -329,7 +329,7 @@ def _judged(blank: RunScore, errors: PathErrors, limits: Limits) -> RunScore:
 
 
 def _notes(runs: Sequence[RunScore], truths: set[str], true_frames: set[str], align: Alignment) -> list[str]:
-    """Return what concerns all runs: frames, alignment and what was left out while reading."""
+    """Return notes on all runs: frames, alignment and omissions in reading."""
     notes = []
     frames = sorted({run.frame for run in runs if run.metrics})
     if len(frames) > 1:

@@ -1,4 +1,4 @@
-"""Numbers over runs: quantiles with exact intervals, growth with the drift, break-down point, errors by place."""
+"""Statistics over runs: quantiles with exact intervals, growth with the drift, break-down point, errors by place."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 __all__ = ["Breakdown", "Growth", "Quantile", "Section", "Summary", "breakdown", "growth", "sections", "summarise"]
 
 LOST_PART = 0.05
-"""The break-down point is the drift at which this part of runs is lost."""
+"""Fraction of lost runs that defines the break-down point."""
 
 _CHI2_1_95 = 3.841
-"""Twice the fall of the log likelihood at the ends of a 95 % interval of one parameter."""
+"""Twice the decrease of the log likelihood at the ends of a 95 % interval of one parameter."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quantile:
-    """A quantile of the runs and its 95 % interval by order statistics; infinite where too few runs bound it."""
+    """A quantile over runs and its 95 % interval by order statistics; infinite if too few runs bound it."""
 
     value: float
     low: float
@@ -33,7 +33,7 @@ class Quantile:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One number over n runs that have it: metres, radians or none."""
+    """Statistics of one metric over the n runs that have it: metres, radians or dimensionless."""
 
     n: int
     mean: float
@@ -44,7 +44,7 @@ class Summary:
 
 
 def summarise(values: Array) -> Summary:
-    """Return mean, quantiles and maximum of values (n,); those that are NaN do not count."""
+    """Return mean, quantiles and maximum of values (n,), ignoring NaN."""
     own = np.sort(values[np.isfinite(values)])
     if not len(own):
         nothing = Quantile(*[float("nan")] * 3)
@@ -55,7 +55,7 @@ def summarise(values: Array) -> Summary:
 
 
 def _quantile(ordered: Array, q: float) -> Quantile:
-    """Return a quantile; its interval holds it with at least 95 % for any distribution (David & Nagaraja 2003)."""
+    """Return a quantile; its interval covers it with at least 95 % for any distribution (David & Nagaraja 2003)."""
     n = len(ordered)
     counts = np.cumsum([comb(n, k) * q**k * (1.0 - q) ** (n - k) for k in range(n + 1)]) if n <= 1000 else None
     if counts is None:
@@ -71,7 +71,7 @@ def _quantile(ordered: Array, q: float) -> Quantile:
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """How an error grows with the drift: in proportion to drift to the power `exponent`, with its 95 % interval."""
+    """Growth of an error with the drift: proportional to drift to the power `exponent`, with its 95 % interval."""
 
     exponent: float
     low: float
@@ -79,7 +79,7 @@ class Growth:
 
 
 def growth(drift: Array, error: Array) -> Growth | None:
-    """Return the exponent by least squares of logarithms over runs (n,); None below 8 runs or without a range.
+    """Return the exponent by least squares of logarithms over runs (n,); None below 8 runs or without a range of drift.
 
     Source of the interval: normal theory with the residuals' own variance.
     """
@@ -98,9 +98,9 @@ def growth(drift: Array, error: Array) -> Growth | None:
 class Breakdown:
     """The drift at which 5 % of runs are lost.
 
-    drift : most likely one; None where runs are not lost, or none is kept
-    low, high : 95 % interval by profile likelihood; 0 and infinity where the runs do not bound it
-    width : by which factor the drift grows while the part that is lost goes from 5 to 50 %; None as above
+    drift : most likely value; None if no runs are lost, or all are
+    low, high : 95 % interval by profile likelihood; 0 and infinity if the runs do not bound it
+    width : factor of drift between 5 and 50 % of lost runs; None as above
     """
 
     drift: float | None
@@ -113,7 +113,7 @@ def breakdown(drift: Array, lost: NDArray[np.bool_]) -> Breakdown:
     """Return the break-down point of runs (n,) by logistic regression of losses on the logarithm of the drift.
 
     logit p = logit 0.05 + b (log d - log d5) with b > 0: more drift never helps. d5 is found on a grid, with b
-    maximised at each (profile likelihood), so that runs that part cleanly, or none that is lost, need no exception.
+    maximised at each point (profile likelihood), so that separable runs, or runs without losses, need no exception.
     Source: Cox & Snell, Analysis of Binary Data, 1989; intervals: Wilks, Ann. Math. Stat. 9, 1938.
     """
     usable = np.isfinite(drift) & (drift > 0.0)
@@ -123,7 +123,7 @@ def breakdown(drift: Array, lost: NDArray[np.bool_]) -> Breakdown:
     reach = 3.0 + np.ptp(x)
     wide = np.linspace(x.min() - reach, x.max() + reach, 201)
     inside = _profile(x, y, wide).inside
-    # once more, finer, over what the first pass could not exclude
+    # a second, finer pass over the range that the first could not exclude
     first, last = wide[max(inside[0] - 1, 0)], wide[min(inside[-1] + 1, len(wide) - 1)]
     found = _profile(x, y, np.linspace(first, last, 401))
     grid = found.grid
@@ -131,7 +131,7 @@ def breakdown(drift: Array, lost: NDArray[np.bool_]) -> Breakdown:
     high = float("inf") if inside[-1] == len(wide) - 1 else float(np.exp(grid[found.inside[-1]]))
     if y.all() or not y.any():
         return Breakdown(None, low if not y.any() else 0.0, high if y.all() else float("inf"), None)
-    # where a whole range is as likely, its middle
+    # of a range of equal likelihood, the middle
     best = np.flatnonzero(found.likelihood >= found.likelihood.max() - 1e-6)
     at = int(best[len(best) // 2])
     return Breakdown(float(np.exp(grid[at])), low, high, float(np.exp(-_logit(LOST_PART) / found.slope[at])))
@@ -141,7 +141,7 @@ class _Profile(NamedTuple):
     """Profile likelihood over a grid (k,) of break-down points, logarithms.
 
     likelihood, slope : (k,) the log likelihood at the best slope, and that slope
-    inside : which points lie in the 95 % interval
+    inside : points within the 95 % interval
     """
 
     grid: Array
@@ -171,11 +171,11 @@ def _log_likelihood(x: Array, lost: NDArray[np.bool_], grid: Array, slope: float
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A section of the path: from, to (metres driven), where its middle is, and errors of all runs there.
+    """A section of the path: begin and end (metres driven), its middle, and the errors of all runs in it.
 
-    median_m, p90_m : of the position error over runs, each run's mean in the section
-    runs : how many were there
-    failures : how many were lost from here on
+    median_m, p90_m : statistics of the position error over runs, each run's mean in the section
+    runs : number of runs in it
+    failures : number of runs lost in it
     """
 
     from_m: float
@@ -194,10 +194,10 @@ def sections(
 
     Parameters
     ----------
-    paths : of each run, metres driven (k,) and position error there (k,)
+    paths : for each run, metres driven (k,) and position error (k,)
     clean_m : (n,) metres driven along the truth
-    clean_xy : (n, 2) where that is
-    lost_at_m : metres driven where runs were lost
+    clean_xy : (n, 2) positions along the truth
+    lost_at_m : metres driven at which runs were lost
 
     """
     edges = np.linspace(0.0, float(clean_m[-1]), 21)

@@ -18,7 +18,7 @@ TYPES = {
     "/ground_truth": "geometry_msgs/msg/PoseStamped",
 }
 _MARKS = tuple(1.0 + i * np.pi for i in range(7))
-"""Numbers that stand where a message's numbers will."""
+"""Placeholder numbers in a template message."""
 _MARK_SEC, _MARK_NANOSEC = 0x5EC05EC, 0x2A205EC
 
 
@@ -57,14 +57,14 @@ def _planar(xyt: np.ndarray) -> np.ndarray:
 
 
 def _fill(message: Any, typename: str, stamps_ns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Return serialised messages, one per row: copies of a template with marks replaced by stamps and numbers.
+    """Return serialised messages, one per row: copies of a template with placeholders replaced by stamps and numbers.
 
     Parameters
     ----------
     stamps_ns : ndarray of int64, shape (n,)
         Stamps of the headers.
     numbers : ndarray, shape (n, k)
-        Values for the first k marks.
+        Values for the first k placeholders.
     """
     one = bytes(STORE.serialize_cdr(message, typename))
     rows = np.tile(np.frombuffer(one, dtype=np.uint8), (len(stamps_ns), 1))

@@ -11,7 +11,7 @@ from odomcorrupt.simulation.robot import Robot
 from odomcorrupt.simulation.streams import stream
 
 EVERY = {**CAUSES, **OUTSIDE}
-"""All causes, those of the table and those of no library."""
+"""All causes, those of the effects library and those outside it."""
 SIZES = {"weak": 0.5, "medium": 1.0, "strong": 2.0}
 TWINS = {"lever_arm", "icr_shift"}
 """Aliased faults, which no recording can distinguish: a mixture of them would be one fault."""

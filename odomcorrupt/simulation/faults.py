@@ -36,7 +36,7 @@ class Cause:
     depends_on : str
         Regressor that the odometry error depends on, for faults outside the library.
     one_signed : bool
-        Whether its magnitude (the first parameter) must not be negative.
+        Whether its magnitude (the first parameter) cannot be negative.
     """
 
     low: float

@@ -40,7 +40,7 @@ class Slippery:
     place: Disc | Strip
     slip: float
     by_wheel: bool
-    """Whether each wheel is asked where it is; else the middle of the axle speaks for both."""
+    """Whether each wheel slips by its own position; otherwise both slip by that of the axle's middle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,23 +59,23 @@ class Floor:
     slippery: tuple[Slippery, ...] = ()
     bursts: tuple[Bursts, ...] = ()
     downhill: tuple[complex, ...] = ()
-    """Creep per metre rolled, as vectors x + iy: a tyre pulled aside yields only while it rolls."""
+    """Creep per metre rolled, as vectors x + iy: a tyre yields sideways only while it rolls."""
     grain: float = 0.0
-    """Sideways creep per metre rolled at 45 degrees to the carpet's ribs: wheels prefer to roll along them."""
+    """Sideways creep per metre rolled at 45 degrees to the carpet's ribs: wheels tend to roll along them."""
     grain_from_rad: float = 0.0
     """Direction of the ribs."""
     uneven: tuple[tuple[float, float], ...] = ()
     """Gauss-Markov variation of the travel per metre rolled: (sigma, correlation time in s)."""
     jolts_inverse_dof: float = 0.0
-    """How heavy the tails of the random creep are: 1 / degrees of freedom of Student's t."""
+    """Weight of the tails of the random creep: 1 / degrees of freedom of Student's t."""
     grip_mps: float = np.inf
-    """Rim speed above which the floor no longer holds a wheel."""
+    """Rim speed above which a wheel loses grip."""
     grip_slip: float = 0.0
-    """Part of the way lost above `grip_mps`."""
+    """Fraction of the travel lost above `grip_mps`."""
     braking_mps2: float = np.inf
-    """Deceleration above which a braking wheel is dragged."""
+    """Deceleration above which a braking wheel slides."""
     braking_slip: float = 0.0
-    """Part of the way gained while dragged."""
+    """Fraction of the travel gained while sliding."""
 
 
 DRIVE_TYPES = ("differential", "skid")
@@ -83,9 +83,9 @@ DRIVE_TYPES = ("differential", "skid")
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A machine with one driven wheel, or row of wheels, on each side; odometry uses the nominal dimensions only.
+    """A machine with one driven wheel, or row of wheels, on each side; its odometry uses the nominal dimensions only.
 
-    New physics is a new field without effect at its default, read by the layer it belongs to.
+    New physics is a new field that has no effect at its default, read by its layer of the simulator.
     """
 
     nominal_radius_m: float
@@ -96,28 +96,28 @@ class Robot:
     radius_left_m: float
     track_m: float
     scrub_arm_m: float = 0.0
-    """Way the tread is dragged sideways per radian of turn: wheels in rows scrub, and creep at random for it."""
+    """Sideways travel of the tread per radian of turn: wheels in rows scrub, and creep at random as a result."""
 
     # tyres
     lateral_creep_s: float = 0.0
-    """Mass over lateral creep coefficient of the tyres (N per m/s of sideways speed); 0 is a tyre that never gives."""
+    """Mass over lateral creep coefficient of the tyres (N per m/s of sideways speed); 0 for a rigid tyre."""
     traction_s2_per_m: float = 0.0
-    """Mass over longitudinal slip stiffness (N per unit of slip ratio); 0 is a tyre that never gives."""
+    """Mass over longitudinal slip stiffness (N per unit of slip ratio); 0 for a rigid tyre."""
     growth_s_per_m: float = 0.0
     """Relative growth of a wheel's radius per m/s of rim speed."""
     warming_per_s: float = 0.0
     """Relative growth of both radii per second since the start."""
     eccentricity: float = 0.0
-    """Right axle's distance from the middle of its wheel, over the radius."""
+    """Distance of the right axle from the middle of its wheel, over the radius."""
     eccentric_from_rad: float = 0.0
     load_shift_s: float = np.inf
-    """When the load slides to one side, s after the start."""
+    """Time at which the load slides to one side, s after the start."""
     load_squeeze: float = 0.0
-    """Relative loss of the right radius from then on (and gain of the left)."""
+    """Relative loss of the right radius from that time on (and gain of the left)."""
 
-    # where the body turns
+    # turning of the body
     rotation_centre_behind_m: float = 0.0
-    """How far behind the base frame the body turns about."""
+    """Distance of the centre of rotation behind the base frame."""
     lean: float = 0.0
     """Relative loss of effective track in left turns, and gain in right ones (contact patches move under the load)."""
     scrub_s: float = 0.0
@@ -127,28 +127,28 @@ class Robot:
 
     # gear, encoders and heading sensor
     gear_play_m: float = 0.0
-    """Play between motor (where the encoder sits) and wheel, at the rim."""
+    """Play between motor (with the encoder) and wheel, at the rim."""
     tick_travel_m: float = 0.0
-    """Way per tick at the rim instead of the rig's resolution."""
+    """Travel per tick at the rim, instead of the rig's resolution."""
     lost_cycles: float = 0.0
-    """Fraction of the driver's cycles whose ticks (and turn) are lost on the wire."""
+    """Fraction of the driver's cycles whose ticks (and turn) are lost in transmission."""
     gyro_bias_radps: float = 0.0
     gyro_scale: float = 0.0
     gyro_walk_radps_per_sqrt_s: float = 0.0
     hard_iron_rad: float = 0.0
-    """Amplitude of the compass error of a heading sensor that leans on a magnetometer."""
+    """Amplitude of the compass error of a heading sensor with a magnetometer."""
     hard_iron_from_rad: float = 0.0
-    """World heading at which this error vanishes on its way up."""
+    """World heading at which this error crosses zero upwards."""
 
     # tracked marker, and clocks
     marker_xyt: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Tracked frame as seen from the base; m, m, rad."""
+    """Pose of the tracked frame in the base frame; m, m, rad."""
     odom_clock_offset_s: float = 0.0
     odom_clock_rate: float = 0.0
     """Odometry clock's seconds per true second, minus 1."""
 
     floor: Floor = field(default_factory=Floor)
-    """What it drives on."""
+    """Floor under the robot."""
 
 
 def build_robot(rng: np.random.Generator, drive_type: str = "differential") -> Robot:

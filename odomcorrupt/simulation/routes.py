@@ -1,4 +1,4 @@
-"""Commanded velocities over time, and the routes that they drive."""
+"""Commanded velocities over time, and routes as sequences of manoeuvres."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -335,4 +335,4 @@ ROUTES: dict[str, Callable[[float, np.random.Generator], tuple[Segment, ...]]] =
     "yard": lambda duration_s, rng: _until(duration_s, _yard(rng)),
     "umbmark": lambda duration_s, rng: _until(duration_s, _umbmark(rng)),
 }
-"""Name, and what draws the route: its duration, s, and its random stream in, segments out."""
+"""Generator of each route by name: its arguments are duration, s, and random stream; it returns segments."""

@@ -41,11 +41,11 @@ class Scenario:
     rig : Rig, optional
         Electronics and floor.
     yaw_from : {"encoders", "gyro"}, optional
-        The odometry's source of turns; by default that in which the fault matters. See `simulate_without`.
+        The odometry's source of turns; by default one with which the fault shows. See `simulate_without`.
     robot_seed : int, optional
         Seed of the robot and its fault, for several drives of one robot; by default that of the drive.
     drive_type : {"differential", "skid"}
-        Kind of machine.
+        Wheel layout.
     at_dock : bool, optional
         Whether the start pose depends on the robot's seed, not the drive's; by default if a fault has a place.
     home : str, optional

@@ -25,7 +25,7 @@ class Tracker:
     """Standard deviation of slowly varying errors beside the white noise (satellites, atmosphere, reflections)."""
     wander_tau_s: float = 60.0
     clock_offset_s: float = 0.0
-    """Tracker's clock minus true time at the start."""
+    """Tracker's clock minus true time at the start, s."""
     clock_rate: float = 0.0
     """Tracker's seconds per true second, minus 1."""
 

@@ -7,7 +7,7 @@ from odomcorrupt.simulation.robot import Bursts, Floor, Robot, Slippery
 from odomcorrupt.simulation.streams import Streams
 
 JOLT_S = 0.5
-"""How long a floor's roughness stays the same where it has heavy tails."""
+"""Duration of constant floor roughness in a floor with heavy-tailed creep, s."""
 
 
 def roll(wheel_rad: np.ndarray, step_s: float, robot: Robot, creep: float, streams: Streams) -> np.ndarray:
@@ -112,14 +112,14 @@ def creep_sideways(v_mps: np.ndarray, omega_radps: np.ndarray, step_s: float, ro
     keep = np.exp(-step_s / settle_s)
     speed_end_mps = lfilter([settle_s * (1.0 - keep)], [1.0, -keep], pull_mps2)
     speed_start_mps = np.concatenate(([0.0], speed_end_mps[:-1]))
-    # d(speed)/dt = pull - speed / settle, integrated over a step and solved for the way
+    # d(speed)/dt = pull - speed / settle, integrated over a step and solved for the travel
     return np.asarray(settle_s * (pull_mps2 * step_s - (speed_end_mps - speed_start_mps)))
 
 
 COARSE = 10
-"""Grid steps over which a wheel counts as being in one place (20 ms: less than the length of a contact patch)."""
+"""Grid steps over which a wheel's position counts as constant (20 ms: less than the length of a contact patch)."""
 WEIGHT_SHIFT_S = 0.1
-"""How soon braking is felt by the wheels."""
+"""Time constant of the weight shift in braking, s."""
 
 
 def lose_by_speed(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, floor: Floor) -> np.ndarray:
@@ -204,7 +204,7 @@ def lose_by_place(
             keep_right *= 1.0 - patch.slip * patch.place.holds(place - arm)
             keep_left *= 1.0 - patch.slip * patch.place.holds(place + arm)
         keeps.append((keep_right, keep_left))
-        right_m, left_m = keep_right * right_m, keep_left * left_m  # noqa: PLW2901 - the same way, less the slip
+        right_m, left_m = keep_right * right_m, keep_left * left_m  # noqa: PLW2901 - the same travel, less the slip
         turn_rad = (right_m - left_m) / robot.track_m
         midway = facing * complex(1.0, 0.5 * turn_rad)
         place += (0.5 * (right_m + left_m) + aside) * midway

@@ -1,1 +1,1 @@
-"""The study half: recordings, fit, compare, diagnose."""
+"""Study of recordings: reading, estimation, selection of effects, validation and experiment design."""

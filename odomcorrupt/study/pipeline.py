@@ -1,6 +1,6 @@
-"""From recordings to a robot's model: search, experiment design, fit, and comparison on held-out recordings.
+"""From recordings to a robot's model: selection of effects, experiment design, fit, and held-out comparison.
 
-Clocks come first: they are estimated once, by the search, and every later step is given them.
+Clocks are estimated once, before the selection, and used in all later steps.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from odomcorrupt.study.estimate.correlation_length import with_correlation_lengt
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, compare
-from odomcorrupt.study.validate.held_out import keep_what_holds
+from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 from odomcorrupt.study.validate.model_sequence import sequence_comparison
 from odomcorrupt.study.validate.reproduction import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
@@ -32,21 +32,21 @@ if TYPE_CHECKING:
 __all__ = ["LAW", "DiagnosedModel", "LearnedRobot", "diagnose_model", "learn_robot"]
 
 LAW = "diffusion"
-"""Noise law of what is learned: the only one whose drift does not depend on the message rate."""
+"""Noise law of learned models: the only law whose drift does not depend on the message rate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
 class LearnedRobot:
-    """What was learned of a robot.
+    """Result of learning a robot's model.
 
-    recordings, held_out : what the model was fitted to, and what it was judged on; the same where nothing was held out
+    recordings, held_out : fitted recordings, and evaluated recordings; equal if none were held out
     search : effects, noise and dependences that were found, and those that were tested
-    advice : what these data leave open, and which drive would settle it
-    base, robot : the fits without effects and with all that was found
-    proof : the model as it can be used: read back, corrected and corrupted with
-    reproduction : how far the model drifts beside the recordings, the stretches that the fit left out included
-    dropped : sentences of what was found, but is not in the model because held-out data speak against it
-    comparison : both, judged on the held-out recordings or by cross-validation
+    advice : questions that these data leave open, and the drive that would answer them
+    base, robot : the fits without effects and with all that were found
+    proof : the usable model, verified by reading it back, correcting and corrupting
+    reproduction : drift of the model compared with the recordings, including stretches excluded from the fit
+    dropped : sentences on effects that were found but dropped because of held-out data
+    comparison : both models, evaluated on the held-out recordings or by cross-validation
     """
 
     recordings: Sequence[Recording]
@@ -62,19 +62,19 @@ class LearnedRobot:
 
     @property
     def sequence(self) -> Comparison:
-        """The models before each addition and the last one, judged alike; computed when it is first asked for."""
+        """Comparison of the models before each inclusion and the final one; computed on first use."""
         return _sequence(self)
 
 
 def learn_robot(
     recordings: Sequence[Recording], held_out: Sequence[Recording] = (), *, watch: Watch = silent
 ) -> LearnedRobot:
-    """Return the model that recordings of one robot support, and how it does on recordings it was not fitted to.
+    """Return the model supported by recordings of one robot, with its evaluation on held-out data.
 
     Parameters
     ----------
-    recordings : runs of one robot, each with a clock of its own
-    held_out : to judge the model on; without any it is cross-validated on halves of the recordings
+    recordings : runs of one robot, each with its own clock
+    held_out : recordings for evaluation; without any, cross-validation on halves of `recordings`
     watch : called before each stage
     """
     work = Work(watch, following=5.5)
@@ -83,7 +83,7 @@ def learn_robot(
     )
     search = learn(recordings, work=work)
     work.begin("each part on held-out data", 1.5, 4.0)
-    search, parts = keep_what_holds(search, held_out)
+    search, parts = drop_unsupported_parts(search, held_out)
     work.begin("what the data leave open", 0.7, 3.3)
     advice = advise(search)
     work.begin("fit", 0.8, 2.5)
@@ -99,17 +99,17 @@ def learn_robot(
     work.begin("comparison on held-out data", 2.5, 0.0)
     judged_on = held_out or recordings
     comparison = compare(judged_on, models, clocks=None if held_out else search.first_clocks)
-    parts_do = contributions(search.fit, judged_on, comparison.clocks.clocks)
+    explained = contributions(search.fit, judged_on, comparison.clocks.clocks)
     return LearnedRobot(
         recordings=recordings,
         held_out=judged_on,
-        search=replace(search, contributions=parts_do),
+        search=replace(search, contributions=explained),
         advice=advice,
         base=base,
         robot=robot,
         proof=proof,
         reproduction=reproduction_of(robot.fit, proof.model),
-        dropped=tuple(part.remark for part in parts if part.harm),
+        dropped=tuple(part.remark for part in parts if part.failure),
         comparison=comparison,
     )
 
@@ -121,11 +121,11 @@ def _sequence(learned: LearnedRobot) -> Comparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class DiagnosedModel:
-    """What a model misses.
+    """Errors in recordings that a model does not explain.
 
     search : effects, noise and dependences that were found, and those that were tested
-    advice : what these data leave open, and which drive would settle it
-    sequence : the model and what each addition makes of it, cross-validated
+    advice : questions that these data leave open, and the drive that would answer them
+    sequence : the model and the improvement by each inclusion, cross-validated
     """
 
     search: Learned
@@ -136,15 +136,15 @@ class DiagnosedModel:
 def diagnose_model(
     recordings: Sequence[Recording], model: MotionModel | None = None, *, name: str = "", watch: Watch = silent
 ) -> DiagnosedModel:
-    """Return what a model misses on recordings; None is noise alone.
+    """Return the errors in recordings that a model does not explain; None is a model of noise only.
 
-    The set-up of the model (lever arm, mounting) is refitted with it, since it belongs to the recordings.
+    The set-up of the model (lever arm, mounting) is refitted, because it belongs to the recordings.
 
     Parameters
     ----------
     recordings : runs of one robot
-    model : what is known of it
-    name : what to call it
+    model : the known model of the robot
+    name : name of the model in the comparison
     watch : called before each stage
     """
     start = () if model is None else (*model.effects, *model.setup.effects)

@@ -54,7 +54,7 @@ class PathError:
 
 
 def path_error(stamps_ns: NDArray[np.int64], xyt: Array, truth: Trajectory) -> PathError | None:
-    """Return a path (n, 3) and the truth at common stamps; None where they do not overlap in time.
+    """Return a path (n, 3) and the truth at common stamps; None if they do not overlap in time.
 
     The truth is interpolated at the path's stamps. Only the first common pose is aligned: an alignment over the whole
     path would hide part of the error.

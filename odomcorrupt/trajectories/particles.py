@@ -56,9 +56,9 @@ def places_along(drive: Drive, every_m: float) -> NDArray[np.intp]:
     travelled = drive.distance_m
     total = float(travelled[-1])
     if not total > 0.0:
-        raise RecordingError(f"{drive.topic}: the robot does not move; a cloud takes a drive")
+        raise RecordingError(f"{drive.topic}: the robot does not move; particles need a drive with motion")
     marks = np.arange(every_m, total, every_m)
-    # drop the last mark where it coincides with the end
+    # drop the last mark if it coincides with the end
     marks = marks[total - marks > 0.3 * every_m]
     return np.append(np.searchsorted(travelled, marks), len(drive) - 1)
 
@@ -95,12 +95,12 @@ def report_text(particles: ParticleSet) -> str:
 
 
 def brief(particles: ParticleSet, model: str, drive: str, following: Sequence[object]) -> Summary:
-    """Return how far the runs spread at the end and on the way.
+    """Return a summary of the runs' spread at the end and on the way.
 
     Parameters
     ----------
     particles : the particle set
-    model, drive : noise model and odometry, in words
+    model, drive : descriptions of noise model and odometry
     following : the command to type next
     """
     runs, places = len(particles.xyt), len(particles.distance_m)

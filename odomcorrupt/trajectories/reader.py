@@ -103,7 +103,7 @@ def read_poses(path: Path, topic: str) -> Trajectory:
 
 
 def find_truth(path: Path) -> str | None:
-    """Return the pose topic whose name marks it as ground truth; None where there is none or more than one."""
+    """Return the pose topic whose name marks it as ground truth; None if there is none or more than one."""
     with open_reader(path) as reader:
         named = {c.topic for c in reader.channels.values() if c.msgtype in POSES and "truth" in c.topic}
     return named.pop() if len(named) == 1 else None

@@ -209,3 +209,14 @@ def test_a_spread_of_one_run_or_of_no_batch_is_refused(capsys):
     assert run(["batch", "in.mcap", "runs", "--runs", "1", "--seed", "7", "--output", "trajectories"]) == 0
     assert run(["spread", "runs"]) == 1
     assert "at least two" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("output", ["full", "overlay", "trajectories"])
+def test_of_several_odometry_topics_a_batch_takes_the_one_that_the_model_was_learned_from(here, capsys, output):
+    assert run(["in.mcap", "two.mcap", "--alpha", "0", "0", "0", "0", "--seed", "1", "--keep-truth", "/wheels"]) == 0
+    words = ["batch", "two.mcap", "runs", "--runs", "2", "--model", "robot.toml", "--output", output]
+    assert run(words) == 1
+    assert "2 nav_msgs/Odometry topics" in capsys.readouterr().err
+    (here / "robot.toml").write_text(MODEL + '[source]\nodometry = "/wheels"\n')
+    assert run(words) == 0, capsys.readouterr().err
+    assert len(records(here / "runs")) == 2

@@ -13,7 +13,7 @@ from odomcorrupt.bags.block import Channel
 from odomcorrupt.cli import run
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import compose, inverse
-from odomcorrupt.info.checks import CovarianceWatch
+from odomcorrupt.info.checks import CovarianceCheck
 from odomcorrupt.info.scan import scan_bag
 from odomcorrupt.info.summary import summarise, summary_text
 
@@ -161,7 +161,7 @@ def test_a_robot_that_never_reverses_has_gone_no_way_backwards_of_either_sign():
     ],
 )
 def test_odd_covariances_are_named(make, said):
-    watch = CovarianceWatch()
+    watch = CovarianceCheck()
     covariances = make(np.tile((0.01 * np.eye(6)).ravel(), (5, 1)))
     watch.take(covariances[:2])
     watch.take(covariances[2:])

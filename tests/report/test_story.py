@@ -15,7 +15,7 @@ from test_report import parsed_page
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.user import user_effect
-from odomcorrupt.report.html.diagnosis import Story, found_html
+from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
@@ -158,7 +158,7 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
 
 @pytest.mark.slow
 def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
-    page = found_html(Story(rich, sequence, ADVICE, "odomcorrupt fit run.mcap -o robot.toml"), version="0")
+    page = found_html(SearchReport(rich, sequence, ADVICE, "odomcorrupt fit run.mcap -o robot.toml"), version="0")
     parsed = parsed_page(page)
     assert parsed.tags.count("img") == 5
     text = unescape(page)
@@ -172,7 +172,7 @@ def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
 
 def test_the_page_of_a_search_that_found_nothing_is_whole(poor, sequence):
     good = replace(sequence, judgements=(kept(sequence.judgements[0]),))
-    page = found_html(Story(poor, good, NONE, ""), version="0")
+    page = found_html(SearchReport(poor, good, NONE, ""), version="0")
     parsed_page(page)
     assert NOTHING[1:] in unescape(page)
     assert "rejected" not in page.split("</h1>", 1)[1].split("</p>", 1)[0]
@@ -192,7 +192,7 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
     assert found_text(poor, NONE, evaluated=kept(first)) == NOTHING
     beside = found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
     assert "no further known effect is missing, but" in beside
-    page = found_html(Story(poor, replace(sequence, judgements=(first,)), NONE, ""), version="0")
+    page = found_html(SearchReport(poor, replace(sequence, judgements=(first,)), NONE, ""), version="0")
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
     printed = [
         learned_json(poor, sequence.judgements[:1], NONE, evaluated=one)["rejected"] for one in (first, kept(first))

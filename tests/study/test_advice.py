@@ -13,7 +13,7 @@ from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.report.text.design import advice_text
 from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise
-from odomcorrupt.study.design.excitation import excitation, lacks_of
+from odomcorrupt.study.design.excitation import excitation, missing_excitations
 from odomcorrupt.study.design.information import planned_field, recorded_field, separation
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import STEP_S, plan_of
@@ -106,14 +106,14 @@ def test_commands_come_back_from_the_bag_as_they_were_planned(tmp_path):
     ],
 )
 def test_what_a_drive_never_did_is_reported(v, omega, there, not_there):
-    said = [why for why, _ in lacks_of(excitation([ideal_motion(steady(v, omega))]))]
+    said = [why for why, _ in missing_excitations(excitation([ideal_motion(steady(v, omega))]))]
     assert set(there) <= set(said)
     assert not set(not_there) & set(said)
 
 
 def test_a_mixed_drive_lacks_nothing():
     plan = plan_of(next(m for m in MANOEUVRES if m.name == "everything"), Limits(0.8, 0.8), 600.0)
-    assert lacks_of(excitation([ideal_motion(plan)])) == []
+    assert missing_excitations(excitation([ideal_motion(plan)])) == []
 
 
 def ideal_motion(route):

@@ -11,7 +11,7 @@ from hidden import as_recording
 
 from odomcorrupt.simulation import Commands, simulate
 from odomcorrupt.study.design.advise import advise
-from odomcorrupt.study.design.ambiguities import open_choices
+from odomcorrupt.study.design.ambiguities import open_ambiguities
 from odomcorrupt.study.design.drives import Drives, most_useful
 from odomcorrupt.study.design.plan import STEP_S
 from odomcorrupt.study.io.recording import Trajectory
@@ -110,7 +110,7 @@ def test_a_name_that_does_the_same_with_one_number_more_is_a_choice_too():
     dear = [replace(c, gain=look.candidates[0].gain - 5.0) if c.gain > 0.0 else c for c in look.candidates[1:]]
     look = replace(look, candidates=(look.candidates[0], *dear))
     assert look.alternatives == ()
-    choices = {choice.names: choice.plan for choice in open_choices(Drives(learned), look)[0]}
+    choices = {choice.names: choice.plan for choice in open_ambiguities(Drives(learned), look)[0]}
     assert choices[named, "lever_arm"] is not None
     assert ("lever_arm", "icr_shift") in choices
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.study.design.ambiguities import open_choices
+from odomcorrupt.study.design.ambiguities import open_ambiguities
 from odomcorrupt.study.design.identifiability import untried
 from odomcorrupt.study.terms.drive_type import DriveType
 
@@ -29,8 +29,8 @@ def twin_hint(name, values, monkeypatch):
         alternatives=(),
         candidates=(SimpleNamespace(score=SimpleNamespace(effect=effect), fit=None, refused=""),),
     )
-    monkeypatch.setattr("odomcorrupt.study.design.ambiguities._lookalikes", lambda *_: [])
-    choices, _ = open_choices(SimpleNamespace(learned=learned(effect)), look)
+    monkeypatch.setattr("odomcorrupt.study.design.ambiguities._equivalents", lambda *_: [])
+    choices, _ = open_ambiguities(SimpleNamespace(learned=learned(effect)), look)
     return next(choice.hint for choice in choices if name in choice.names)
 
 

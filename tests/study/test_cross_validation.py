@@ -19,7 +19,7 @@ from odomcorrupt.study.estimate.windows import distance_windows
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.validate.compare import compare
-from odomcorrupt.study.validate.cross_validation import cutting_of
+from odomcorrupt.study.validate.cross_validation import split_of
 
 SECOND_NS = 1_000_000_000
 LEG = (Segment(0.6, 0.0, 3.0), Segment(0.5, 0.6, 2.5), Segment(0.3, -0.5, 4.0), Segment(0.0, 0.8, 2.0))
@@ -97,7 +97,7 @@ def test_a_truth_that_lasts_longer_than_the_odometry_is_halved_where_there_is_od
     early = replace(
         recording, odometry=Trajectory(recording.odometry.stamps_ns[:third], recording.odometry.xyt[:third])
     )
-    first, second = cutting_of([early], [early.name], 0.5).pieces([early])[0].all
+    first, second = split_of([early], [early.name], 0.5).pieces([early])[0].all
     middle_s = (second.truth.stamps_ns[0] - early.odometry.stamps_ns[0]) * 1e-9
     assert middle_s == pytest.approx(160.0 / 6.0, abs=1.0)
     assert first.truth.stamps_ns[-1] < second.truth.stamps_ns[0]
@@ -117,7 +117,7 @@ def test_a_recording_that_mostly_stands_is_cut_at_half_of_its_way(first):
 
 def test_a_usual_drive_is_cut_in_the_middle_of_its_time(office):
     recording = as_recording(office)
-    cutting = cutting_of([recording], [recording.name], 0.5)
+    cutting = split_of([recording], [recording.name], 0.5)
     first, second = cutting.pieces([recording])[0].all
     assert abs(len(first.truth) - len(second.truth)) <= 1
     assert not cutting.notes
@@ -127,11 +127,11 @@ def test_what_is_too_short_to_be_halved_is_left_out_and_said_so(office):
     long = as_recording(office, "long")
     rows = slice(None, 1500)
     short = replace(long, name="short", truth=Trajectory(long.truth.stamps_ns[rows], long.truth.xyt[rows]))
-    cutting = cutting_of([long, short], ["long", "short"], 0.5)
+    cutting = split_of([long, short], ["long", "short"], 0.5)
     assert [run.names for run in cutting.pieces([long, short])] == [{"long"}]
     (note,) = cutting.notes
     assert note.startswith("short: too short to be fitted on one half and judged on the other")
-    alone = cutting_of([short], ["short"], 0.5)
+    alone = split_of([short], ["short"], 0.5)
     assert "record longer" in alone.notes[-1]
     assert [run.names for run in alone.pieces([short])] == [{"short"}]
     assert not alone.pieces([short])[0].second

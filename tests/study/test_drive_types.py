@@ -80,6 +80,14 @@ def test_what_is_wrong_with_a_car_has_its_name_and_size(flaw, name, parameter, s
 
 
 @pytest.mark.slow
+def test_play_in_the_steering_has_its_name_and_size():
+    effect, _ = only(learn([car(1, Flaw(play_rad=0.04))]))
+    assert effect.name == "steering_play"
+    # play is in the angle, and a curvature grows with its tangent: 6 % more at 0.25 rad
+    assert effect.play == pytest.approx(0.04 / AXLES_M, rel=0.1)
+
+
+@pytest.mark.slow
 def test_a_car_and_a_commanded_robot_with_nothing_wrong_have_no_name():
     for run in (car(1), hobby(1, as_commanded)):
         learned = learn([run])
@@ -134,7 +142,7 @@ def names_of(run):
 
 
 def test_a_car_has_no_second_wheel_and_no_gyro_and_a_robot_with_two_wheels_no_steering():
-    steered = {"steering_scale", "steering_offset", "steering_lag", "rear_axle_shift"}
+    steered = {"steering_scale", "steering_offset", "steering_lag", "steering_play", "rear_axle_shift"}
     wheeled = {"wheelbase", "unequal_wheels", "backlash"}
     of_a_car = names_of(car(1, seconds=90.0))
     assert steered < of_a_car

@@ -26,7 +26,7 @@ from odomcorrupt.study.select.contribution import Contribution, Span
 from odomcorrupt.study.select.stepwise import Learned, Step, learn
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.evaluation import Evaluation
-from odomcorrupt.study.validate.held_out import keep_what_holds
+from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 
 QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
 
@@ -67,17 +67,17 @@ def test_what_was_true_of_one_half_alone_is_dropped_and_what_is_true_of_both_sta
     steps[~late[1:], :2] *= 1.03
     changed = np.concatenate((run.odometry.xyt[:1], run.odometry.xyt[0] + np.cumsum(steps, axis=0)))
     run = replace(run, odometry=Trajectory(run.odometry.stamps_ns, changed))
-    kept, said = keep_what_holds(learned_with(run, "wheelbase", "wheel_scale"))
+    kept, said = drop_unsupported_parts(learned_with(run, "wheelbase", "wheel_scale"))
     assert [effect.name for effect in kept.fit.effects] == ["wheelbase"]
-    (harm,) = (one.harm for one in said if one.harm)
-    assert "mm" in harm or "nats" in harm
+    (failure,) = (one.failure for one in said if one.failure)
+    assert "mm" in failure or "nats" in failure
 
 
 def test_other_recordings_of_the_robot_decide_where_there_are_any():
     learned = learned_with(with_truth(drive(4, scale=1.03, wide=1.03), 5), "wheel_scale")
     same, other = with_truth(drive(6, scale=1.03, wide=1.03), 7), with_truth(drive(6), 7)
-    assert keep_what_holds(learned, [replace(same, name="same")])[0].fit.effects
-    assert not keep_what_holds(learned, [replace(other, name="other")])[0].fit.effects
+    assert drop_unsupported_parts(learned, [replace(same, name="same")])[0].fit.effects
+    assert not drop_unsupported_parts(learned, [replace(other, name="other")])[0].fit.effects
 
 
 @pytest.mark.parametrize("axes", [[0, 1, 2], [0, 1]])
@@ -103,20 +103,20 @@ def test_the_drift_of_held_out_windows_is_evidence_where_single_intervals_are_no
 def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_supports_it():
     law = "along += v * (k * where(t > 60, 1, 0))"
     learned = learned_with(with_truth(drive(4, scale=1.03), 5), over_time=law)
-    kept, said = keep_what_holds(learned)
+    kept, said = drop_unsupported_parts(learned)
     assert (kept.laws, kept.fit.effects) == ((), ())
     assert "this one drive" in said[0].remark
     same = with_truth(drive(6, scale=1.03), 7)
-    assert keep_what_holds(learned, [replace(same, name="same")])[0].fit.effects
+    assert drop_unsupported_parts(learned, [replace(same, name="same")])[0].fit.effects
 
 
 def test_a_name_that_is_hardly_likely_stays_only_where_the_error_grows_without_it():
     learned = learned_with(with_truth(drive(4, wide=1.05), 5), "wheelbase", "wheel_scale")
     doubted = replace(learned, margins={"wheelbase": -30.0, "wheel_scale": -30.0})
-    assert [effect.name for effect in keep_what_holds(learned)[0].fit.effects] == ["wheelbase", "wheel_scale"]
-    kept, said = keep_what_holds(doubted)
+    assert [effect.name for effect in drop_unsupported_parts(learned)[0].fit.effects] == ["wheelbase", "wheel_scale"]
+    kept, said = drop_unsupported_parts(doubted)
     assert [effect.name for effect in kept.fit.effects] == ["wheelbase"]
-    assert ["confidence 0.00" in one.harm for one in said] == [True, False]
+    assert ["confidence 0.00" in one.failure for one in said] == [True, False]
 
 
 @pytest.mark.slow

@@ -109,7 +109,7 @@ def test_a_law_of_which_a_correction_keeps_hardly_anything_is_left_out(monkeypat
     brakes = user_effect("brakes", "along += k * where(a < -0.6, 1, 0)", {"k": 0.3})
     monkeypatch.setattr(round_trip, "_corrected_error", lambda effects, *_: left_m if effects else 0.0202)
     monkeypatch.setattr(round_trip, "_fitted_error", lambda model, _: 0.0153 if model.effects else 0.0202)
-    found, said = round_trip._as_delivered(MotionModel(NOISE, (brakes,)), [], 1)
+    found, said = round_trip._correctable(MotionModel(NOISE, (brakes,)), [], 1)
     assert bool(found.effects) == kept
     assert ("left out" in said[0]) != kept
 

@@ -20,13 +20,19 @@ TRUTH_M, TRUTH_RAD = 0.002, 0.003
 
 @dataclass(frozen=True)
 class Flaw:
-    """What is wrong with a car: steering ratio - 1, offset (rad) and lag (s), reference point (m), wheel - 1."""
+    """What is wrong with a car.
+
+    ratio : of its steering, minus 1; offset (rad), lag_s and play_rad of its angle
+    ahead_m : of the point whose pose is recorded
+    wheel : true over nominal travel, minus 1
+    """
 
     ratio: float = 0.0
     offset: float = 0.0
     lag_s: float = 0.0
     ahead_m: float = 0.0
     wheel: float = 0.0
+    play_rad: float = 0.0
 
 
 def smooth(values, width_s):
@@ -61,6 +67,15 @@ def lagged(values, tau_s):
     for i, value in enumerate(values):
         state = kept * state + (1.0 - kept) * value
         out[i] = state
+    return out
+
+
+def loose(values, play):
+    """Return values that stay where they are until what they hang on has moved on by half a play."""
+    at, out = values[0], np.empty_like(values)
+    for i, value in enumerate(values):
+        at = min(max(at, value - play / 2.0), value + play / 2.0)
+        out[i] = at
     return out
 
 
@@ -99,11 +114,11 @@ def car(seed, flaw=Flaw(), seconds=240.0, *, planned=False):
     rng = np.random.default_rng([seed, 1])
     v, seen = commands(seed, seconds)
     seen = bends(seed, seconds) if planned else seen
-    angle = lagged((1.0 + flaw.ratio) * seen, flaw.lag_s) + flaw.offset
+    angle = loose(lagged((1.0 + flaw.ratio) * seen, flaw.lag_s), flaw.play_rad) + flaw.offset
     way = v / GRID_HZ
-    loose = np.sqrt(np.abs(way))
-    true_way = (1.0 + flaw.wheel) * way + 0.002 * loose * rng.standard_normal(len(way))
-    turn = true_way * np.tan(angle) / AXLES_M + 0.003 * loose * rng.standard_normal(len(way))
+    root = np.sqrt(np.abs(way))
+    true_way = (1.0 + flaw.wheel) * way + 0.002 * root * rng.standard_normal(len(way))
+    turn = true_way * np.tan(angle) / AXLES_M + 0.003 * root * rng.standard_normal(len(way))
     truth = composed(true_way, turn)
     c, s = np.cos(truth[:, 2]), np.sin(truth[:, 2])
     truth = truth + flaw.ahead_m * np.stack((c - 1.0, s, np.zeros_like(c)), axis=1)

@@ -1,1 +1,1 @@
-"""Results as one page of HTML."""
+"""Results as self-contained HTML pages."""

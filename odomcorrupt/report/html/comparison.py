@@ -1,4 +1,4 @@
-"""The report: one page of HTML that needs nothing but itself, for a screen without a network and for paper."""
+"""Report of a comparison as one self-contained HTML page, usable offline and printable."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["report_html", "sequence_table"]
 
 
 def report_html(comparison: Comparison, *, version: str) -> str:
-    """Return the page."""
+    """Return the HTML page."""
     title = f"Odometry against truth: {', '.join(comparison.recordings)}"
     body = [
         f"<h1>{escape(title)}</h1>",
@@ -72,7 +72,7 @@ def _words(comparison: Comparison) -> list[str]:
 
 
 def sequence_table(comparison: Comparison) -> str:
-    """Return the errors, nats and verdict of every model on the way, with bars for the errors."""
+    """Return a table of errors, nats and verdict of every model in the sequence, with bars for the errors."""
     steps = sequence_steps(comparison)
     rows = []
     for name, error, judgement in steps:

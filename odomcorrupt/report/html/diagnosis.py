@@ -1,4 +1,4 @@
-"""The report of a search: what is missing, its confidence, what it gains, and what to drive next."""
+"""Report of a search: missing effects, their confidence and gain, and the next drive."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison
 
-__all__ = ["Story", "found_html"]
+__all__ = ["SearchReport", "found_html"]
 
 
-class Story(NamedTuple):
-    """A search from its beginning to its advice.
+class SearchReport(NamedTuple):
+    """Input of a search's report.
 
-    sequence : the models on the way, evaluated on held-out halves, or what a search is evaluated by instead
-    next_command : what to type next, or ""
+    sequence : models in the order of the search, evaluated on held-out halves, or the evaluation used instead
+    next_command : suggested next command, or ""
     """
 
     learned: Learned
@@ -56,8 +56,8 @@ class Story(NamedTuple):
     next_command: str
 
 
-def found_html(story: Story, *, version: str) -> str:
-    """Return the page."""
+def found_html(story: SearchReport, *, version: str) -> str:
+    """Return the HTML page."""
     learned, sequence, advice, _ = story
     names = ", ".join(recording.name for recording in learned.fit.problem.recordings)
     title = f"What is missing: {names}"
@@ -103,7 +103,7 @@ _REJECTED = (
 _UNKNOWN = "What is left when everything that was found is taken out, as a curve, with two standard errors about it."
 
 
-def _verdict(story: Story) -> str:
+def _verdict(story: SearchReport) -> str:
     learned, parts = story.learned, []
     if any(name not in learned.of_setup for name in learned.added):
         steps = [(step.added, step.alternatives) for step in learned.steps if step.added is not None]
@@ -113,7 +113,7 @@ def _verdict(story: Story) -> str:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
     if learned.unknown:
         parts.append(f"{dependence(learned.unknown[0])}, and no known effect does that")
-    # a sequence knows nothing of noise: what it rejects may be what was named
+    # the sequence contains no noise term: its lack of fit may be due to the noise found
     last = story.sequence.judgements[-1]
     why = rejection(last) if last.verdict.fails and not (learned.unknown or learned.noise) else ""
     text = "; ".join([*parts, unnamed(why, found=bool(parts))] if why else parts) or NOTHING
@@ -121,7 +121,7 @@ def _verdict(story: Story) -> str:
 
 
 def _named(name: str, alternatives: Sequence[str], learned: Learned) -> str:
-    """Return a name with its twins as readings of it, its rivals after "or", and whether it is negligible."""
+    """Return a name with its aliases, its alternatives after "or", and a note if it is negligible."""
     own = next((effect for effect in learned.fit.effects if effect.name == name), name)
     twins = readings_of(own, learned.drive_type)
     rivals = [other for other in alternatives if other not in twins]
@@ -129,7 +129,7 @@ def _named(name: str, alternatives: Sequence[str], learned: Learned) -> str:
     return f"{said} (negligible)" if learned.is_negligible(name) else said
 
 
-def _next(story: Story) -> str:
+def _next(story: SearchReport) -> str:
     items = [*advice_sentences(story.advice)]
     items += [f"suggested: {u.expression}" for u in story.learned.unknown[:3] if u not in story.learned.laws]
     listed = f"<ul>{''.join(f'<li>{prose(item)}.</li>' for item in items)}</ul>" if items else ""
@@ -141,7 +141,7 @@ def _next(story: Story) -> str:
 
 
 def _left(sequence: Comparison) -> list[str]:
-    """Return where the last model still does not fit."""
+    """Return the remaining lack of fit of the last model."""
     last = len(sequence.judgements) - 1
     if not sequence.judgements[last].failures:
         return []
@@ -168,7 +168,7 @@ def _legend(version: str) -> str:
 
 
 def _cards(learned: Learned, sequence: Comparison) -> list[str]:
-    """Return everything that was found as cards: name, numbers, confidence, and the error before and after."""
+    """Return all findings as cards: name, numbers, confidence, and the error before and after."""
     own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(learned.fit)}
     names = [recording.name for recording in learned.fit.problem.recordings]
     found = [_clock(line) for line in clock_lines(names, learned.clocks)]

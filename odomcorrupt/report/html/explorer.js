@@ -1,6 +1,6 @@
 "use strict";
 // The interactive part of a report: the path with zoom and pan, the residuals along it, the error by distance.
-// Everything drawn is in the JSON beside it (explorer.py says what); without scripts the page shows its pictures only.
+// Everything drawn is in the JSON beside it (described in explorer.py); without scripts the page shows its pictures only.
 (() => {
   const data = JSON.parse(document.getElementById("explorer-data").textContent);
   const root = document.getElementById("explorer");
@@ -413,7 +413,7 @@
   strip.image.addEventListener("pointerleave", silence);
   curve.image.addEventListener("pointerleave", silence);
 
-  // ---- sentences that show where they hold
+  // ---- sentences that highlight their places
   const sentences = [...document.querySelectorAll("[data-look]")];
   function choose(item) {
     const [m, f] = item.dataset.look.split(",").map(Number);

@@ -1,6 +1,6 @@
-"""The interactive part of a report: path, residuals and errors as JSON for a small script inside the page.
+"""Interactive part of a report: path, residuals and errors as JSON for a small script inside the page.
 
-The script (`explorer.js`) draws with SVG, loads nothing and changes nothing that is read without it.
+The script (`explorer.js`) draws with SVG, loads nothing, and leaves the static content unchanged.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
 __all__ = ["explorer", "failure_items", "script_hash"]
 
 _MOST_PIECES = 8
-"""Stretches that can be chosen, the longest ones."""
+"""Number of segments that can be selected, the longest ones."""
 _POINTS = 7000
-"""Of all stretches under all models together: what keeps the page below 3 MB."""
+"""Total number of points, of all segments under all models; keeps the page below 3 MB."""
 _RUNS, _RUN_POINTS, _RUN_STRETCHES = 20, 200, 8
-"""Runs of a model drawn around the truth, points of each, and how many pairs of model and stretch get them."""
+"""Runs of a model drawn around the truth, points per run, and number of pairs of model and segment with runs."""
 
 
 def explorer(comparison: Comparison) -> str:
@@ -56,12 +56,12 @@ def explorer(comparison: Comparison) -> str:
 
 
 def script_hash() -> str:
-    """Return the hash by which the page's policy admits the one script it carries."""
+    """Return the hash of the script, by which the page's content security policy admits it."""
     return f"sha256-{b64encode(sha256(resource('explorer.js').encode()).digest()).decode()}"
 
 
 def failure_items(judgement: Judgement, number: int) -> str:
-    """Return a model's lacks of fit as a list; the script shows each of them on path and residuals."""
+    """Return a model's lacks of fit as a list; the script highlights each of them on path and residuals."""
     items = (
         f'<li data-look="{number},{i}">{escape(sentence(failure))}</li>'
         for i, failure in enumerate(judgement.failures[:MOST])
@@ -71,11 +71,11 @@ def failure_items(judgement: Judgement, number: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """One stretch, and the intervals (k,) of it that are shown.
+    """One segment, and the intervals (k,) of it that are drawn.
 
-    number : its place among a judgement's pieces
-    reference : it under the first model, which gives times, truth and odometry
-    start : (k,) first of the intervals that each shown point stands for
+    number : index among the pieces of a judgement
+    reference : evaluation under the first model, the source of times, truth and odometry
+    start : (k,) index of the first interval that each drawn point represents
     """
 
     number: int
@@ -106,7 +106,7 @@ def _content(comparison: Comparison) -> dict[str, Any]:
 
 
 def _stretches(comparison: Comparison) -> list[_Stretch]:
-    """Return the longest stretches, the longest first, each with as many points as the page can hold."""
+    """Return the longest segments, in descending order, each with as many points as fit in the page."""
     pieces = comparison.judgements[0].pieces
     longest = sorted(range(len(pieces)), key=lambda i: -float(pieces[i].node_metres.sum()))[:_MOST_PIECES]
     most = max(_POINTS // (len(longest) * (1 + len(comparison.judgements))), 50)
@@ -119,7 +119,7 @@ def _stretches(comparison: Comparison) -> list[_Stretch]:
 
 
 def _stretch(stretch: _Stretch, comparison: Comparison) -> dict[str, Any]:
-    """Return times, truth and recorded odometry of a stretch; odometry in the truth's frame, from its first pose."""
+    """Return times, truth and odometry of a segment, with the odometry aligned to the truth at the first pose."""
     piece, start = stretch.reference, stretch.start
     motion = node_motion(piece.problem)
     driven = np.concatenate(([0.0], np.cumsum(piece.node_metres)[:-1]))
@@ -140,7 +140,7 @@ def _stretch(stretch: _Stretch, comparison: Comparison) -> dict[str, Any]:
 
 
 def _in_truth(stretch: _Stretch, poses: Array) -> Array:
-    """Return poses (k, 3) of an odometry as they are when its first one is the truth's."""
+    """Return poses (k, 3) of an odometry, aligned with the truth at the first pose."""
     moved: Array = compose(stretch.truth_xyt[0], between(poses[0], poses))
     return moved
 
@@ -173,7 +173,7 @@ def _under_model(piece: Evaluation, stretch: _Stretch, *, runs: bool) -> dict[st
     count = 3 if piece.headed else 2
     size = np.sqrt(np.mean(piece.innovations.reshape(-1, 3)[:, :count] ** 2, axis=1))
     first = np.minimum(until, len(size) - 1)
-    # of the intervals that a point stands for, the one that fits worst
+    # of the intervals that a point represents, the one with the largest residual
     ends = np.append(first[1:], len(size))
     worst = [float(size[a : max(b, a + 1)].max()) for a, b in zip(first, ends, strict=True)]
     yaw = _rounded(np.degrees(summed[:, 2]), 3) if piece.headed else [None] * len(times_s)
@@ -187,14 +187,14 @@ def _under_model(piece: Evaluation, stretch: _Stretch, *, runs: bool) -> dict[st
 def _runs(piece: Evaluation) -> list[list[list[float]]]:
     try:
         paths = replay(piece, runs=_RUNS)
-    except EffectError:  # effects that no odometry of this drive obeys have no runs
+    except EffectError:  # effects that contradict the odometry of this drive have no runs
         return []
     kept = np.unique(np.linspace(0, len(paths.truth_xyt) - 1, _RUN_POINTS).astype(np.int64))
     return [[_rounded(run[kept, 0], 3), _rounded(run[kept, 1], 3)] for run in paths.runs_xyt]
 
 
 def _failure(failure: Failure, judgement: Judgement, stretches: list[_Stretch]) -> dict[str, Any]:
-    """Return where a lack of fit holds: spans (stretch, first point, last point), of a drift the length of path."""
+    """Return the extent of a lack of fit: spans (segment, first point, last point), or the path length of a drift."""
     spans = []
     for i, stretch in enumerate(stretches):
         piece = judgement.pieces[stretch.number]
@@ -206,7 +206,7 @@ def _failure(failure: Failure, judgement: Judgement, stretches: list[_Stretch]) 
 
 
 def _holds(failure: Failure, piece: Evaluation, stretch: _Stretch) -> NDArray[np.bool_]:
-    """Return at which points (k,) of a stretch a lack of fit holds; a drift builds up everywhere and is at none."""
+    """Return the points (k,) of a segment with a lack of fit; a drift accumulates everywhere and is at none of them."""
     nodes = piece.problem.nodes
     if failure.kind == "drift":
         return np.zeros(len(stretch.start), dtype=np.bool_)
@@ -218,7 +218,7 @@ def _holds(failure: Failure, piece: Evaluation, stretch: _Stretch) -> NDArray[np
     else:
         masks = [p.mask > 0.0 for p in all_patterns(node_motion(piece.problem)) if p.where == failure.where]
         inside = masks[0] if masks else np.zeros(len(nodes), dtype=np.bool_)
-    # a point stands for all intervals until the next one
+    # a point represents all intervals until the next one
     owner = np.searchsorted(stretch.times_s, nodes.start_s + 1e-6) - 1
     found = np.zeros(len(stretch.start), dtype=np.bool_)
     found[np.clip(owner[inside], 0, len(found) - 1)] = True

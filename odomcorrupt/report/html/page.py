@@ -1,4 +1,4 @@
-"""A page of HTML in one file: head, style, script and the elements that all pages share."""
+"""Framework of the self-contained HTML pages: head, style, script and common elements."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 __all__ = ["page", "picture", "prose", "resource", "table"]
 
 _HEAVY = 600_000
-"""A drawing of more bytes than this is taken as pixels, where these are fewer: the page stays below 3 MB."""
+"""Size of a vector figure, bytes, above which it is rasterised if that is smaller; keeps the page below 3 MB."""
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-"""What the browser is allowed to load: nothing but the page itself."""
+"""Content security policy: the browser may load nothing but the page itself."""
 
 
 def page(title: str, body: Sequence[str], *, script_hash: str = "") -> str:
-    """Return a whole page around elements that stand below each other.
+    """Return a whole page with the given elements in its body.
 
-    script_hash : of the one inline script that the browser may run; "" where there is none
+    script_hash : hash of the one inline script that the browser may run; "" if there is none
     """
     policy = f"{_POLICY}; script-src '{script_hash}'" if script_hash else _POLICY
     elements = "\n".join(body)
@@ -48,12 +48,12 @@ def page(title: str, body: Sequence[str], *, script_hash: str = "") -> str:
 
 
 def resource(name: str) -> str:
-    """Return a style sheet or a script that lies beside this module."""
+    """Return the text of a style sheet or script in this module's directory."""
     return files("odomcorrupt.report.html").joinpath(name).read_text(encoding="utf-8")
 
 
 def prose(text: str) -> str:
-    """Return a sentence as HTML; what stands between backticks is code."""
+    """Return a sentence as HTML; text between backticks is code."""
     parts = escape(text).split("`")
     if len(parts) % 2 == 0:
         return escape(text)
@@ -61,7 +61,7 @@ def prose(text: str) -> str:
 
 
 def picture(name: str, title: str, caption: str, figure: Figure) -> str:
-    """Return a heading with a figure below it, named for links."""
+    """Return a heading and a figure, with a name for links."""
     return (
         f'<h2>{escape(title)}</h2><figure id="{name}"><figcaption>{prose(caption)}</figcaption>'
         f'<img src="{_embedded(figure)}" alt="{escape(title)}: {escape(caption)}"></figure>'
@@ -69,7 +69,7 @@ def picture(name: str, title: str, caption: str, figure: Figure) -> str:
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
-    """Return a table; a cell that begins with ! is one to look at."""
+    """Return a table; a cell that begins with ! is highlighted."""
     top = "".join(f'<th scope="col">{escape(head)}</th>' for head in heads)
     lines = [
         "".join(f'<td class="off">{c[1:]}</td>' if c.startswith("!") else f"<td>{c}</td>" for c in row) for row in rows
@@ -80,9 +80,9 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str = ""
 
 
 def _embedded(figure: Figure) -> str:
-    """Return a drawing as an address that carries all of it, as vectors where these are not too many."""
+    """Return a figure as a data URL: vectors, or pixels if the vectors are too large."""
     kind, data = "svg+xml", rendered(figure, "svg")
-    # what is heavy because of pixels of its own would not be lighter
+    # a figure with embedded pixels would not become smaller
     if len(data) > _HEAVY and b"data:image/png" not in data:
         pixels = rendered(figure, "png")
         kind, data = ("png", pixels) if len(pixels) < len(data) else (kind, data)

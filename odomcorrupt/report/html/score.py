@@ -1,4 +1,4 @@
-"""Scores of a batch's estimates as one page of HTML."""
+"""Scores of a batch's estimates as one HTML page."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 __all__ = ["score_html"]
 
 _ROWS = 1000
-"""Runs in the table, at most: the worst ones."""
+"""Largest number of runs in the table; the worst ones are listed."""
 
 
 def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str) -> str:
-    """Return the page."""
+    """Return the HTML page."""
     title = f"Localisation under drift: {report.estimate}, {len(report.runs)} runs"
     first, *rest = sentences(report)
     body = [

@@ -22,7 +22,7 @@ SCHEMA = 2
 
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """Return a comparison."""
+    """Return a comparison as plain values."""
     return finite(
         {
             "schema": SCHEMA,

@@ -1,4 +1,4 @@
-"""Fits and findings as JSON: schema 2, described in docs/json.md. No NaN ever: what is not known is null."""
+"""Fits and findings as JSON: schema 2, described in docs/json.md. Unknown values are null, never NaN."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ def learned_json(
     evaluated: Judgement | None = None,
     fit: Fit | None = None,
 ) -> dict[str, Any]:
-    """Return what a search found, in the order it was found: clocks first, then effects, then noise.
+    """Return the findings of a search in order: clocks, then effects, then noise.
 
-    sequence : the models on the way, evaluated on held-out halves, as `study.validate.model_sequence` gives them
-    evaluated : the final model as it was evaluated, if it was: the ladder's last one lacks noise that was named
-    fit : the fit of the final model, where it is not the search's own
+    sequence : models in the order of the search, evaluated on held-out halves, see `study.validate.model_sequence`
+    evaluated : evaluation of the final model, if available: the last model of the sequence lacks noise terms
+    fit : fit of the final model, if it is not that of the search
     """
     own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(learned.fit)}
     found = [*_clocks_found(learned)]
@@ -117,7 +117,7 @@ def learned_json(
 
 
 def recordings_json(recordings: Iterable[Recording]) -> list[dict[str, Any]]:
-    """Return what reading noticed of each recording, and what a filter that is given poses does to its odometry."""
+    """Return the reader's notes on each recording, and how a filter that receives poses corrects its odometry."""
     return [
         {
             "name": one.name,
@@ -130,7 +130,7 @@ def recordings_json(recordings: Iterable[Recording]) -> list[dict[str, Any]]:
 
 
 def reproduction_json(one: Reproduction) -> dict[str, Any]:
-    """Return how far a model drifts beside the recordings that it was learned from."""
+    """Return the drift of a model relative to that of the recordings it was learned from."""
     return finite(
         {
             "measured_rmse_10s": one.measured_m,
@@ -179,7 +179,7 @@ def _advice(advice: Advice) -> dict[str, Any]:
 
 
 def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
-    """Return clock effects that are really there, those of the first run standing for all."""
+    """Return the significant clock effects, with those of the first run representing all."""
     kinds = registry()
     firsts = {one.name: one for one in reversed([*clocks_found(learned.clocks)])}
     if not firsts:
@@ -197,12 +197,12 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
 
 
 def _noise(gain: RandomCoefficient, learned: Learned) -> dict[str, Any]:
-    """Return a random effect; its numbers come without errors."""
+    """Return a random effect; its parameters have no standard errors."""
     return _entry(gain.effect, (), (), noise_confidence(gain, learned)) | {"held_out": None, "negligible": False}
 
 
 def _matters(name: str, learned: Learned) -> dict[str, Any]:
-    """Return whether a part of the model is negligible, and what it does: lengths in metres, null if not measured."""
+    """Return whether a part of the model is negligible, and its size: lengths in metres, null if not measured."""
     own = learned.contributions.get(name)
     spans = () if own is None else (("10s", own.ten_seconds), ("50m", own.far))
     return {
@@ -254,7 +254,7 @@ def _entry(effect: Effect, errors: Sequence[float], alternatives: Sequence[str],
 
 
 def _effect(effect: Effect, errors: Sequence[float]) -> dict[str, Any]:
-    """Return an effect with its parameters, amplitudes with standard errors first, and its words."""
+    """Return an effect with its parameters, amplitudes with standard errors first, and its word-valued parameters."""
     known = dict(zip((p.name for p in amplitudes(effect)), errors, strict=False))
     own = sorted(parameters(effect), key=lambda p: not p.amplitude)
     return {
@@ -294,8 +294,8 @@ def fit_json(result: RobotFit, laws: Mapping[str, RobotFit]) -> dict[str, Any]:
 
     Parameters
     ----------
-    result : the fit
-    laws : the fits of every law where all were tried, the likeliest first
+    result : fit of a robot
+    laws : fits of all laws if all were tried, the likeliest first
     """
     fit = result.fit
     truth = fit.noise.truth

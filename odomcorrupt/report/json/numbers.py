@@ -1,4 +1,4 @@
-"""What JSON can hold: no NaN and nothing infinite."""
+"""Conversion of values to valid JSON, which has no NaN and no infinity."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ __all__ = ["finite"]
 
 
 def finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values with plain numbers in place of numpy's, and None in place of what is not known or not finite."""
+    """Return values with plain numbers instead of numpy's, and None instead of unknown or infinite ones."""
     return {key: _finite(own) for key, own in values.items()}
 
 
 def _finite(value: Any) -> Any:
-    if hasattr(value, "tolist"):  # numpy's, which a help page does without
+    if hasattr(value, "tolist"):  # a numpy value; tested without importing numpy, which help pages do not need
         return _finite(value.tolist())
     match value:
         case Mapping():

@@ -1,4 +1,4 @@
-"""Scores of a batch's estimates as JSON, described in docs/score.md; a baseline of the gate is such an object."""
+"""Scores of a batch's estimates as JSON, described in docs/score.md; a baseline of the gate has the same form."""
 
 from __future__ import annotations
 

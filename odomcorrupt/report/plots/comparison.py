@@ -1,4 +1,4 @@
-"""Pictures of a comparison by name; NEES and PIT of each model."""
+"""Figures of a comparison by name; NEES and PIT of each model."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ __all__ = ["PICTURES", "Picture", "draw_nees", "draw_pit"]
 
 
 def draw_nees(comparison: Comparison) -> Figure:
-    """Draw NEES per degree of freedom and 90 % coverage by length of path."""
+    """Draw NEES per degree of freedom and 90 % coverage against path length."""
     with drawing():
         figure = new_figure(9.0, 4.2)
         left, right = figure.subplots(1, 2)
         count = len(comparison.judgements)
         for i, judgement in enumerate(comparison.judgements):
             colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
-            # side by side, or their bars cover each other
+            # shifted sideways, so that the bars do not overlap
             shift = min(1.06, 1.3 ** (1.0 / count)) ** (2 * i - count + 1)
             distance = shift * np.array([h.distance_m for h in judgement.horizons])
             low, high = np.array([h.nees_bounds for h in judgement.horizons]).reshape(-1, 2).T
@@ -85,7 +85,7 @@ def draw_pit(comparison: Comparison) -> Figure:
 
 
 class Picture(NamedTuple):
-    """A picture's heading, what it shows in words, and who draws it."""
+    """A figure's heading, its description, and the function that draws it."""
 
     title: str
     caption: str

@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: candidates with their evidence, a dependence, and a drive that would separate causes."""
+"""Figures of a diagnosis: candidates with their evidence, a dependence, and a drive that would separate causes."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _STEPS = 6
 _GREY = "0.78"
 _TICKS = ((0.0, 3.0, 10.0, 100.0, 1e3, 1e4, 1e5), ("0", "3", "10", "100", "1000", "10 000", "100 000"))
 _LINEAR = 3.0
-"""Below this many nats the axis is linear: less than that is no evidence."""
+"""Limit of the axis's linear part, nats; smaller values are no evidence."""
 
 
 def evidence_nats(candidate: Candidate) -> float:
-    """Return the nats of a refit, or half the score statistic where there was none; never less than zero."""
+    """Return the nats of a refit, or half the score statistic if there was none; at least zero."""
     score = candidate.score
     plain = candidate.gain if candidate.fit is not None else 0.5 * score.statistic / score.inflation
     return max(float(plain), 0.0) if np.isfinite(plain) else 0.0
@@ -104,7 +104,7 @@ _UNITS = {
 
 
 def draw_unknown(unknown: Sequence[Dependence]) -> Figure:
-    """Draw the plainest curves beside each other, with two standard errors about them."""
+    """Draw the dependences with the clearest curves side by side, with bands of two standard errors."""
     shown = unknown[:_MOST_CURVES]
     with drawing():
         figure = new_figure(11.0, 3.6)
@@ -144,7 +144,7 @@ def _band(axes: Axes, x: Array, curve: Array, error: Array) -> None:
 
 
 def _places(axes: Axes, one: Dependence, scale: float, unit: str) -> None:
-    """Draw a disc for each place: colour for the error, size for how well it is known."""
+    """Draw a disc for each place: colour shows the error, size its precision."""
     values = scale * one.curve
     most = float(np.abs(values).max()) or 1.0
     weight = 1.0 / np.maximum(one.curve_error, 1e-12)
@@ -161,7 +161,7 @@ _SHOWN_S = 120.0
 
 
 def draw_plan(plan: Plan) -> Figure:
-    """Draw where a robot that follows the plan goes, and its commands in the first two minutes."""
+    """Draw the path of a robot that follows the plan, and its commands in the first two minutes."""
     path = plan.path
     shown = slice(0, round(_SHOWN_S / STEP_S))
     times_s = np.arange(len(plan.v_mps))[shown] * STEP_S

@@ -1,4 +1,4 @@
-"""Where the runs of a model are along a drive, and how far they differ."""
+"""Figures of the dispersion of a model's runs along a drive."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ SIGMAS = 2.0
 
 
 def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -> Figure:
-    """Draw the odometry's path, and at each place the runs' positions with their ellipse.
+    """Draw the odometry's path, and at each distance the runs' positions with their ellipse.
 
-    space : the map they were held against, drawn below
+    space : free space that constrained the runs, drawn below
     """
     colours = (BLUE, ORANGE, GREEN, RED, SKY)
     size = float(np.clip(2500.0 / len(cloud.xyt), 1.0, 8.0))
@@ -41,7 +41,7 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
             axes.scatter(
                 points[:, 0], points[:, 1], s=size, color=colour, alpha=0.45, linewidths=0, rasterized=True, zorder=2
             )
-            # on white, or it drowns in the cloud
+            # white background, so that the line is visible in the particle set
             here = cloud.clean_xyt[i, :2]
             axes.plot(*here, "o", color="white", markeredgecolor=BLACK, markersize=5, zorder=6)
             axes.annotate(
@@ -49,7 +49,7 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
                 bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}, zorder=7,
             )  # fmt: skip
             if space is not None:
-                # walls tear a cloud apart: two moments do not describe what is left
+                # a set split by walls is not described by two moments
                 continue
             e = ellipse(sample_moments(points), SIGMAS)
             patch = EllipsePatch(
@@ -67,7 +67,7 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
             axes.margins(0.06)
             axes.set_aspect("equal", adjustable="datalim")
         else:
-            # the whole map may be far larger than where the robot was
+            # the map may be far larger than the area of the drive
             every = np.concatenate((cloud.xyt.reshape(-1, 3), cloud.path_xyt))[:, :2]
             low, high = every.min(axis=0), every.max(axis=0)
             pad = 0.06 * float((high - low).max())
@@ -79,7 +79,7 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
 
 
 def draw_spread(report: SpreadReport) -> Figure:
-    """Draw the true path and the runs, and errors of position and heading over the distance."""
+    """Draw the true path and the runs, and errors of position and heading against distance."""
     with drawing():
         figure = new_figure(10.0, 5.2)
         grid = figure.add_gridspec(2, 2, width_ratios=(3, 2))

@@ -1,4 +1,4 @@
-"""What every picture shares: colours that everybody tells apart, quiet axes, and files that are the same every time."""
+"""Common style of all figures: a colour-blind safe palette, light axes, and reproducible files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, RED, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 """Okabe & Ito's palette; RED is their vermilion."""
 COLOURS, MARKERS = (RED, BLUE, GREEN, ORANGE, PURPLE, SKY), ("o", "s", "^", "D", "v", "P")
-"""A colour for each model, and a shape: a grey print tells them apart, too."""
+"""Colour and marker of each model; markers also distinguish them in grey print."""
 
 _STYLE: dict[Any, Any] = {
     "font.size": 10,
@@ -43,24 +43,24 @@ _STYLE: dict[Any, Any] = {
 
 _MOST_PANELS = 4
 _LONGEST = 34
-"""Characters of a model's name in a legend."""
+"""Longest model name in a legend, characters."""
 _DPI = 150
 
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """Set the style while a picture is drawn."""
+    """Set the style while a figure is drawn."""
     with mpl.rc_context(_STYLE):
         yield
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure, with no window or global state behind it."""
+    """Return an empty figure that belongs to no window and no global state."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def rendered(figure: Figure, kind: str) -> bytes:
-    """Return a figure as a file's bytes; kind is "png", "svg" or "pdf". No clock and no version goes in."""
+    """Return a figure as a file's bytes, without time stamp and version; kind is "png", "svg" or "pdf"."""
     nothing: dict[str, dict[str, None]] = {
         "png": {"Software": None},
         "svg": {"Date": None, "Creator": None},
@@ -70,7 +70,7 @@ def rendered(figure: Figure, kind: str) -> bytes:
     with drawing():
         engine = figure.get_layout_engine()
         if engine is not None:
-            # savefig would lay it out twice, and draw it once more for that
+            # savefig would compute the layout twice, drawing the figure once more for that
             engine.execute(figure)
             figure.set_layout_engine("none")
         figure.dpi = _DPI
@@ -86,7 +86,7 @@ def rendered(figure: Figure, kind: str) -> bytes:
 
 
 def short_name(name: str) -> str:
-    """Return a name as long as a legend can hold; of a longer one the middle is left out."""
+    """Return a name that fits a legend; the middle of a longer one is left out."""
     return name if len(name) <= _LONGEST else f"{name[: _LONGEST // 2 - 1]}…{name[1 - _LONGEST // 2 :]}"
 
 
@@ -100,13 +100,13 @@ def plain_logarithm(axis: Axis) -> None:
 def model_panels(
     models: Sequence[Judgement], pair_in: float, single_in: float, more_in: float
 ) -> tuple[Figure, list[tuple[Axes, Judgement]]]:
-    """Return a figure with a panel for each model: all of four, else the first, which the others improve, and the last.
+    """Return a figure with a panel for each of up to four models; for more, of the first and the last.
 
     Parameters
     ----------
-    models : what is drawn
+    models : models to draw
     pair_in, single_in : height of a row of two panels, and of a panel alone, inches
-    more_in : what the legend takes
+    more_in : height of the legend, inches
     """
     over = max(len(models) - _MOST_PANELS, 0)
     shown = [models[0], *models[1 + over :]]

@@ -1,4 +1,4 @@
-"""The map of where a model fails: the truth's path in colour, and the reported places, moments and stretches."""
+"""Map of lack of fit: the truth's path coloured by error, with the reported places, times and segments."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ __all__ = ["draw_failure_map"]
 _PHASES = 5
 _LENGTHS_M = (0.5, 1.0, 2.0, 5.0, 10.0)
 _FEWEST = 12
-_TOP = 4.0
-"""Squared errors this many times as large as expected have the darkest colour."""
+_DARKEST_RATIO = 4.0
+"""Ratio of measured to expected squared error with the darkest colour."""
 
 
 def draw_failure_map(comparison: Comparison) -> Figure:
@@ -45,7 +45,7 @@ def draw_failure_map(comparison: Comparison) -> Figure:
 
 
 def _length(comparison: Comparison) -> float:
-    """Return a length of path (m) that is short beside the drive, and long enough for errors to grow."""
+    """Return a path length (m) that is short relative to the drive, and long enough for errors to accumulate."""
     metres = max(float(piece.node_metres.sum()) for piece in comparison.judgements[0].pieces)
     return max((length for length in _LENGTHS_M if length <= metres / _FEWEST), default=_LENGTHS_M[0])
 
@@ -56,13 +56,13 @@ def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
     segments = np.stack((xy[:-1], xy[1:]), axis=1)
     ratio = _local_ratio(piece, length_m)
     linked = piece.problem.nodes.linked[1:]
-    # the worst on top: a path that crosses itself must not hide it
+    # largest errors on top, where a path crosses itself
     order = np.argsort(ratio[:-1][linked])
     lines = LineCollection(
         list(segments[linked][order]), cmap="cividis_r", linewidths=2.6, capstyle="round", rasterized=True
     )
     lines.set_array(ratio[:-1][linked][order])
-    lines.set_clim(0.0, _TOP)
+    lines.set_clim(0.0, _DARKEST_RATIO)
     axes.add_collection(lines)
     axes.plot(*xy[0], "s", color=BLACK, markersize=7, zorder=4)
     several = len(judgement.pieces) > 1
@@ -77,7 +77,7 @@ def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
 
 
 def _mark(axes: Axes, piece: Evaluation, failure: Failure, number: int) -> None:
-    """Write the number of the sentence where it happens; motions and drifts happen everywhere."""
+    """Write the number of a lack of fit at its place; motions and drifts have none."""
     nodes = piece.problem.nodes
     if failure.kind == "place" and failure.place is not None:
         x, y, radius = failure.place
@@ -102,7 +102,7 @@ def _mark(axes: Axes, piece: Evaluation, failure: Failure, number: int) -> None:
 
 
 def _local_ratio(piece: Evaluation, length_m: float) -> Array:
-    """Return, around each interval (K,), the mean NEES per degree of freedom of windows that cover it."""
+    """Return, for each interval (K,), the mean NEES per degree of freedom of windows that cover it."""
     nodes = piece.problem.nodes
     middle = (nodes.start_s + nodes.end_s) / 2.0
     total, count = np.zeros(len(nodes)), np.zeros(len(nodes))

@@ -1,4 +1,4 @@
-"""The picture of what a laser sees through clean and through noisy odometry."""
+"""Figure of laser maps from clean and from noisy odometry."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PATHS = (BLUE, RED, GREEN)
 
 
 def draw_surveys(surveys: Sequence[Survey], window_m: float, added: str = "added by noise") -> Figure:
-    """Draw maps side by side on the same canvas; below how far hits left the walls, and how thick these are."""
+    """Draw maps side by side with equal limits; below, the distance of hits from the walls and the wall thickness."""
     left, right, bottom, top = surveys[0].grid.extent
     width = 11.0
     panel = float(np.clip(width / len(surveys) * (top - bottom) / (right - left), 2.5, 7.0))
@@ -51,7 +51,7 @@ def draw_surveys(surveys: Sequence[Survey], window_m: float, added: str = "added
 
 
 def draw_grid(axes: Axes, grid: Grid) -> None:
-    """Draw a map as maps are drawn: free white, occupied black, unknown grey."""
+    """Draw a map in the usual colours: free white, occupied black, unknown grey."""
     image = axes.imshow(
         grid.cells, origin="lower", extent=grid.extent, cmap=ListedColormap(["white", BLACK, "#D0D0D0"]), vmin=0,
         vmax=2, interpolation="nearest", zorder=0,
@@ -62,7 +62,7 @@ def draw_grid(axes: Axes, grid: Grid) -> None:
 
 
 def draw_free_space(axes: Axes, space: FreeSpace) -> None:
-    """Draw a map under what is given in the odom frame: walls, and pale where the robot's middle cannot be."""
+    """Draw a map below other content of the odom frame: walls, and pale where the robot's centre cannot be."""
     x, y, yaw = (float(value) for value in space.grid.origin_xyt)
     mx, my, myaw = (float(value) for value in space.map_from_odom)
     to_odom = Affine2D().translate(-mx, -my).rotate(-myaw)
@@ -78,7 +78,7 @@ def draw_free_space(axes: Axes, space: FreeSpace) -> None:
 
 
 def _off_surface(axes: Axes, surveys: Sequence[Survey]) -> None:
-    """Draw how far hits are from the clean map's walls, part by part of the drive."""
+    """Draw the distance of hits from the clean map's walls, for each part of the drive."""
     for colour, survey in zip(PATHS[1:], surveys[1:], strict=False):
         middle = survey.marks_m - survey.marks_m[0] / 2.0
         axes.bar(

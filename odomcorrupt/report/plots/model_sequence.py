@@ -1,4 +1,4 @@
-"""The picture of the error falling: error against distance for each model, with the band it expects."""
+"""Figure of the model sequence: error against distance for each model, with its expected error."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def draw_errors(comparison: Comparison) -> Figure:
             for axis in (axes.xaxis, axes.yaxis):
                 plain_logarithm(axis)
             axes.grid(visible=True, which="major", color="0.9")
-        # what the two kinds of lines mean is said once, not of every model
+        # one legend entry per kind of line, not per model
         panels[0].plot([], [], color="0.4", marker="|", markersize=9, linewidth=1.3, label="measured, 90 % interval")
         panels[0].plot([], [], color="0.4", linewidth=1.3, linestyle=(0, (4, 3)), label="expected by the model")
         above.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
@@ -63,13 +63,13 @@ def _yaw(judgement: Judgement) -> Array:
 
 
 def rms_interval(measured: float, windows: int) -> tuple[float, float]:
-    """Return the central 90 % interval of a root mean square that was measured over so many independent windows."""
+    """Return the central 90 % interval of a root mean square measured over this many independent windows."""
     tail, square = (1.0 - 0.9) / 2.0, windows * measured**2
     return float(np.sqrt(square / chi2.isf(tail, windows))), float(np.sqrt(square / chi2.ppf(tail, windows)))
 
 
 def _curve(axes: Axes, judgement: Judgement, both: Array, style: dict[str, str], shift: float) -> None:
-    """Draw what was measured with its 90 % interval, and what the model expects as a dashed line."""
+    """Draw measured errors with their 90 % interval, and the model's expectation as a dashed line."""
     distance = np.array([h.distance_m for h in judgement.curve])
     windows = [h.windows for h in judgement.curve]
     measured, expected = both.T
@@ -80,7 +80,7 @@ def _curve(axes: Axes, judgement: Judgement, both: Array, style: dict[str, str],
 
 
 def _counts(axes: Axes, judgement: Judgement) -> None:
-    """Write the number of windows above the points, of as many lengths of path as there is room for."""
+    """Write the number of windows above the points, for as many path lengths as fit."""
     last = 0.0
     for h in judgement.curve:
         if h.distance_m >= 1.7 * last:
@@ -92,7 +92,7 @@ def _counts(axes: Axes, judgement: Judgement) -> None:
 
 
 def _bars(axes: Axes, comparison: Comparison) -> None:
-    # too short a recording has no window of 10 s
+    # a recording of less than 10 s has no window
     steps = [step for step in sequence_steps(comparison) if isfinite(step[1])]
     if not steps:
         axes.set_axis_off()

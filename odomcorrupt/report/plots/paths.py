@@ -1,4 +1,4 @@
-"""Paths in the plane: clean and corrupted, against the truth, of many runs, of models; and their errors over time."""
+"""Figures of paths in the plane: clean and corrupted, against the truth, of many runs, of models; and their errors."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ __all__ = ["draw_corruption", "draw_errors", "draw_fan", "draw_paths", "draw_run
 _RUNS = 100
 _MARKS = 20
 _SHOWN_M = 100.0
-"""Path drawn at most, metres: beyond it lines hide lines. What is said of places holds for all of it."""
+"""Longest path drawn, metres: more would hide lines. Places in the sentences refer to the whole path."""
 
 
 def draw_paths(comparison: Comparison) -> Figure:
-    """Draw truth, odometry and runs of each model over the longest stretch that it was evaluated on, a panel each."""
+    """Draw truth, odometry and runs of each model over the longest segment of its evaluation, one panel each."""
     with drawing():
         figure, panels = model_panels(comparison.judgements, 4.6, 6.5, 0.7)
-        # panels side by side without a gap, below the legend
+        # adjacent panels, below the legend
         figure.set_layout_engine("compressed", rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / figure.get_figheight()))
         for axes, judgement in panels:
             try:
                 longest = max(judgement.pieces, key=lambda piece: float(piece.node_metres.sum()))
                 _panel(axes, replay(longest, runs=_RUNS), short_name(judgement.name))
-            except EffectError:  # a law that swallows motion can be taken out of odometry, and not put in
+            except EffectError:  # a law that absorbs all motion can be removed from odometry, but not applied
                 none = "no odometry of this drive obeys it: no runs to show"
                 axes.set_title(f"{short_name(judgement.name)}\n{none}", fontsize=10)
         figure.legend(*panels[0][0].get_legend_handles_labels(), loc="upper left", ncols=4, fontsize=9)
@@ -72,13 +72,13 @@ def _panel(axes: Axes, paths: Replay, name: str) -> None:
 def draw_corruption(
     before_xyt: Array, after_xyt: Array, title: str, names: tuple[str, str] = ("clean", "noisy")
 ) -> Figure:
-    """Draw a path before and after it was changed, and the difference in position and heading against distance.
+    """Draw a path before and after a change, and the difference in position and heading against distance.
 
     Parameters
     ----------
     before_xyt, after_xyt : (n, 3) metres and radians, the same messages in the same order
-    title : of the picture
-    names : of the two paths
+    title : title of the figure
+    names : names of the two paths
     """
     count = min(len(before_xyt), len(after_xyt))
     before, after = before_xyt[:count], after_xyt[:count]
@@ -105,7 +105,7 @@ def draw_corruption(
 
 
 def draw_errors(error: PathError, name: str, title: str) -> Figure:
-    """Draw a path and its heading over the truth, each with its error below."""
+    """Draw a path and its heading with the truth, and the error of each below."""
     t = error.t_s
     with drawing():
         figure = new_figure(10.0, 6.6)
@@ -137,7 +137,7 @@ def draw_runs(runs_xyt: Array, true_xyt: Array, true_name: str, title: str) -> F
     with drawing():
         figure = new_figure(8.0, 6.4)
         axes = figure.subplots()
-        # a thousand points a run are more than a picture shows
+        # more than a thousand points per run are not visible
         every = max(runs_xyt.shape[1] // 1000, 1)
         for i, run in enumerate(runs_xyt):
             label = f"{len(runs_xyt)} noisy runs" if i == 0 else None
@@ -163,7 +163,7 @@ def _plane(axes: Axes) -> None:
 
 
 def draw_fan(outlook: Forecast, title: str) -> Figure:
-    """Draw noisy paths over the clean one, and how position and heading drift with the distance."""
+    """Draw noisy paths over the clean one, and the drift of position and heading against distance."""
     with drawing():
         figure = new_figure(9.0, 4.6)
         places = figure.add_gridspec(2, 2, width_ratios=(3, 2))

@@ -1,4 +1,4 @@
-"""The picture of what the error depends on: its growth per metre against speed, yaw rate, acceleration and others."""
+"""Figure of the error's dependence on regressors: growth per metre against speed, yaw rate, acceleration and others."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _UNITS = ("mm per m", "mm per m", "deg per m")
 
 
 class Regressor(NamedTuple):
-    """Something that an error may depend on, over K intervals of a stretch; scale makes it a unit people think in."""
+    """A regressor over K intervals of a segment; `scale` converts it to a customary unit."""
 
     label: str
     values: Array
 
 
 def draw_residuals(comparison: Comparison) -> Figure:
-    """Draw growth of the error against every regressor, a row for each channel, with what chance makes of it."""
+    """Draw growth of the error against every regressor, a row per channel, with its standard deviation by chance."""
     headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
     count = 3 if headed else 2
     shown = _shown(comparison)
@@ -67,7 +67,7 @@ def draw_residuals(comparison: Comparison) -> Figure:
 
 
 def _shown(comparison: Comparison) -> list[tuple[Judgement, int]]:
-    """Return all of three models, else the first and the last, with their numbers: more would hide each other."""
+    """Return all of up to three models, else the first and the last, with their numbers: more would overlap."""
     numbered = [(judgement, i) for i, judgement in enumerate(comparison.judgements)]
     return numbered if len(numbered) <= 3 else [numbered[0], numbered[-1]]
 
@@ -85,7 +85,7 @@ def _regressors(piece: Evaluation) -> list[Regressor]:
 
 
 def _edges(values: Array) -> Array:
-    """Return ends of bins over all but the rarest values, each as wide as the next."""
+    """Return the edges of equally wide bins over all but the most extreme values."""
     low, high = np.quantile(values, [0.005, 0.995])
     return np.linspace(low, max(high, low + 1e-9), _BINS + 1)
 
@@ -111,7 +111,7 @@ def _rates(pieces: Sequence[Evaluation], regressor: int, channel: int, edges: Ar
 def _points(axes: Axes, rates: Array, edges: Array, judgement: Judgement, number: int, shift: float) -> None:
     mean, chance = rates
     centre = (edges[:-1] + edges[1:]) / 2.0 + shift * (edges[1] - edges[0])
-    # a bin that hardly holds a metre would set the scale for all
+    # a bin with hardly a metre would determine the scale of all
     firm = chance < 6.0 * np.nanmedian(chance)
     axes.errorbar(
         centre[firm], mean[firm], 2.0 * chance[firm], fmt=MARKERS[number % len(MARKERS)],
@@ -121,9 +121,9 @@ def _points(axes: Axes, rates: Array, edges: Array, judgement: Judgement, number
 
 
 def _limit(row: Sequence[Axes], rates: Array) -> None:
-    """Scale a row by the bins that are known well; triangles at the border stand for bins beyond it.
+    """Scale a row by its well-determined bins; triangles at the border represent bins beyond it.
 
-    rates : (2, n) of all bins in the row
+    rates : (2, n) growth and standard deviation of all bins in the row
     """
     mean, chance = rates[:, np.isfinite(rates).all(axis=0)]
     if not len(mean):

@@ -1,4 +1,4 @@
-"""Samples of one motion, and its density, beside their moments."""
+"""Figures of the samples of one motion, and of its density, with their moments."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ SIGMAS = 2.0
 
 
 def draw_banana(move: Move, variances: Variances, xyt: Array, title: str, space: FreeSpace | None = None) -> Figure:
-    """Draw samples (n, 3) of where a motion ended, with their mean, the linearised ellipse, and their headings.
+    """Draw samples (n, 3) of a motion's end pose, with their mean, the linearised ellipse, and their headings.
 
-    space : the map they were held against, drawn below
+    space : free space that constrained the samples, drawn below
     """
     with drawing():
         figure = new_figure(8.6, 5.4)
@@ -50,7 +50,7 @@ def draw_banana(move: Move, variances: Variances, xyt: Array, title: str, space:
 
 
 def _inset(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
-    """Show a cloud that is small beside its motion a second time, large."""
+    """Draw an enlarged inset of a particle set that is small relative to its motion."""
     extent = float(np.ptp(xyt[:, :2], axis=0).max())
     width = float(np.diff(axes.get_xlim())[0])
     if not 0.0 < extent < 0.25 * width:
@@ -76,7 +76,7 @@ def _corners(moments: Moments) -> Array:
 
 
 def _draw_samples(axes: Axes, xyt: Array) -> None:
-    """Draw samples as dots that stay visible where they are many."""
+    """Draw samples as dots that remain visible at high density."""
     size = float(np.clip(6000.0 / len(xyt), 1.0, 12.0))
     axes.scatter(
         xyt[:, 0], xyt[:, 1], s=size, color=BLUE, alpha=0.45, linewidths=0, label=f"{len(xyt)} samples", rasterized=True
@@ -84,7 +84,7 @@ def _draw_samples(axes: Axes, xyt: Array) -> None:
 
 
 def _draw_move(axes: Axes, move: Move) -> None:
-    """Draw the odometry's motion: both poses as arrows, the way between them as a line."""
+    """Draw the odometry's motion: both poses as arrows, connected by a line."""
     start, end = move.start_xyt, move.end_xyt
     axes.plot(*np.stack((start, end))[:, :2].T, color=BLACK, linewidth=1.0, linestyle=(0, (4, 3)), zorder=4)
     for pose, tip in zip((start, end), _tips(move), strict=True):
@@ -95,7 +95,7 @@ def _draw_move(axes: Axes, move: Move) -> None:
 
 
 def _tips(move: Move) -> Array:
-    """Return where the arrows (2, 2) of both headings end."""
+    """Return the tips (2, 2) of the arrows of both headings."""
     length = 0.22 * max(float(np.hypot(*move.shift_xy)), 0.1)
     poses = np.stack((move.start_xyt, move.end_xyt))
     out: Array = poses[:, :2] + length * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
@@ -103,7 +103,7 @@ def _tips(move: Move) -> Array:
 
 
 def _frame_samples(axes: Axes, move: Move, xy: Array) -> None:
-    """Show all points (n, 2) and the motion, a metre as long upwards as sideways."""
+    """Set limits that include all points (n, 2) and the motion, with equal scales."""
     points = np.concatenate((xy, move.start_xyt[None, :2], move.end_xyt[None, :2], _tips(move)))
     low, high = points.min(axis=0), points.max(axis=0)
     pad = 0.07 * float((high - low).max()) + 1e-3

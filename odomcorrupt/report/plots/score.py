@@ -1,4 +1,4 @@
-"""Pictures of a score: error against drift with the break-down point, error along the path, and where it fails."""
+"""Figures of a score: error against drift with the break-down point, error along the path, and places of failure."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 __all__ = ["along", "draw_alone", "draw_score", "drift", "places"]
 
 _SHOWN = 200
-"""Runs drawn as lines, at most."""
+"""Largest number of runs drawn as lines."""
 
 
 def draw_score(report: ScoreReport) -> Figure:
-    """Draw all three pictures beside each other."""
+    """Draw all three figures side by side."""
     with drawing():
         figure = new_figure(13.5, 4.4)
         for axes, draw in zip(figure.subplots(1, 3), (drift, along, places), strict=True):
@@ -34,7 +34,7 @@ def draw_score(report: ScoreReport) -> Figure:
 
 
 def draw_alone(draw: Callable[[Axes, ScoreReport], None], report: ScoreReport, *size_in: float) -> Figure:
-    """Draw one of the three pictures alone, as wide and high as is said, in inches."""
+    """Draw one of the three figures alone, of the given width and height, inches."""
     with drawing():
         figure = new_figure(*size_in)
         draw(figure.subplots(), report)
@@ -42,10 +42,10 @@ def draw_alone(draw: Callable[[Axes, ScoreReport], None], report: ScoreReport, *
 
 
 def drift(axes: Axes, report: ScoreReport) -> None:
-    """Draw ATE against drift, lost runs apart, with the break-down point and its interval."""
+    """Draw ATE against drift, with lost runs marked, the break-down point and its interval."""
     runs = [run for run in report.runs if run.scored and isfinite(run.drift)]
     above = [run.drift for run in runs if run.drift > 0.0]
-    # perfect odometry has no place on a logarithmic axis: it stands at its left end
+    # zero drift is drawn at the left end of the logarithmic axis
     least = 0.5 * min(above, default=1.0)
     for lost, colour, marker, label in ((False, BLUE, "o", "not lost"), (True, RED, "X", "lost")):
         own = [run for run in runs if run.lost is lost]
@@ -88,7 +88,7 @@ def along(axes: Axes, report: ScoreReport) -> None:
 
 
 def places(axes: Axes, report: ScoreReport) -> None:
-    """Draw the true path, the estimates, and where runs were lost."""
+    """Draw the true path, the estimates, and the places where runs were lost."""
     runs = [run for run in report.runs if run.scored]
     for run in runs[:_SHOWN]:
         axes.plot(*run.estimate_xy.T, color=SKY, alpha=0.25, linewidth=0.6)

@@ -1,4 +1,4 @@
-"""What a study found, in eight lines: verdict, findings with their sizes, held-out errors, and what to type next."""
+"""Result of a study in eight lines: verdict, findings with their sizes, held-out errors, and the next command."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ if TYPE_CHECKING:
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
 
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
-"""Effects that an error of single wheels resembles in part: one larger wheel shifts turns as y of a lever arm does."""
+"""Effects that resemble errors of single wheels: a larger wheel shifts turns as the y of a lever arm does."""
 _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
 _SHOWN_MODELS = 4
-"""Models of a comparison that have a line each."""
+"""Largest number of models with a line each in a comparison."""
 
 
 def readings(effect: Effect, drive: DriveType) -> str:
-    """Return an effect's name with its alias: two names for the same error, which no recording can separate."""
+    """Return an effect's name with its alias: a second name of the same error, which no recording can separate."""
     twins = readings_of(effect, drive)
     return f"{effect.name} (= {', '.join(twins)})" if twins else effect.name
 
@@ -65,17 +65,17 @@ def findings_brief(
     reproduction: Reproduction | None = None,
     following: str = "",
 ) -> Summary:
-    """Return what a search found: each effect with its size and probability, the held-out errors, what is open.
+    """Return the findings of a search: each effect with size and probability, held-out errors, undecided alternatives.
 
     Parameters
     ----------
-    search, advice : what was found, and what the data leave open
-    comparison : the models that were evaluated; the first one without what was found
-    fit : the final fit, where it is not the search's own
-    robot : its noise with intervals, of which what a localisation hides is said
-    notes : what reading the recordings noticed
-    reproduction : how far the final model drifts beside the recordings, where that is known
-    following : the command to type next, "" for none
+    search, advice : the findings, and the alternatives that the data leave undecided
+    comparison : the evaluated models; the first one lacks the findings
+    fit : final fit, if it is not that of the search
+    robot : source of the noise with intervals, for the noise that a localisation hides
+    notes : the reader's notes on the recordings
+    reproduction : drift of the final model relative to the recordings, if known
+    following : suggested next command, "" for none
     """
     undecided = {name for choice in advice.choices for name in choice.names}
     lines, negligible = _found_lines(search, fit or search.fit, undecided)
@@ -98,7 +98,7 @@ def findings_brief(
     elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
         change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
         lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected"))
-    # which name it is matters more than by how much it helps
+    # the identity of an effect is more important than its gain
     at = max(len(search.matters), 1)
     lines[at:at] = [*_open_lines(search, advice), *_gyro_lines(advice), *_drive_lines(search)]
     last = comparison.judgements[-1]
@@ -108,10 +108,10 @@ def findings_brief(
     drifts = reproduction_sentence(reproduction) if reproduction is not None else ""
     named = any(gain.effect.name == "slip_burst" for gain in search.noise)
     if drifts and named:
-        # the cause of most of the error, before effects of less weight
+        # noise that causes most of the error precedes effects of less weight
         lines[1:] = sorted(lines[1:], key=lambda line: line.label != "noise")
     if reproduction is not None and drifts and not (reproduction.holds and named):
-        # before everything else: a simulation would be far too good, or far too bad
+        # first of all: a simulation with this model would drift far too little or far too much
         lines.insert(1, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
     if notes:
         lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
@@ -128,7 +128,7 @@ def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
 
 
 def _apart_words(search: Learned) -> str:
-    """Return what was found of the recording alone, its clocks and what the truth follows; "" for nothing."""
+    """Return the findings about the recording itself, its clocks and the tracked point; "" for none."""
     said = []
     for one in {one.name: one for one in reversed([*clocks_found(search.clocks)])}.values():
         late, early = ("odometry", "truth") if one.value > 0.0 else ("truth", "odometry")
@@ -141,11 +141,11 @@ def _apart_words(search: Learned) -> str:
 
 
 def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[Line], list[Line]]:
-    """Return a line for each effect, dependence, noise and clock that was found, effects first; and of negligible ones.
+    """Return a line for each effect, dependence, noise and clock found, effects first; and a line of negligible ones.
 
-    What is negligible is in one line, because nobody has to do anything about it.
+    Negligible findings share one line, because they require no action.
 
-    undecided : names that the line of what is open has
+    undecided : names in the line of undecided alternatives
     """
     own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(fit)}
     drive = search.drive_type
@@ -162,7 +162,7 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
             said += f"  {confidence_words(step_confidence(step, search))}"
             label = "set-up" if step.added in search.of_setup else ""
             lines.append(Line(label, f"{said}, or {', '.join(rivals)}" if rivals else said))
-    # what is missing is what the robot lacks
+    # missing effects of the robot come first
     lines.sort(key=lambda line: bool(line.label))
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
@@ -189,13 +189,13 @@ def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
 
 
 def _drive_lines(search: Learned) -> list[Line]:
-    """Return the drive type, where the names depend on a guess."""
+    """Return the drive type, if the names depend on an inferred one."""
     drive = search.drive_type
     return [Line("drive type", f"{drive.sentence}; --drive-type overrules it")] if drive.reason else []
 
 
 def _track_lines(search: Learned, *, failed: bool) -> list[Line]:
-    """Return what was approximated because no track was given, where something was found that it may change."""
+    """Return the approximations due to an unknown track, if a finding may depend on them."""
     recordings = search.fit.problem.recordings
     if search.drive_type.name != "differential" or any(r.track_m is not None for r in recordings):
         return []
@@ -210,14 +210,14 @@ def _track_lines(search: Learned, *, failed: bool) -> list[Line]:
 
 
 def _open_lines(search: Learned, advice: Advice) -> list[Line]:
-    """Return what these data cannot separate and what to drive, where there is such a thing, and it matters."""
+    """Return the alternatives that the data cannot separate and the drive to do so, if there are any that matter."""
     matters = tuple(choice for choice in advice.choices if not search.is_negligible(choice.names[0]))
     said = inseparable_sentence(replace(advice, choices=matters), lambda name: readings_of(name, search.drive_type))
     return [Line("open", said, "warning")] if said else []
 
 
 def _gyro_lines(advice: Advice) -> list[Line]:
-    """Return what a gyro as the truth cannot show because of its own scale, and what would change that."""
+    """Return the effects that a gyro as the truth cannot show because of its own scale error, and the remedy."""
     hidden = [one for one in advice.untestable if one.limited_by_gyro]
     return [Line("not testable", f"{one.effect}: {one.why}; {one.hint}", "warning") for one in hidden]
 
@@ -254,7 +254,7 @@ def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
 
 
 def _hidden_noise(result: RobotFit) -> list[Line]:
-    """Return a line on noise of which a localisation shows no more than an upper bound."""
+    """Return a line on noise for which a localisation gives only an upper bound."""
     hidden = [i for i in result.noise_at_most if i.name in _PER_METRE]
     if not hidden:
         return []

@@ -1,4 +1,4 @@
-"""A comparison as plain text: what a person reads in a terminal."""
+"""A comparison as plain text for the terminal."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ __all__ = ["comparison_text", "falls_sentence", "measures_words", "sequence_step
 
 _BAR = 30
 _NAME = 24
-"""Columns for a model's name; a longer one has a line of its own, so that bars begin below each other."""
+"""Columns of a model's name; a longer one gets a separate line, so that bars are aligned."""
 
 HELD: dict[JudgedOn, str] = {"recordings": "held out", "halves": "cross-validated", "fitted data": "on the fitted data"}
-"""What errors and likelihoods of a comparison are, in words."""
+"""Data on which the errors and likelihoods of a comparison were computed, in words."""
 _HOW: dict[JudgedOn, str] = {
     "recordings": "not fitted here",
     "halves": "refitted on the other half of each recording it was fitted on",
@@ -31,7 +31,7 @@ _HOW: dict[JudgedOn, str] = {
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Return horizons and verdict of every model, the sequence, and where each model fails."""
+    """Return horizons and verdict of every model, the sequence, and each model's lack of fit."""
     lines: list[str] = []
     for judgement in comparison.judgements:
         lines += [f"{judgement.name} ({_HOW[judgement.judged_on]})", *_horizon_lines(judgement.horizons)]
@@ -46,7 +46,7 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def failure_lines(judgement: Judgement) -> list[str]:
-    """Return the verdict, and where the model fails, the most significant first."""
+    """Return the verdict, and the model's lack of fit, the most significant first."""
     more = len(judgement.failures) - MOST
     lines = [f"  {number}. {sentence(f)}" for number, f in enumerate(judgement.failures[:MOST], start=1)]
     lines += [f"  and {more} more, see --json"] if more > 0 else []
@@ -91,7 +91,7 @@ def sequence_steps(comparison: Comparison) -> list[tuple[str, float, Judgement |
 
 
 def share_of_worst(steps: Sequence[tuple[str, float, Judgement | None]], error: float) -> float:
-    """Return an error over the largest of the sequence; 0 where it is not known."""
+    """Return an error relative to the largest of the sequence; 0 if unknown."""
     worst = max((e for _, e, _ in steps if isfinite(e)), default=0.0)
     return error / worst if isfinite(error) and worst > 0.0 else 0.0
 
@@ -117,9 +117,9 @@ def _nats(comparison: Comparison, judgement: Judgement) -> str:
 
 
 def falls_sentence(comparison: Comparison) -> str:
-    """Return by how much the error falls where no other measure contradicts, or that the measures disagree.
+    """Return the reduction of the error if no other measure contradicts it, else that the measures disagree.
 
-    "" where the error does not change, and where the data were fitted.
+    "" if the error does not change, or the evaluation is on the fitted data.
     """
     first, last = comparison.judgements[0], comparison.judgements[-1]
     if len(comparison.judgements) < 2 or comparison.judged_on != "recordings":
@@ -134,7 +134,7 @@ def falls_sentence(comparison: Comparison) -> str:
 
 
 def _signed(value: float) -> str:
-    """Return a number with its sign and three figures, never as a power of ten."""
+    """Return a number with its sign and three figures, in fixed-point notation."""
     return f"{value:+.0f}" if abs(value) >= 100.0 else f"{value:+.3g}"
 
 
@@ -165,7 +165,7 @@ def _trajectory_lines(comparison: Comparison) -> list[str]:
 
 
 def _named(name: str, rest: str) -> list[str]:
-    """Return a row with its name before it, or above it."""
+    """Return a row with its name before it, or above it if long."""
     above = [] if len(name) < _NAME else [f"  {name}"]
     return [*above, f"  {'' if above else name:<{_NAME}}{rest}".rstrip()]
 

@@ -1,4 +1,4 @@
-"""Advice as sentences: the same ones in the terminal and in the report."""
+"""Experiment design as sentences, for the terminal and the report."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ __all__ = ["advice_sentences", "advice_text", "drive_sentence", "inseparable_sen
 
 
 def advice_text(advice: Advice) -> str:
-    """Return all advice, a sentence a line; "" where nothing is open."""
+    """Return all advice, one sentence per line; "" if no alternatives are open."""
     return "\n".join(advice_sentences(advice))
 
 
 def advice_sentences(advice: Advice) -> list[str]:
-    """Return a sentence for every choice, and one for all effects that share reason and drive."""
+    """Return a sentence for every ambiguity, and one per group of effects with the same reason and drive."""
     groups: dict[tuple[str, str], list[UntestableEffect]] = {}
     for one in advice.untestable:
         groups.setdefault((one.why, _drive_words(one.plan, one.hint)), []).append(one)
@@ -44,9 +44,9 @@ def _choice_sentence(choice: Ambiguity) -> str:
 
 
 def inseparable_sentence(advice: Advice, readings: Callable[[str], Sequence[str]]) -> str:
-    """Return "These data cannot separate A from B and C, nor D from E: drive X", of all choices; "" without any.
+    """Return "These data cannot separate A from B and C, nor D from E: drive X", of all ambiguities; "" without any.
 
-    readings : other names for the same error, which no drive separates and nothing is open between
+    readings : aliases of a name, which no drive separates and which are therefore not reported as open
     """
     against: dict[str, list[str]] = {}
     for choice in advice.choices:
@@ -59,7 +59,7 @@ def inseparable_sentence(advice: Advice, readings: Callable[[str], Sequence[str]
     pairs = [f"{name} from {' or '.join(dict.fromkeys(others))}" for name, others in against.items()]
     resolvable = any(choice.plan is not None for choice in advice.choices if choice.names[0] in against)
     words = "; no drive of ten minutes would"
-    if resolvable and advice.best is not None:  # the one that settles most of the choices
+    if resolvable and advice.best is not None:  # the drive that resolves most ambiguities
         minutes = advice.best.duration_s / 60.0
         words = f": drive {advice.best.manoeuvre.sentence}, for {minutes:.0f} minutes"
     return f"These data cannot separate {', nor '.join(pairs)}{words}"
@@ -73,12 +73,12 @@ def _untestable_sentence(group: Sequence[UntestableEffect]) -> str:
 
 
 def _drive_words(plan: Plan | None, hint: str) -> str:
-    """Return "drive X", or what an effect itself says where no plan shows it."""
+    """Return "drive X", or the effect's own hint if no plan excites it."""
     return f"drive {drive_sentence(plan)}" if plan is not None else hint
 
 
 def drive_sentence(plan: Plan) -> str:
-    """Return what to drive, how long, how fast and on how much floor."""
+    """Return a drive's manoeuvre, duration, speed and floor area."""
     length, width = plan.floor_m
     moving = f"up to {plan.fastest_mps:.1f} m/s on {length + 1.0:.0f} m x {width + 1.0:.0f} m"
     if plan.fastest_mps == 0.0:
@@ -87,7 +87,7 @@ def drive_sentence(plan: Plan) -> str:
 
 
 def limits_sentence(limits: Sequence[DetectionLimit]) -> str:
-    """Return the smallest detectable sizes in common units; "" where there are none."""
+    """Return the smallest detectable sizes in common units; "" if there are none."""
     if not limits:
         return ""
     every = [limit.effect for limit in limits]
@@ -97,6 +97,6 @@ def limits_sentence(limits: Sequence[DetectionLimit]) -> str:
 
 
 def limit_size(limit: DetectionLimit) -> str:
-    """Return a size in two figures and a common unit."""
+    """Return a size with two figures in a common unit."""
     number, _, unit = value_text(limit.size, None, limit.unit).partition(" ")
     return f"{float(f'{float(number):.2g}'):g} {unit}".strip()

@@ -1,4 +1,4 @@
-"""What a search found, as plain text: effects, noise, unexplained dependences, and the smallest detectable sizes."""
+"""Findings of a search as plain text: effects, noise, unexplained dependences, and the smallest detectable sizes."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ NOTHING = "nothing is missing: no known effect explains more than chance"
 
 
 def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None = None, fit: Fit | None = None) -> str:
-    """Return the findings in order of evidence, what is open, and the smallest detectable sizes.
+    """Return the findings in order of evidence, undecided alternatives, and the smallest detectable sizes.
 
-    evaluated : the verdict on the final model, where it is known
-    fit : the fit of the final model, where it is not the search's own
+    evaluated : evaluation of the final model, if available
+    fit : fit of the final model, if it is not that of the search
     """
     lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
     if learned.added:
@@ -91,7 +91,7 @@ def _moved_words(name: str, learned: Learned) -> str:
 
 
 def _event_line(one: Event) -> str:
-    """Return when and where something happened once, how large it was, and how to put it into a simulation."""
+    """Return time, place and size of a single event, and the option that adds it to a simulation."""
     along, across, yaw = one.along_m, one.across_m, one.yaw_rad
     parts = [f"{abs(along) * 1e3:.0f} mm {'back' if along > 0.0 else 'forwards'}"] if abs(along) > 1e-3 else []
     parts += [f"{abs(across) * 1e3:.0f} mm to the {'right' if across > 0.0 else 'left'}"] if abs(across) > 1e-3 else []
@@ -120,7 +120,7 @@ def _disagreement_line(one: ParameterDifference, learned: Learned) -> str:
 
 
 def contradiction(one: Candidate) -> str:
-    """Return that the data ask for what physics does not allow, and what to check."""
+    """Return a sentence that the data contradict a physical bound, and what to check."""
     return (
         f"the data contradict physics: {one.name} would explain {one.score.nats:.0f} nats, but {one.refused}. Look at "
         "how odometry and truth are stamped and integrated, which point the truth follows, and the signs of the axes"
@@ -128,9 +128,9 @@ def contradiction(one: Candidate) -> str:
 
 
 def unnamed(why: str, *, found: bool) -> str:
-    """Return the sentence on a rejected model in which no known effect is missing.
+    """Return the sentence on a rejected model that lacks no known effect.
 
-    found : whether something was found on the way
+    found : whether the search found an effect
     """
     return f"no {'further ' if found else ''}known effect is missing, but the model is rejected: {why}"
 
@@ -143,7 +143,7 @@ def _unknown_lines(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fit
 
 
 def dependence(unknown: Dependence) -> str:
-    """Return on what an error depends, as a clause."""
+    """Return the regressors that an error depends on, as a clause."""
     regressor = unknown.regressor.replace("_", " ")
     if unknown.wavelength_m is not None:
         return f"the {unknown.channel} error comes back every {unknown.wavelength_m:.3g} m driven"
@@ -157,7 +157,7 @@ def dependence(unknown: Dependence) -> str:
 
 
 def shares_text(sequence: Sequence[Judgement]) -> str:
-    """Return what each step takes off the held-out error, 10 s, 10 m and 50 m after the truth; "" with one model."""
+    """Return the reduction of the held-out error by each step, after 10 s, 10 m and 50 m; "" with one model."""
     lines = ["held-out position error (RMS):"]
     for before, after in pairwise(sequence):
         parts = [_fall("10 s", before.ten_second_error_m, after.ten_second_error_m)]
@@ -167,7 +167,7 @@ def shares_text(sequence: Sequence[Judgement]) -> str:
 
 
 def position_error(judgement: Judgement, distance_m: float) -> float:
-    """Return the position error (m, RMS) after a length of path; NaN where no stretch is that long."""
+    """Return the position error (m, RMS) after a path length; NaN if no segment is that long."""
     windows = [w for piece in judgement.pieces if len(w := distance_windows(piece.left, distance_m))]
     return rmse(join(windows, [0] * len(windows))) if windows else float("nan")
 
@@ -202,7 +202,7 @@ def _candidate_line(candidate: Candidate) -> str:
 
 
 def _sequence_text(learned: Learned) -> str:
-    """Return how the 10 s error of the fitted data fell, step by step."""
+    """Return the 10 s error of the fitted data after each step."""
     lines, own = [], {effect.name: effect for effect in learned.fit.effects}
     for step in learned.steps:
         if step.added is not None:

@@ -1,4 +1,4 @@
-"""What a fit found, as plain text."""
+"""Result of a fit as plain text."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST_EVENTS = 8
 
 
 def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
-    """Return what a fit found; without clocks where these are reported beside it."""
+    """Return the result of a fit; without clocks if these are reported separately."""
     truth = result.fit.noise.truth
     names = [r.name for r in result.fit.problem.recordings]
     lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
@@ -52,7 +52,7 @@ def _interval_line(result: RobotFit, interval: Interval) -> str:
 
 
 def _event_lines(found: Sequence[Event]) -> list[str]:
-    """Return the stretches that weigh less, the largest first, with the time since the recording's first odometry."""
+    """Return the downweighted segments, the largest first, with the time since the recording's first odometry."""
     if not found:
         return []
     total = sum(event.end_s - event.start_s for event in found)
@@ -67,7 +67,7 @@ def _event_lines(found: Sequence[Event]) -> list[str]:
 
 
 def laws_table(results: Mapping[str, RobotFit]) -> str:
-    """Return all laws side by side, the likeliest first; coefficients cost half the logarithm of the data each."""
+    """Return all laws side by side, the likeliest first; each coefficient costs half the logarithm of the data."""
     best = next(iter(results.values())).information_nats
     lines = [f"{'law':<12}{'nats behind the best':>22}{'coefficients':>14}   depends on the step"]
     for name, result in results.items():

@@ -1,4 +1,4 @@
-"""Failures as sentences: the same ones in the terminal, in the report and in JSON."""
+"""Lack of fit as sentences, for the terminal, the report and JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "reproduction_sentence", "sentence", "size", "within"]
 
 MOST = 8
-"""Sentences printed for a model; JSON has all of them."""
+"""Largest number of sentences printed per model; JSON has all of them."""
 SIGNS = (
     "Signs: odometry minus truth. Plus means that the odometry ends too far ahead, too far left, or turns too far left."
 )
@@ -28,7 +28,7 @@ _SENSE = {
 
 
 def size(channel: str, value: float, *, digits: int = 2, signed: bool = False) -> str:
-    """Return a length (m) or angle (rad) in a common unit; a dash where it is not known."""
+    """Return a length (m) or angle (rad) in a common unit; a dash if unknown."""
     if not isfinite(value):
         return "–"
     if channel == "yaw":
@@ -39,7 +39,7 @@ def size(channel: str, value: float, *, digits: int = 2, signed: bool = False) -
 
 
 def _figures(value: float, digits: int, *, signed: bool) -> str:
-    """Return a number with so many figures, never as a power of ten."""
+    """Return a number with this many figures, in fixed-point notation."""
     if value == 0.0:
         return "0"
     magnitude = int(f"{abs(value):e}".split("e")[1])
@@ -47,7 +47,7 @@ def _figures(value: float, digits: int, *, signed: bool) -> str:
 
 
 def sentence(failure: Failure) -> str:
-    """Return a failure as a sentence."""
+    """Return a lack of fit as a sentence."""
     tail = f" ({failure.recording})" if failure.recording else ""
     channel, measured, expected = failure.channel, failure.measured, failure.expected
     sense = _SENSE[channel][measured < 0.0]
@@ -87,7 +87,7 @@ def judgement_sentence(judgement: Judgement) -> str:
 
 
 def rejection(judgement: Judgement) -> str:
-    """Return by what a model is rejected, how many times too large its errors are, and what that means; "" if not."""
+    """Return the tests that reject a model, the ratio of its errors to the predicted ones, and the reason, or ""."""
     verdict = judgement.verdict
     if not verdict.rejected:
         return ""
@@ -104,7 +104,7 @@ def rejection(judgement: Judgement) -> str:
 
 
 def _remaining(judgement: Judgement) -> str:
-    """Return what may make errors larger than predicted."""
+    """Return possible reasons for errors larger than predicted."""
     sudden = next((failure for failure in judgement.failures if failure.kind == "moment"), None)
     if sudden is not None:
         return f"what happened at once remains (a push, a slip or a jump of the truth: {sudden.where})"
@@ -113,7 +113,7 @@ def _remaining(judgement: Judgement) -> str:
 
 
 def within(judgement: Judgement) -> str:
-    """Return that a model predicts the sizes of errors, and by what it is rejected all the same."""
+    """Return that a model predicts the sizes of errors, and the test that rejects it nevertheless; "" if none does."""
     verdict = judgement.verdict
     if not verdict.rejected:
         return ""
@@ -127,9 +127,9 @@ def within(judgement: Judgement) -> str:
 
 
 def reproduction_sentence(one: Reproduction) -> str:
-    """Return that a model drifts plainly less or more than its recordings, and what carries their error; "" if not.
+    """Return that a model drifts clearly less or more than its recordings, and the main part of their error; "" if not.
 
-    Where it does drift as much, the stretches that a fit left out are worth a sentence if they carry most of it.
+    If it drifts as much, outlying segments excluded by the fit are named if they cause most of the error.
     """
     drifts = f"corrupted with this model 10 s err by {size('along', one.drawn_m)}, recorded by "
     drifts += size("along", one.measured_m)

@@ -43,7 +43,7 @@ def value_text(value: float, error: float | None, unit: str) -> str:
 
 
 def numbers_text(effect: Effect, errors: Sequence[float]) -> list[str]:
-    """Return an effect's numbers in words: amplitudes with their errors, then its shape, places in metres."""
+    """Return an effect's numbers in words: amplitudes with their errors, then its shape, positions in metres."""
     own = amplitudes(effect)
     shown = zip(own, errors, strict=True)
     sizes = [f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}" for p, error in shown]
@@ -52,18 +52,18 @@ def numbers_text(effect: Effect, errors: Sequence[float]) -> list[str]:
 
 
 def noise_text(effect: Effect) -> list[str]:
-    """Return a random effect's numbers in words; a time of zero is none."""
+    """Return a random effect's numbers in words; a time constant of zero is left out."""
     shown = [p for p in parameters(effect) if p.amplitude or getattr(effect, p.name)]
     return [f"{p.name} {value_text(getattr(effect, p.name), None, p.unit)}" for p in shown]
 
 
 def _shape_text(value: float, unit: str) -> str:
-    """Return a number of a shape; of a place all that lies before the millimetres, however far away the map begins."""
+    """Return a shape parameter in words; positions are given to the millimetre, however large their coordinates."""
     return f"{round(value, 3):.10g} m" if unit == "m" else value_text(value, None, unit)
 
 
 def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
-    """Return a line for every recording whose clock is off, with its confidence."""
+    """Return a line for every recording with a clock error, with its confidence."""
     parts: dict[int, list[str]] = {}
     for one in clocks_found(clocks):
         said = f"{one.name.rpartition('_')[2]} {one.text} ({confidence_words(one.sure)})"
@@ -72,7 +72,7 @@ def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
 
 
 def words_text(effect: Effect) -> str:
-    """Return those parameters of an effect that are words, and not the usual ones: " (heading gyro)", or ""."""
+    """Return an effect's word-valued parameters that differ from the default, as " (heading gyro)", or ""."""
     said = [
         f"{word} {getattr(effect, word)}"
         for word, (usual, *_) in choices(effect).items()
@@ -83,13 +83,13 @@ def words_text(effect: Effect) -> str:
 
 _CLOCKS = ("time_offset", "clock_skew")
 _LIKE_PLAY_S = 0.015
-"""An offset as small as this may be the time in which a wheel's play is crossed: 5 mm at 0.3 to 0.5 m/s."""
-_REAL = 3.9
-"""Standard errors from which on a clock is off, and has not only been left free."""
+"""Clock offset, seconds, below which wheel play is an alternative: crossing 5 mm takes as long at 0.3 to 0.5 m/s."""
+_SIGNIFICANT = 3.9
+"""Standard errors from which a clock error counts as significant; others were only estimated."""
 
 
 class ClockFound(NamedTuple):
-    """A clock that is off: as which effect, of which recording, its value, its standard error and confidence."""
+    """A significant clock error: its effect, recording, value, standard error and confidence."""
 
     name: str
     recording: int
@@ -99,14 +99,14 @@ class ClockFound(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Its value and standard error: ms of an offset, ppm of a skew."""
+        """Value and standard error: ms of an offset, ppm of a skew."""
         if self.name == "time_offset":
             return value_text(self.value, self.error, "s")
         return f"{self.value * 1e6:.0f} +- {self.error * 1e6:.2g} ppm"
 
 
 class LawNumber(NamedTuple):
-    """A number of a law, with its standard error and unit."""
+    """A coefficient of a law, with its standard error and unit."""
 
     value: float
     error: float
@@ -114,13 +114,13 @@ class LawNumber(NamedTuple):
 
 
 def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
-    """Yield what is really there: a skew makes an offset free, too, which need not be."""
+    """Yield the significant clock errors: a skew also makes an offset free, which need not be significant."""
     for position, name in enumerate(_CLOCKS):
         for i, (clock, free, errors) in enumerate(zip(clocks.clocks, clocks.free, clocks.errors, strict=True)):
             value, error = (clock.offset_s, clock.rate)[position], errors[position]
-            if free[position] and abs(value) > _REAL * error:
+            if free[position] and abs(value) > _SIGNIFICANT * error:
                 own = 0.5 * (value / error) ** 2
-                # what could not be tried, play in gears of which no track is known, may do as much
+                # untested backlash (no known track) is an alternative explanation of a small offset
                 alike = (own,) if clocks.untested and name == "time_offset" and abs(value) < _LIKE_PLAY_S else ()
                 rivals, left = (clocks.rival_nats, clocks.left_nats) if name == "time_offset" else ((), 0.0)
                 sure = confidence(Evidence(own, (*alike, *(min(nats, own) for nats in rivals)), left))
@@ -128,7 +128,7 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
 
 
 def step_confidence(step: Step, learned: Learned) -> float:
-    """Return the confidence in the name of the effect that a step added."""
+    """Return the confidence in the name of the effect added by a step."""
     return confidence(evidence_of(step, learned))
 
 
@@ -145,7 +145,7 @@ def confidence_words(sure: float) -> str:
 def law_numbers(unknown: Dependence, learned: Learned, fit: Fit | None = None) -> dict[str, LawNumber]:
     """Return the coefficients of a fitted dependence by name, from the final fit; none for one that is not fitted.
 
-    fit : the fit that is reported, where it is not the search's own
+    fit : the reported fit, if it is not that of the search
     """
     fit = fit or learned.fit
     if unknown not in learned.laws or unknown.best is None:
@@ -158,7 +158,7 @@ def law_numbers(unknown: Dependence, learned: Learned, fit: Fit | None = None) -
 
 
 def fitted_expression(unknown: Dependence, numbers: Mapping[str, LawNumber]) -> str:
-    """Return the expression of an unknown dependence: with these coefficients, where it is fitted."""
+    """Return the expression of a dependence, with these coefficients if it was fitted."""
     if unknown.best is None or not numbers:
         return unknown.expression
     return unknown.best.term.expression([number.value for number in numbers.values()])

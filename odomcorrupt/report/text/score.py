@@ -1,4 +1,4 @@
-"""Scores of a batch's estimates as plain text, and the sentences that the page shares."""
+"""Scores of a batch's estimates as plain text, with the sentences that the HTML page shares."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STATUSES: tuple[Status, ...] = ("lost", "diverged", "partial", "missing", "unre
 
 
 def metric_text(metric: str, value: float) -> str:
-    """Return a metric in a common unit; "-" where it is not known."""
+    """Return a metric in a common unit; "-" if unknown."""
     if value != value:  # noqa: PLR0124 - NaN alone
         return "-"
     if not isfinite(value):
@@ -69,18 +69,18 @@ def score_text(report: ScoreReport, *, every: bool = False) -> str:
 
 
 def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: Sequence[object]) -> Summary:
-    """Return how many runs failed, the gate's verdicts, the errors, the break-down point and the covariances.
+    """Return the number of failed runs, the gate's verdicts, the errors, the break-down point and the covariances.
 
     Parameters
     ----------
     report : scores of the runs
-    verdicts : of the gate's rules
-    following : words of the command to type next
+    verdicts : verdicts of the gate's rules
+    following : words of the suggested next command
     """
     failed, parts = _failed(report)
     said, gate = f"{failed} of {len(report.counted)} counted runs failed{parts}", any(one.failed for one in verdicts)
     lines = [Line("FAILED" if failed or gate else "HELD", said, "bad" if gate else "warning" if failed else "good")]
-    # a gate's verdict is what a script is asked for: failed rules come first
+    # failed rules of the gate come first, because scripts depend on them
     ranked = sorted(verdicts, key=lambda verdict: not verdict.failed)
     lines += [Line("gate", one.sentence, "bad" if one.failed else "good") for one in ranked]
     for name, label in (("ate_m", "ATE"), ("rpe_m", "RPE")):
@@ -100,20 +100,20 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: 
 
 
 def _failed(report: ScoreReport) -> tuple[int, str]:
-    """Return how many runs failed, and in which ways, as " (2 lost, 1 missing)"; "" where all went well."""
+    """Return the number of failed runs, and their kinds, as " (2 lost, 1 missing)"; "" if none failed."""
     counts = Counter(run.status for run in report.runs)
     parts = ", ".join(f"{counts[status]} {status}" for status in _STATUSES if counts[status])
     return sum(report.failed(run) for run in report.runs), f" ({parts})" if parts else ""
 
 
 def _drifts(report: ScoreReport) -> str:
-    """Return the smallest and the largest drift of the runs that count; "" where none is known."""
+    """Return the smallest and the largest drift of the valid runs; "" if none is known."""
     drifts = [run.drift for run in report.counted if isfinite(run.drift)]
     return f"{_percent(min(drifts))} to {_percent(max(drifts))}" if drifts else ""
 
 
 def sentences(report: ScoreReport) -> list[str]:
-    """Return what there is to say of all runs, a sentence each, the most important first."""
+    """Return the results over all runs, a sentence each, the most important first."""
     failed, parts = _failed(report)
     lines = [f"{len(report.runs)} runs, {failed} of {len(report.counted)} counted ones failed{parts}."]
     left = len(report.runs) - len(report.counted)

@@ -1,4 +1,4 @@
-"""A result in at most eight aligned lines of 80 columns: the verdict first, the command to type next last."""
+"""A result in at most eight aligned lines of 80 columns: the verdict first, the suggested next command last."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 __all__ = ["MOST_LINES", "WIDTH", "Line", "Summary", "Tone", "command_line", "wrapped"]
 
 MOST_LINES = 8
-"""Lines of a summary: as many as are read without scrolling or searching."""
+"""Largest number of lines of a summary, so that it is read without scrolling."""
 WIDTH = 80
-"""Columns of a summary, where a terminal has as many."""
+"""Columns of a summary, if the terminal has as many."""
 
 Tone = Literal["plain", "good", "warning", "bad", "command"]
-"""What a line means, for colours: a command is never shortened."""
+"""Meaning of a line, for colours; a command is never shortened."""
 
 _COLOURS = {"good": "\x1b[32m", "warning": "\x1b[33m", "bad": "\x1b[31m", "command": "\x1b[36m", "plain": "\x1b[1m"}
 _RESET = "\x1b[0m"
@@ -28,7 +28,7 @@ _RESET = "\x1b[0m"
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A label and what it labels; the label may be empty below another one."""
+    """A label and its text; the label may be empty below another one."""
 
     label: str
     text: str
@@ -37,20 +37,20 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The lines of a summary: the verdict is the first one, a command the last one.
+    """Lines of a summary: the verdict is the first one, a command the last one.
 
-    most : how many rows it may have; a list of names leaves out none, however many there are
+    most : largest number of rows; a list of names is always printed completely
     """
 
     lines: tuple[Line, ...]
     most: int = MOST_LINES
 
     def text(self, width: int = WIDTH) -> str:
-        """Return the summary in so many columns and at most `most` lines; where findings are left out, one says so."""
+        """Return the summary within a width and at most `most` lines; a line notes any findings left out."""
         return "\n".join(part for part in self.parts(width) if part)
 
     def parts(self, width: int = WIDTH, *, colour: bool = False) -> tuple[str, str]:
-        """Return the findings and the command to type next as two texts, for lines that are printed between them.
+        """Return the findings and the suggested next command separately, so that other lines can be printed between.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class Summary:
         Returns
         -------
         findings, command : str
-            Together at most `most` lines. The second one is empty where there is no command.
+            Together at most `most` lines. The second one is empty if there is no command.
 
         """
         indent = max((len(line.label) for line in self._shown), default=0) + 2
@@ -95,13 +95,13 @@ class Summary:
 
     @property
     def headline(self) -> str:
-        """The verdict on one line, for a repr."""
+        """The verdict in one line, for a repr."""
         first = self.lines[0]
         return f"{first.label} {first.text}".strip()
 
 
 def wrapped(text: str, width: int) -> str:
-    """Return a text whose lines of prose are no wider than so many columns; rows of tables stay as they are."""
+    """Return a text with its prose wrapped to this many columns; rows of tables are unchanged."""
     lines: list[str] = []
     for line in text.splitlines():
         start = line[: len(line) - len(line.lstrip())]
@@ -120,7 +120,7 @@ def _folded(tone: Tone, text: str, width: int) -> list[str]:
 
 
 def _within(blocks: Sequence[tuple[Line, list[str]]], most: int) -> list[tuple[Line, list[str]]]:
-    """Keep what fits into so many lines: the first line, the command at the end, and of the rest what comes first."""
+    """Keep the lines that fit into a number: the first line, the command at the end, and the others in order."""
     if sum(len(parts) for _, parts in blocks) <= most:
         return list(blocks)
     commands = [block for block in blocks if block[0].tone == "command"]
@@ -138,5 +138,5 @@ def _within(blocks: Sequence[tuple[Line, list[str]]], most: int) -> list[tuple[L
 
 
 def command_line(words: Sequence[object] | str) -> Line:
-    """Return the line with the command to type next, as words or as it is typed; of "" nothing is shown."""
+    """Return the line of the suggested next command, given as words or as a string; nothing is shown for ""."""
     return Line("next", words if isinstance(words, str) else shlex.join(map(str, words)), "command")

@@ -1,1 +1,1 @@
-"""Experiment design: what the data do not determine, and which drive would."""
+"""Experiment design: parameters that the data do not determine, and drives that would determine them."""

@@ -1,12 +1,12 @@
-"""What to do next: pairs of names that the data do not separate, effects they cannot show, and the drive that would."""
+"""Advice on the next drive: aliased names, untestable effects, and the drive that resolves them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from odomcorrupt.study.design.ambiguities import Ambiguity, open_choices
-from odomcorrupt.study.design.clocks import clock_choices, unseen_clocks
+from odomcorrupt.study.design.ambiguities import Ambiguity, open_ambiguities
+from odomcorrupt.study.design.clocks import clock_ambiguities, undetermined_clocks
 from odomcorrupt.study.design.drives import Drives, most_useful
 from odomcorrupt.study.design.identifiability import (
     DetectionLimit,
@@ -27,7 +27,7 @@ __all__ = ["Advice", "Ambiguity", "DetectionLimit", "UntestableEffect", "advise"
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """All that is open after a search; `best` is the plan that settles most of it, choices before the rest."""
+    """Open questions after a selection; `best` is the plan that answers most of them, ambiguities first."""
 
     choices: tuple[Ambiguity, ...]
     untestable: tuple[UntestableEffect, ...]
@@ -36,12 +36,12 @@ class Advice:
 
 
 def advise(learned: Learned) -> Advice:
-    """Return what these data leave open, and the drives that would settle it."""
+    """Return the questions that these data leave open, and the drives that would answer them."""
     drives = Drives(learned)
     choices, gains = [], []
-    for look in learned.steps:
-        for asked in (open_choices, clock_choices):
-            found, gains_found = asked(drives, look)
+    for step in learned.steps:
+        for asked in (open_ambiguities, clock_ambiguities):
+            found, gains_found = asked(drives, step)
             choices += found
             gains += gains_found
     last = learned.rounds[-1]
@@ -49,7 +49,7 @@ def advise(learned: Learned) -> Advice:
     refused = [c for c in last.candidates if is_untestable(c) and c.score.effect.name not in named]
     hidden = [untestable(drives, c) for c in refused]
     shown = [shows(drives, c) for c, u in zip(refused, hidden, strict=True) if u.plan is not None]
-    clocks = [one for one in unseen_clocks(drives) if one.untestable.effect not in named]
+    clocks = [one for one in undetermined_clocks(drives) if one.untestable.effect not in named]
     hidden += [one.untestable for one in clocks] + untried(learned)
     shown += [one.shows for one in clocks if one.untestable.plan is not None]
     best = most_useful(drives, gains, shown) if gains or shown else None

@@ -1,4 +1,4 @@
-"""A or B: pairs of names that the data do not separate, and the drive that would."""
+"""Ambiguities: pairs of aliased names, and the drive that would separate them."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.stepwise import Step
 
-__all__ = ["TOO_FEW_NATS", "Ambiguity", "open_choices"]
+__all__ = ["TOO_FEW_NATS", "Ambiguity", "open_ambiguities"]
 
 TOO_FEW_NATS = 3.0
-"""Less than this from ten minutes of the best drive: no drive is worth it."""
+"""If ten minutes of the best drive yield less, nats, no drive is recommended."""
 
-_OF_LOSSES = "ticks are too coarse to show a lost increment; publish odometry less often, several ticks an increment"
-"""What separates a larger wheel from lost increments, where an increment is a tick or two."""
+_LOSSES_HINT = "ticks are too coarse to show a lost increment; publish odometry less often, several ticks an increment"
+"""Way to separate a larger wheel from lost increments if an increment is only a tick or two."""
 
-_OUTDONE = "others explain it better"
-"""How a candidate is passed over that was possible by itself, but not among the few that were fitted."""
+_NOT_FITTED = "others explain it better"
+"""Refusal of a candidate that was possible by itself but not among the few that were fitted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ambiguity:
-    """Several names that these data do not separate.
+    """Aliased names: effects that these data do not separate.
 
-    why : what the drive lacked, in words; "" where it lacked nothing
-    plan : the drive that would separate them, or None where no drive can
-    nats : by how much it is expected to favour the right one
-    hint : where no drive separates them: what else does; "" where they are only too small
+    why : motion that the drive lacked; "" if none
+    plan : the drive that would separate them, or None if no drive can
+    nats : expected log likelihood ratio in favour of the right one
+    hint : if no drive separates them, what else does; "" if they are merely too small
     """
 
     names: tuple[str, ...]
@@ -50,38 +50,38 @@ class Ambiguity:
     hint: str = ""
 
 
-def open_choices(drives: Drives, look: Step) -> tuple[list[Ambiguity], list[Gain]]:
-    """Return the ambiguities that a step left open, and the information of a drive on each that it can resolve."""
-    if look.added is None:
+def open_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list[Gain]]:
+    """Return the ambiguities left by a selection step, and for those that a drive can resolve, its information."""
+    if step.added is None:
         return [], []
     kinds = registry()
-    rivals = {c.score.effect.name: c for c in look.candidates}
-    names = [n for n in look.alternatives if n in rivals]
-    dearer = [c.score.effect.name for c in _lookalikes(drives, look) if c.score.effect.name not in names]
+    rivals = {c.score.effect.name: c for c in step.candidates}
+    names = [n for n in step.alternatives if n in rivals]
+    equivalents = [c.score.effect.name for c in _equivalents(drives, step) if c.score.effect.name not in names]
     found, gains_found = [], []
-    for name in (*names, *dearer):
-        gain = _telling(drives, rivals[look.added], rivals[name])
+    for name in (*names, *equivalents):
+        gain = _gain_of(drives, rivals[step.added], rivals[name])
         plan, nats = best_plan(drives, gain)
-        if nats < TOO_FEW_NATS and name in dearer:
+        if nats < TOO_FEW_NATS and name in equivalents:
             continue
         if nats < TOO_FEW_NATS:
-            found.append(Ambiguity((look.added, name), "", None, nats))
+            found.append(Ambiguity((step.added, name), "", None, nats))
             continue
-        found.append(Ambiguity((look.added, name), missing_motion(drives, gain, nats), plan, nats))
+        found.append(Ambiguity((step.added, name), missing_motion(drives, gain, nats), plan, nats))
         gains_found.append(gain)
-    if drives.learned.may_be_losses(look.added):
-        found.append(Ambiguity((look.added, "lost_increments"), "", None, 0.0, _OF_LOSSES))
-    said = {look.added, *(name for choice in found for name in choice.names)}
+    if drives.learned.may_be_losses(step.added):
+        found.append(Ambiguity((step.added, "lost_increments"), "", None, 0.0, _LOSSES_HINT))
+    said = {step.added, *(name for choice in found for name in choice.names)}
     drive = drives.learned.drive_type
     for twin, kind in kinds.items():
         if kind.twin_of in said and twin not in said and twin in readings_of(str(kind.twin_of), drive):
-            hint = "; ".join(filter(None, (kind.about.drive if kind.about else "", _mends(drives, kind))))
+            hint = "; ".join(filter(None, (kind.about.drive if kind.about else "", _correction_hint(drives, kind))))
             found.append(Ambiguity((str(kind.twin_of), twin), "", None, 0.0, hint))
     return found, gains_found
 
 
-def _mends(drives: Drives, twin: type[Effect]) -> str:
-    """Return how to accept the twin of an effect that belongs to the set-up, which `correct` leaves alone; or ""."""
+def _correction_hint(drives: Drives, twin: type[Effect]) -> str:
+    """Return how to apply the robot's twin of a set-up effect in `correct`, which ignores set-up effects; or ""."""
     own = next((e for e in drives.learned.fit.effects if e.name == twin.twin_of), None)
     if own is None or own.kind != "setup" or twin.kind == "setup":
         return ""
@@ -92,17 +92,17 @@ def _mends(drives: Drives, twin: type[Effect]) -> str:
     )
 
 
-def _lookalikes(drives: Drives, look: Step) -> list[Candidate]:
-    """Return what would explain this very effect on these drives, and is no alternative for its price alone.
+def _equivalents(drives: Drives, step: Step) -> list[Candidate]:
+    """Return candidates that would explain the included effect and are no alternatives only because of their penalty.
 
-    Of two that do the same, the one with fewer numbers is the likelier; but the data do not separate them. What needs a
-    shape to do the same, a patch as large as the floor, is the same thing in more words.
+    Of two equivalent effects the one with fewer parameters is more probable, but the data do not separate them. An
+    effect that needs a shape parameter for it (a patch as large as the floor) is the same effect and is left out.
     """
-    added = look.candidates[0]
+    added = step.candidates[0]
     effect = _as_fitted(added)
     beside = [e for e in drives.learned.fit.effects if e.name != effect.name]
-    others = [c for c in look.candidates[1:] if all(p.amplitude for p in parameters(c.score.effect))]
-    possible = [c for c in others if c.refused in ("", _OUTDONE)]
+    others = [c for c in step.candidates[1:] if all(p.amplitude for p in parameters(c.score.effect))]
+    possible = [c for c in others if c.refused in ("", _NOT_FITTED)]
     return [
         c
         for c in possible
@@ -111,12 +111,14 @@ def _lookalikes(drives: Drives, look: Step) -> list[Candidate]:
     ]
 
 
-def _telling(drives: Drives, one: Candidate, other: Candidate) -> Gain:
-    """Return a function: expected nats that a drive adds between two names, whichever of them is true."""
+def _gain_of(drives: Drives, one: Candidate, other: Candidate) -> Gain:
+    """Return a function of a drive: the expected nats it adds to the separation of two names, in the worse case."""
     a, b = (_as_fitted(c) for c in (one, other))
     beside = [e for e in drives.learned.fit.effects if e.name not in {a.name, b.name}]
     inflation = max(one.score.inflation, other.score.inflation)
-    pairs = [pair for x in _guises(drives, a, beside) for y in _guises(drives, b, beside) for pair in ((x, y), (y, x))]
+    pairs = [
+        pair for x in _variants(drives, a, beside) for y in _variants(drives, b, beside) for pair in ((x, y), (y, x))
+    ]
 
     def nats(*drive: Field) -> float:
         fields = [drives.recorded, *drive]
@@ -126,10 +128,10 @@ def _telling(drives: Drives, one: Candidate, other: Candidate) -> Gain:
     return lambda drive: nats(drive) - known
 
 
-def _guises(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Effect]:
-    """Return an effect with every source of the heading that these data leave open, its own first.
+def _variants(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Effect]:
+    """Return an effect with every heading source that these data leave open, its own first.
 
-    A straight does not say whether the wheels or a gyro give the heading; the information of a turn depends on it.
+    Straights do not show whether wheels or a gyro give the heading; the information of a turn depends on it.
     """
     words = choices(effect).get("heading", ())
     others = [replace(effect, heading=word) for word in words if word != getattr(effect, "heading", word)]  # type: ignore[type-var]
@@ -137,7 +139,7 @@ def _guises(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Ef
 
 
 def _as_fitted(candidate: Candidate) -> Effect:
-    """Return the effect at the size that it was found to have, or would have if it were added."""
+    """Return the effect with its fitted amplitude, or with its estimated one if it was not fitted."""
     effect, estimate = candidate.score.effect, candidate.score.estimate
     if candidate.fit is None:
         sizes = {p.name: float(value) for p, value in zip(amplitudes(effect), estimate, strict=True)}

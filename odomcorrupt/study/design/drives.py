@@ -1,4 +1,4 @@
-"""Recorded and planned drives: which manoeuvre answers a question best, and what the recorded ones lack."""
+"""Recorded and planned drives: the most informative manoeuvre for a question, and motions missing so far."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from odomcorrupt.study.design.excitation import excitation, lacks_of
+from odomcorrupt.study.design.excitation import excitation, missing_excitations
 from odomcorrupt.study.design.information import planned_field, recorded_field
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES
 from odomcorrupt.study.design.plan import plan_of, safe_limits
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
 __all__ = ["ENOUGH_NATS", "Drives", "Gain", "best_plan", "missing_motion", "most_useful"]
 
 Gain: TypeAlias = "Callable[[Field], float]"
-"""What a planned drive adds to the answer of one question, nats."""
+"""Information that a planned drive adds on one question, nats."""
 ENOUGH_NATS = 10.0
-"""A drive that is expected to favour the right one by this much settles the matter."""
+"""Expected log likelihood ratio from which a question counts as settled."""
 _SHORT_S, _LONG_S = 180.0, 600.0
 _SUFFICIENT_SHARE = 0.3
-"""A missing excitation is given as reason if adding it yields at least this share of the best drive's information."""
-_BESIDE = 0.2
-"""What questions that come second weigh together, where those that come first weigh 1."""
+"""A missing excitation is given as reason if adding it yields at least this fraction of the best information."""
+_SECONDARY_WEIGHT = 0.2
+"""Joint weight of secondary questions, relative to the primary ones."""
 
 
 @dataclass(slots=True)
 class Drives:
-    """Recorded and planned drives; a plan is laid out when it is first asked for.
+    """Recorded and planned drives; plans are computed on first use.
 
-    with_clocks : the recorded drives, both numbers of all their clocks free
+    with_clocks : the recorded drives with offsets and rates of all clocks free
     """
 
     learned: Learned
@@ -50,7 +50,7 @@ class Drives:
         self.with_clocks = replace(self.recorded, clocks=self.recorded.problem.clock_columns())
 
     def planned(self, name: str, duration_s: float) -> tuple[Plan, Field]:
-        """Return a manoeuvre as this robot would drive it."""
+        """Return a manoeuvre planned within this robot's limits."""
         key = (name, duration_s)
         if key not in self._planned:
             manoeuvre = next(m for m in MANOEUVRES if m.name == name)
@@ -60,8 +60,8 @@ class Drives:
 
 
 def best_plan(drives: Drives, gain: Gain) -> tuple[Plan, float]:
-    """Return the most informative manoeuvre of a few minutes, or where that is not enough, of more."""
-    plan, drive = _worthiest(drives, gain)
+    """Return the most informative manoeuvre of a few minutes, or of more if that is not enough."""
+    plan, drive = _most_valuable(drives, gain)
     nats = gain(drive)
     if nats < ENOUGH_NATS:
         gains = [(gain(field_), longer) for longer, field_ in _longer(drives, plan)]
@@ -70,22 +70,22 @@ def best_plan(drives: Drives, gain: Gain) -> tuple[Plan, float]:
 
 
 def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = ()) -> Plan:
-    """Return the plan that settles most questions: nats beyond what settles one count for little.
+    """Return the plan that settles most questions; nats beyond those that settle a question count little.
 
-    first : what matters, and is worth a longer drive
-    beside : what is answered on the way, if a plan that does so settles the first as well
+    first : primary questions, which justify a longer drive
+    beside : secondary questions, considered among plans for the primary ones
     """
     if len(first) + len(beside) == 1:
         return best_plan(drives, (*first, *beside)[0])[0]
 
     def settled(drive: Field) -> float:
         shares = [float(np.mean([_share(gain(drive)) for gain in gains])) for gains in (first, beside) if gains]
-        return float(np.dot(shares, (1.0, _BESIDE)[: len(shares)]))
+        return float(np.dot(shares, (1.0, _SECONDARY_WEIGHT)[: len(shares)]))
 
     def answered(drive: Field) -> int:
         return sum(gain(drive) >= ENOUGH_NATS for gain in first or beside)
 
-    plan, drive = _worthiest(drives, settled)
+    plan, drive = _most_valuable(drives, settled)
     if answered(drive) >= (len(first) or 1):
         return plan
     gains = [(answered(field_), longer) for longer, field_ in _longer(drives, plan)]
@@ -93,18 +93,18 @@ def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = 
 
 
 def _share(nats: float) -> float:
-    """Return the part (0 to 1) of a question that so many nats answer."""
+    """Return the fraction (0 to 1) of a question answered by an amount of information, nats."""
     return max(nats, 0.0) / (max(nats, 0.0) + ENOUGH_NATS)
 
 
-def _worthiest(drives: Drives, worth: Gain) -> tuple[Plan, Field]:
-    """Return the manoeuvre that is worth most in a few minutes; a minute more must be worth its time."""
+def _most_valuable(drives: Drives, value: Gain) -> tuple[Plan, Field]:
+    """Return the manoeuvre of highest value in a few minutes, discounted for its additional duration."""
     tried = [drives.planned(m.name, _SHORT_S) for m in MANOEUVRES if m.least_s <= _SHORT_S]
-    return max(tried, key=lambda pair: worth(pair[1]) * min(1.0, _SHORT_S / pair[0].duration_s))
+    return max(tried, key=lambda pair: value(pair[1]) * min(1.0, _SHORT_S / pair[0].duration_s))
 
 
 def _longer(drives: Drives, plan: Plan) -> list[tuple[Plan, Field]]:
-    """Return what takes longer: the same for ten minutes, and what is nothing in less."""
+    """Return longer plans: the same manoeuvre for ten minutes, and those that need more time to be informative."""
     slow = [m.name for m in MANOEUVRES if m.least_s > _SHORT_S]
     return [drives.planned(name, _LONG_S) for name in (plan.manoeuvre.name, *slow)]
 
@@ -112,7 +112,7 @@ def _longer(drives: Drives, plan: Plan) -> list[tuple[Plan, Field]]:
 def missing_motion(drives: Drives, gain: Gain, best_nats: float) -> str:
     """Return the missing excitations that would have been informative, most informative first; "" if none."""
     found = []
-    for why, names in lacks_of(excitation(drives.learned.fit.problem.motions)):
+    for why, names in missing_excitations(excitation(drives.learned.fit.problem.motions)):
         gains = max(gain(drives.planned(name, _SHORT_S)[1]) for name in names)
         if gains >= _SUFFICIENT_SHARE * best_nats:
             found.append((gains, why))

@@ -1,4 +1,4 @@
-"""What a drive never did: the physical reasons for which it cannot show an effect."""
+"""Excitation of drives: the kinds of motion they contain, and those they lack."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Motion
 
-__all__ = ["LACKS", "Excitation", "MissingExcitation", "excitation", "lacks_of"]
+__all__ = ["EXCITATIONS", "Excitation", "MissingExcitation", "excitation", "missing_excitations"]
 
 _MOVING_MPS = 0.05
 _TURNING_RADPS = 0.1
@@ -24,14 +24,14 @@ _SECTORS = 8
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
-    """What drives did, all together.
+    """Kinds of motion in all drives together.
 
-    forward_m, reverse_m : way made
-    left_rad, right_rad, spot_rad : turned to either side, and on the spot
-    standing_s, minutes : time at rest, and in all
-    speeds, turning_speeds : 10 % and 90 % of the speed, m/s, by distance, and by angle while it turned
+    forward_m, reverse_m : distance travelled
+    left_rad, right_rad, spot_rad : angle turned to either side, and on the spot
+    standing_s, minutes : time at rest, and total time
+    speeds, turning_speeds : 10 % and 90 % quantiles of the speed, m/s, by distance, and by angle while turning
     hard_s : time at more than 0.25 m/s^2
-    headings : how many of eight sectors hold more than a fiftieth of the way
+    headings : number of eight sectors with more than a fiftieth of the distance
     """
 
     forward_m: float
@@ -49,10 +49,10 @@ class Excitation:
 
 @dataclass(frozen=True, slots=True)
 class MissingExcitation:
-    """An excitation that a drive lacks.
+    """An excitation that a drive may lack.
 
-    why : in words, or "" where it was done
-    primitives : names of the manoeuvres that do it, and as little else as possible
+    why : returns a description if it is missing, else ""
+    primitives : names of the manoeuvres with this excitation and as little else as possible
     """
 
     why: Callable[[Excitation], str]
@@ -60,13 +60,13 @@ class MissingExcitation:
 
 
 def excitation(motions: Sequence[Motion]) -> Excitation:
-    """Sum up what was driven."""
+    """Return the excitation of all drives together."""
     dt = np.concatenate([m.dt_s for m in motions])
     v = np.concatenate([m.v for m in motions])
     speed = np.concatenate([np.hypot(m.v, m.vy) for m in motions])
     omega = np.concatenate([m.omega for m in motions])
     theta = np.concatenate([m.theta for m in motions])
-    # half a second: the ripple of a motor is no acceleration of the body
+    # Average over 0.5 s, because the ripple of a motor is no acceleration of the body.
     hard = np.concatenate([np.abs(slopes(m.t_s, m.v[:, None], m.t_s, 0.5)[:, 0]) for m in motions])
     way, turn = speed * dt, omega * dt
     turning = np.abs(omega) > _TURNING_RADPS
@@ -88,7 +88,7 @@ def excitation(motions: Sequence[Motion]) -> Excitation:
 
 
 def _middle(values: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
-    """Return the weighted 10 % and 90 % quantiles; zeros where there is no weight."""
+    """Return the weighted 10 % and 90 % quantiles; zeros if the total weight is zero."""
     total = float(weight.sum())
     if total <= 0.0:
         return 0.0, 0.0
@@ -118,7 +118,7 @@ def _moved(e: Excitation) -> str:
     return "hardly drove" if e.forward_m + e.reverse_m < 5.0 else ""
 
 
-LACKS: tuple[MissingExcitation, ...] = (
+EXCITATIONS: tuple[MissingExcitation, ...] = (
     MissingExcitation(_moved, ("squares",)),
     MissingExcitation(
         lambda e: "never reversed" if e.reverse_m < 0.01 * e.forward_m + 0.1 else "", ("there_and_back",)
@@ -131,9 +131,9 @@ LACKS: tuple[MissingExcitation, ...] = (
     MissingExcitation(lambda e: "hardly sped up or braked" if e.hard_s < 5.0 else "", ("hard",)),
     MissingExcitation(lambda e: "hardly more than one heading" if e.headings <= 2 else "", ("star",)),
 )
-"""In the order in which they are looked at: the more telling first."""
+"""In the order of evaluation: the more informative first."""
 
 
-def lacks_of(drive: Excitation) -> list[tuple[str, tuple[str, ...]]]:
-    """Return what a drive did not do, in words, and the manoeuvres that would."""
-    return [(why, lack.primitives) for lack in LACKS if (why := lack.why(drive))]
+def missing_excitations(drive: Excitation) -> list[tuple[str, tuple[str, ...]]]:
+    """Return descriptions of the motions that a drive lacks, with the manoeuvres that contain them."""
+    return [(why, lack.primitives) for lack in EXCITATIONS if (why := lack.why(drive))]

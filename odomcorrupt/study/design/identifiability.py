@@ -1,4 +1,4 @@
-"""What the data cannot show even if it were there, for which physical reason, and the sizes that they would show."""
+"""Effects that the data could not show, with the physical reason, and detection limits of the others."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
 
 __all__ = [
-    "HIDDEN",
-    "SEEN",
+    "FOUND",
+    "MASKED",
     "DetectionLimit",
     "UntestableEffect",
     "is_untestable",
@@ -34,27 +34,27 @@ __all__ = [
     "untried",
 ]
 
-SEEN = 4.2
-"""An effect this many standard errors large is found nearly always."""
-HIDDEN = 4.0
-"""What makes the standard error of an effect this many times larger hides it."""
+FOUND = 4.2
+"""Size in standard errors at which an effect is found nearly always."""
+MASKED = 4.0
+"""An included term masks an effect if it increases the effect's standard error by this factor."""
 _NO_TRACK = (
     "it acts on single wheels, and the distance between these is not known; give --track where the robot has two that "
     "drive and steer it"
 )
 _DATA_SHEET = "give --gyro-scale-accuracy from the data sheet"
 _REFUSALS = ("not testable", "not separable")
-"""How refusals begin that say something of the drive, and nothing of the effect."""
+"""Beginnings of refusals that are due to the drive and not to the effect."""
 
 
 @dataclass(frozen=True, slots=True)
 class UntestableEffect:
-    """An effect that these data would not show.
+    """An effect that these data could not show.
 
-    why : in words
+    why : the reason, in words
     plan : the drive that would show its typical size, or None
-    hint : where no plan is: what else to do
-    limited_by_gyro : whether it is the gyro as the truth, and no drive, that hides it
+    hint : the alternative if there is no plan
+    limited_by_gyro : whether the limit is the gyro that serves as truth, not the drive
     """
 
     effect: str
@@ -75,15 +75,15 @@ class DetectionLimit:
 
 
 def is_untestable(candidate: Candidate) -> bool:
-    """Whether an effect was passed over because of the drive, or its usual size would not have been seen."""
+    """Return whether a candidate was refused because of the drive, or its typical size was not detectable."""
     if candidate.refused.startswith(_REFUSALS) or not candidate.score.separable:
         return True
     sizes_of = zip(amplitudes(candidate.score.effect), candidate.score.standard_error, strict=True)
-    return bool(candidate.refused) and any(SEEN * error > p.typical for p, error in sizes_of)
+    return bool(candidate.refused) and any(FOUND * error > p.typical for p, error in sizes_of)
 
 
 def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
-    """Return why a candidate cannot be judged on these drives, and the drive on which it could."""
+    """Return why a candidate cannot be tested on these drives, and the drive on which it could."""
     effect = candidate.score.effect
     accuracy = max(r.turn_scale_error for r in drives.learned.fit.problem.recordings)
     if effect.name in GAINS_OF_TURNS.values() and float(candidate.score.standard_error[0]) < 2.0 * accuracy:
@@ -94,14 +94,14 @@ def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
     why = missing_motion(drives, gain, nats) or _short_of(candidate)
     if masks := _masks(drives, effect):
         why += f", and here it looks like {' and '.join(masks)}"
-    if nats < 0.5 * SEEN**2:
+    if nats < 0.5 * FOUND**2:
         about = effect.about
         return UntestableEffect(effect.name, why, None, about.drive if about else "")
     return UntestableEffect(effect.name, why, plan)
 
 
 def shows(drives: Drives, candidate: Candidate) -> Gain:
-    """Return a function: expected nats of the typical size of an effect after a drive."""
+    """Return a function of a drive: expected nats in favour of an effect of typical size, with the recorded drives."""
     effect = candidate.score.effect
     beside = _beside(drives, effect)
     typical = np.array([p.typical for p in amplitudes(effect)])
@@ -113,13 +113,13 @@ def shows(drives: Drives, candidate: Candidate) -> Gain:
 
 
 def _masks(drives: Drives, effect: Effect) -> list[str]:
-    """Return the included terms that mask an effect: without them, it would be determined far better."""
+    """Return the included terms that mask an effect: without them its standard error would be far smaller."""
     beside = _beside(drives, effect)
     now = float(np.max(sizes(effect, beside, [drives.recorded])))
     found = []
     for e in beside:
         others = [o for o in beside if o is not e]
-        if float(np.max(sizes(effect, others, [drives.recorded]))) * HIDDEN < now:
+        if float(np.max(sizes(effect, others, [drives.recorded]))) * MASKED < now:
             found.append(e.name)
     return found
 
@@ -129,7 +129,7 @@ def _beside(drives: Drives, effect: Effect) -> list[Effect]:
 
 
 def _short_of(candidate: Candidate) -> str:
-    """Return in which number the data fall short, where no motion is missing."""
+    """Return which parameter is too uncertain, for a candidate without missing motions."""
     if not candidate.score.separable:
         return "it looks like other effects on this drive"
     own = amplitudes(candidate.score.effect)
@@ -142,9 +142,9 @@ def _short_of(candidate: Candidate) -> str:
 
 
 def untried(learned: Learned) -> list[UntestableEffect]:
-    """Return effects that never became candidates: single wheels without a track, places never visited twice.
+    """Return effects that never became candidates: of single wheels without a track, of places visited only once.
 
-    Not those of robots that drive sideways: this one does not.
+    Effects of robots that move sideways are left out, because this robot does not.
     """
     have = {e.name for e in learned.fit.effects} | {c.score.effect.name for c in learned.rounds[-1].candidates}
     track = all(r.track_m is not None for r in learned.fit.problem.recordings)
@@ -169,12 +169,12 @@ def untried(learned: Learned) -> list[UntestableEffect]:
     return found
 
 
-def limits(look: Step) -> list[DetectionLimit]:
-    """Return the least sizes that would have been seen, of all that could be."""
+def limits(step: Step) -> list[DetectionLimit]:
+    """Return the detection limits of all testable effects."""
     found = []
-    for candidate in look.candidates:
+    for candidate in step.candidates:
         score = candidate.score
         if not is_untestable(candidate):
             sizes_of = zip(amplitudes(score.effect), score.standard_error, strict=True)
-            found += [DetectionLimit(score.effect.name, p.name, SEEN * float(error), p.unit) for p, error in sizes_of]
+            found += [DetectionLimit(score.effect.name, p.name, FOUND * float(error), p.unit) for p, error in sizes_of]
     return found

@@ -1,9 +1,8 @@
 """Expected information of a drive: regressor columns of planned manoeuvres, whitened with the noise of the fit.
 
-The expected log likelihood ratio between "A" and "anything that B can do" is half the squared length of what A adds
-to the whitened residuals, less its projection on the columns of B and of all that is free beside them (clocks, and
-effects that are included). Columns of the recorded drives and of the planned one are stacked: what is known already
-stays known, and a clock belongs to one drive alone.
+The expected log likelihood ratio between A and the best-fitting B is half the squared norm of the whitened residuals
+caused by A, after projection orthogonal to the columns of B and of all free parameters (clocks and included effects).
+Columns of recorded and planned drives are stacked, so that existing information counts. A clock belongs to one drive.
 """
 
 from __future__ import annotations
@@ -32,30 +31,30 @@ if TYPE_CHECKING:
 
 __all__ = ["Field", "clock_errors", "planned_field", "recorded_field", "separation", "sizes"]
 
-_NOTHING_LEFT = 1e-4
-"""A column of which only this part is left beside others is not known at all."""
+_MIN_NORM = 1e-4
+"""A column with a smaller relative norm after projection counts as undetermined."""
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A drive, recorded or planned, and what whitens its residuals.
+    """A recorded or planned drive, with the whitener of its residuals.
 
-    clocks : (K, 3, c) columns of its own clock, free
+    clocks : (K, 3, c) columns of its clock's free parameters
     """
 
     problem: Problem
     whitener: Whitener
     clocks: Array
     _known: dict[Effect | None, Array] = field(init=False, default_factory=dict, repr=False)
-    """Whitened columns that were asked for before: the same few are, again and again. None: the clock's."""
+    """Cache of whitened columns by effect, because few are used again and again; None: the clock's."""
 
     def white(self, effects: Sequence[Effect]) -> Array:
-        """Return whitened columns (3 K, p) of the amplitudes of some effects."""
+        """Return whitened columns (3 K, p) of the amplitudes of several effects."""
         parts = [self._white(effect) for effect in effects if amplitudes(effect)]
         return np.concatenate([np.zeros((3 * len(self.problem.nodes), 0)), *parts], axis=1)
 
     def white_clocks(self) -> Array:
-        """Return whitened columns (3 K, c) of its clock."""
+        """Return whitened columns (3 K, c) of the drive's clock."""
         return self._white(None)
 
     def _white(self, effect: Effect | None) -> Array:
@@ -67,13 +66,13 @@ class Field:
 
 
 def recorded_field(fit: Fit) -> Field:
-    """Return the drives that were fitted."""
+    """Return the fitted drives."""
     own = sum(len(amplitudes(e)) for e in fit.problem.effects)
     return Field(fit.problem, fit.noise.whitener, fit.design_matrix[:, :, own:])
 
 
 def planned_field(fit: Fit, plan: Plan) -> Field:
-    """Return a planned drive, with the noise of the fit and a clock that is free in offset and rate."""
+    """Return a planned drive, with the noise of the fit and a clock with free offset and rate."""
     problem = pose_problem([ideal_recording(plan, fit.problem.recordings[0])], approach=fit.problem.approach)
     truth = fit.noise.truth if fit.problem.headings else replace(fit.noise.truth, yaw_rad=UNKNOWN_RAD)
     q = problem.nodes.covariance(fit.problem.approach.law, fit.noise.coefficients, problem.steps)
@@ -83,10 +82,10 @@ def planned_field(fit: Fit, plan: Plan) -> Field:
 
 
 def separation(one: Effect, other: Effect | None, beside: Sequence[Effect], fields: Sequence[Field]) -> float:
-    """Return the nats by which the drives together are expected to favour `one`, were it true as it stands.
+    """Return the expected log likelihood ratio, nats, in favour of `one` with its present amplitudes if it is true.
 
-    other : None where the rival is the drives' clocks
-    beside : effects that are free beside both
+    other : None if the alternative is the drives' clocks
+    beside : effects that are free in both models
     """
     away = np.array([getattr(one, p.name) - p.identity for p in amplitudes(one)])
     signal, rest = _stacked((one,), beside if other is None else (other, *beside), fields)
@@ -94,7 +93,7 @@ def separation(one: Effect, other: Effect | None, beside: Sequence[Effect], fiel
 
 
 def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> Array:
-    """Return the standard errors (p,) of an effect's amplitudes that the drives together give; inf where none."""
+    """Return the standard errors (p,) of an effect's amplitudes from all drives together; inf if undetermined."""
     signal, rest = _stacked((effect,), beside, fields)
     left = _without(rest, signal)
     scale = np.sqrt(np.maximum(np.sum(signal**2, axis=0), 1e-300))
@@ -106,11 +105,11 @@ def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> 
 
 
 def clock_errors(beside: Sequence[Effect], drive: Field, *others: Field) -> Array:
-    """Return the standard errors (2,) of the clock of a drive that has all its clocks free: offset, s, and rate.
+    """Return the standard errors (2,) of the clock of a drive with free clocks: offset, s, and rate.
 
-    That of the offset holds for a clock of the right rate. Of several runs in the field, the best known clock counts.
+    The offset's applies at the right rate. If the field has several runs, that of the best determined clock is taken.
 
-    beside : effects that are free beside it, and known from the `others` as well
+    beside : effects that are free, and also determined by the `others`
     """
     fields = [drive, *others]
     known = [field.white_clocks() * (field is not drive) for field in fields]
@@ -124,7 +123,7 @@ def clock_errors(beside: Sequence[Effect], drive: Field, *others: Field) -> Arra
         offset, rate = left[:, 2 * run], left[:, 2 * run + 1]
         apart = rate - offset * float(offset @ rate) / max(float(offset @ offset), 1e-300)
         for number, (column, whole) in enumerate(((offset, pairs[:, 2 * run]), (apart, pairs[:, 2 * run + 1]))):
-            if np.linalg.norm(column) > _NOTHING_LEFT * np.linalg.norm(whole):
+            if np.linalg.norm(column) > _MIN_NORM * np.linalg.norm(whole):
                 best[number] = min(best[number], 1.0 / float(np.linalg.norm(column)))
     return best
 
@@ -132,7 +131,7 @@ def clock_errors(beside: Sequence[Effect], drive: Field, *others: Field) -> Arra
 def _stacked(
     own: Sequence[Effect], beside: Sequence[Effect], fields: Sequence[Field], clocks: Sequence[Array] | None = None
 ) -> tuple[Array, Array]:
-    """Return columns of `own` and of the rest, drives on top of each other, clocks beside each other."""
+    """Return columns of `own` and of all other parameters: drives stacked, clocks block-diagonal."""
     clocks = [field.white_clocks() for field in fields] if clocks is None else clocks
     height = sum(len(c) for c in clocks)
     apart = np.zeros((height, sum(c.shape[1] for c in clocks)))
@@ -146,7 +145,7 @@ def _stacked(
 
 
 def _without(rest: Array, signal: Array) -> Array:
-    """Return what is left of signals (n,) or (n, p) beside the columns (n, q)."""
+    """Return the projection of signals (n,) or (n, p) orthogonal to columns (n, q)."""
     rest = rest[:, np.abs(rest).max(axis=0, initial=0.0) > 0.0]
     if not rest.shape[1]:
         return signal

@@ -1,4 +1,4 @@
-"""Manoeuvres that a robot can be sent on, as plans of speeds that any room of a few metres allows."""
+"""Manoeuvres for identification drives, as speed profiles that fit in a room of a few metres."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _GENTLE = (0.5, 1.2)
 _HARD = (2.0, 4.0)
 LINE_M = 4.0
 _SLOW = 0.3
-"""Slow is this part of fast."""
+"""Ratio of slow to fast."""
 
 
 class Limits(NamedTuple):
-    """How fast the robot may go, m/s, and turn, rad/s: what it has been seen to do, or what is harmless."""
+    """Largest speed, m/s, and turn rate, rad/s, for a robot: observed ones within harmless bounds."""
 
     v_mps: float
     omega_radps: float
 
 
 class Hold(NamedTuple):
-    """Go to these speeds at these accelerations (m/s^2, rad/s^2) and keep them for a while."""
+    """A change to given speeds at given accelerations (m/s^2, rad/s^2), then constant speeds for a time."""
 
     v_mps: float
     omega_radps: float
@@ -36,17 +36,17 @@ class Hold(NamedTuple):
 
 
 HOME: Literal["home"] = "home"
-"""In a round: stop, turn to where the drive began, and go there. Bends without stops do not end where they began."""
+"""A step of a round: stop, turn towards the start and drive there, because bends without stops do not end there."""
 Step: TypeAlias = "Hold | Literal['home']"
 
 
 @dataclass(frozen=True, slots=True)
 class Manoeuvre:
-    """One round of a drive, to be repeated as long as it takes.
+    """One round of a drive, repeated as often as needed.
 
-    sentence : what to drive, after "drive" or "then"
-    round : limits in, one round of plans out, for ever
-    least_s : how long it must last to be what it is
+    sentence : description, after "drive" or "then"
+    round : endless iterator of steps within given limits
+    least_s : shortest informative duration, seconds
     """
 
     name: str
@@ -56,7 +56,7 @@ class Manoeuvre:
 
 
 def straight(way_m: float, v_mps: float, accelerations: tuple[float, float] = _GENTLE) -> Iterator[Hold]:
-    """Drive so far (negative: backwards), from rest to rest."""
+    """Yield a straight of given length (negative: backwards), from rest to rest."""
     ramp_s = v_mps / accelerations[0]
     sign = 1.0 if way_m > 0.0 else -1.0
     yield Hold(sign * v_mps, 0.0, max(abs(way_m) / v_mps - ramp_s, 0.2), accelerations)
@@ -64,7 +64,7 @@ def straight(way_m: float, v_mps: float, accelerations: tuple[float, float] = _G
 
 
 def turn(angle_rad: float, omega_radps: float, accelerations: tuple[float, float] = _GENTLE) -> Iterator[Hold]:
-    """Turn on the spot by so much, from rest to rest."""
+    """Yield a turn on the spot by a given angle, from rest to rest."""
     ramp_s = omega_radps / accelerations[1]
     sign = 1.0 if angle_rad > 0.0 else -1.0
     yield Hold(0.0, sign * omega_radps, max(abs(angle_rad) / omega_radps - ramp_s, 0.2), accelerations)
@@ -72,14 +72,14 @@ def turn(angle_rad: float, omega_radps: float, accelerations: tuple[float, float
 
 
 def _arc(angle_rad: float, v_mps: float, omega_radps: float) -> Iterator[Hold]:
-    """Drive a bend without a stop before or after it."""
-    # the change from one side to the other turns by half a ramp's worth at both ends
+    """Yield a bend without stops before and after it."""
+    # A change of sides turns by half a ramp at each end.
     hold_s = max(abs(angle_rad) / omega_radps - omega_radps / _GENTLE[1], 0.2)
     yield Hold(v_mps, omega_radps if angle_rad > 0.0 else -omega_radps, hold_s)
 
 
 def _bend(limits: Limits) -> Limits:
-    """Return the speeds of the fastest bend of about a metre."""
+    """Return the highest speeds in a bend of a radius of about 1 m."""
     return Limits(min(limits.v_mps, 1.2 * limits.omega_radps), min(limits.omega_radps, limits.v_mps / 0.8))
 
 
@@ -132,13 +132,13 @@ def _squares(limits: Limits) -> Iterator[Hold]:
 
 
 def _pair(v_mps: float, omega_radps: float) -> Iterator[Hold]:
-    """Go round once to the left and once to the right: bends that end a little ahead of where they began."""
+    """Yield one circle to the left and one to the right, which end a little ahead of their start."""
     for side in (1.0, -1.0):
         yield from _arc(side * 2.0 * pi, v_mps, omega_radps)
 
 
 def _eight(v_mps: float, omega_radps: float, side: float) -> Iterator[Hold]:
-    """Drive two figures of eight, the second the other way up, which ends where the first began."""
+    """Yield two figures of eight, the second mirrored so that it ends where the first began."""
     for _ in range(2):
         yield from _arc(side * 2.0 * pi, v_mps, omega_radps)
         yield from _arc(-side * 3.0 * pi, v_mps, omega_radps)
@@ -159,7 +159,7 @@ def _eights_at_two_speeds(limits: Limits) -> Iterator[Step]:
 
 
 def _turns_apart(limits: Limits) -> Iterator[Step]:
-    """Turn at one rate at three speeds, none, low and high: what goes with v omega and what goes with omega part."""
+    """Yield turns at one rate and three speeds (zero, low, high), to separate effects of v omega and of omega."""
     v, omega = _bend(limits)
     for side in cycle((1.0, -1.0)):
         yield from _pair(0.0, omega)

@@ -1,4 +1,4 @@
-"""A manoeuvre as it would be driven: speeds over time, and the recording that a perfect robot would make of it."""
+"""Driving plans: speeds over time for a manoeuvre, and the recording of an ideal robot on it."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
 __all__ = ["STEP_S", "Plan", "drive_bag", "ideal_recording", "plan_of", "safe_limits"]
 
 STEP_S = 0.05
-"""Time between two commands."""
-_FAST = (0.3, 1.2)
-_TURNING = (0.5, 1.2)
+"""Period of the commands, seconds."""
+_FAST = (0.3, 1.2)  # range of the speed limit, m/s
+_TURNING = (0.5, 1.2)  # range of the turn rate limit, rad/s
 _REST_S = 2.0
 _STOP = Hold(0.0, 0.0, 0.5)
-_NEAR_M = 0.3
+_NEAR_M = 0.3  # distance from the start at which no return is needed
 _STRAIGHT_RAD = 0.5
-"""Smaller turns than this are left out: they are too short for the ramps."""
+"""Smaller turns are left out, because they are too short for the ramps."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Commands `STEP_S` apart, beginning and ending at rest.
+    """Commands with period `STEP_S`, beginning and ending at rest.
 
     v_mps, omega_radps : (n,)
     """
@@ -47,18 +47,18 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes, seconds."""
+        """Duration, seconds."""
         return len(self.v_mps) * STEP_S
 
     @property
     def path(self) -> Array:
-        """Poses (n + 1, 3) of a robot that follows exactly, from the origin, m and rad."""
+        """Poses (n + 1, 3) of a robot that follows the commands exactly from the origin, m and rad."""
         steps = Increments(self.v_mps * STEP_S, np.zeros_like(self.v_mps), self.omega_radps * STEP_S)
         return accumulate(np.zeros(3), steps)
 
     @property
     def floor_m(self) -> tuple[float, float]:
-        """Length and width of the floor that its path covers, metres, the longer first."""
+        """Length and width of the floor covered by the path, metres, the longer first."""
         size = np.ptp(self.path[:, :2], axis=0)
         return float(size.max()), float(size.min())
 
@@ -74,7 +74,7 @@ class Plan:
 
 
 def safe_limits(motions: Sequence[Motion]) -> Limits:
-    """Return how fast a robot may be sent: as fast as it has been seen to go, within what is harmless indoors."""
+    """Return speed limits for a robot: its observed 98 % quantiles, clipped to a range that is harmless indoors."""
     v = np.concatenate([np.abs(m.v) for m in motions])
     omega = np.concatenate([np.abs(m.omega) for m in motions])
     seen = float(np.quantile(v, 0.98)), float(np.quantile(omega, 0.98))
@@ -82,7 +82,7 @@ def safe_limits(motions: Sequence[Motion]) -> Limits:
 
 
 def plan_of(manoeuvre: Manoeuvre, limits: Limits, duration_s: float) -> Plan:
-    """Return the commands of whole moves until `duration_s` is over, and at least for the manoeuvre's own time."""
+    """Return the commands of whole moves for at least `duration_s` and the manoeuvre's own least duration."""
     rest = np.zeros((round(_REST_S / STEP_S), 2))
     speeds, now = [rest], np.zeros(2)
     left = round(max(duration_s, manoeuvre.least_s) / STEP_S)
@@ -99,7 +99,7 @@ def plan_of(manoeuvre: Manoeuvre, limits: Limits, duration_s: float) -> Plan:
 
 
 def _ramp(now: Array, hold: Hold) -> Array:
-    """Return the commands (n, 2) from one pair of speeds to the next, and while these are kept."""
+    """Return the commands (n, 2) of a ramp to given speeds and of the time at these speeds."""
     wanted = np.array(hold[:2])
     count = max(1, int(np.ceil(np.max(np.abs(wanted - now) / hold.accelerations) / STEP_S)))
     part = np.concatenate((np.arange(1, count + 1) / count, np.ones(round(hold.hold_s / STEP_S))))
@@ -107,7 +107,7 @@ def _ramp(now: Array, hold: Hold) -> Array:
 
 
 def _homewards(speeds: Array, limits: Limits) -> list[Hold]:
-    """Return the moves from where commands (n, 2) have led, at rest, to where they began, facing as then."""
+    """Return the moves at rest from the end of commands (n, 2) back to their start, with the initial heading."""
     steps = Increments(speeds[:, 0] * STEP_S, np.zeros(len(speeds)), speeds[:, 1] * STEP_S)
     x, y, theta = accumulate(np.zeros(3), steps)[-1]
     away = float(np.hypot(x, y))
@@ -124,7 +124,7 @@ def _turned(angle_rad: float, limits: Limits) -> list[Hold]:
 
 
 def ideal_recording(plan: Plan, like: Recording) -> Recording:
-    """Return what a perfect robot, watched by a perfect tracker, would record, from where `like` began."""
+    """Return the recording of an ideal robot and an ideal tracker, starting at the first pose of `like`."""
     stamps_ns = like.origin_ns + (np.arange(len(plan.v_mps) + 1) * round(STEP_S * 1e9)).astype(np.int64)
     odometry = Trajectory(stamps_ns, plan.path)
     start = np.nan_to_num(like.truth.xyt[0])
@@ -134,7 +134,7 @@ def ideal_recording(plan: Plan, like: Recording) -> Recording:
 
 
 def drive_bag(plan: Plan) -> bytes:
-    """Return an MCAP whose /cmd_vel makes a robot drive a plan."""
+    """Return an MCAP whose /cmd_vel executes a plan."""
     twist = np.stack((plan.v_mps, np.zeros_like(plan.v_mps), plan.omega_radps), axis=1)
     bag = io.BytesIO()
     write_twists(bag, np.arange(len(twist), dtype=np.float64) * STEP_S, twist)

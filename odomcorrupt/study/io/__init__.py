@@ -1,4 +1,4 @@
-"""Where recordings come from: bags, TF, TUM and CSV files, cleaned and checked for plausibility."""
+"""Reading of recordings from bags, TF, TUM and CSV files, with cleaning and plausibility checks."""
 
 from odomcorrupt.study.io.reader import read_runs
 from odomcorrupt.study.io.source import Source

@@ -1,4 +1,4 @@
-"""Addresses: a topic, or an edge of TF written as /tf:map.base_link (evo's form)."""
+"""Addresses of pose sources: a topic, or a TF edge written as /tf:map.base_link (evo's notation)."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ __all__ = ["Address", "parse_address", "plain"]
 
 
 def plain(name: str) -> str:
-    """Return a frame or topic without leading slashes: with or without, it is the same one."""
+    """Return a frame or topic name without leading slashes, because ROS names are the same with and without them."""
     return name.lstrip("/")
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """What to read.
+    """Address of a source of poses in a bag.
 
-    topic : its name
-    frames : "parent.child" of an edge, "" for a topic of poses; where frames have dots, the bag decides where to cut
-    static : the topic with the edges that never move, "" for the one beside `topic` and /tf_static
+    topic : topic name
+    frames : "parent.child" of a TF edge, "" for a topic of poses; if frame names contain dots, the bag's frames decide
+    static : topic of the static transforms, "" for /tf_static or the tf_static beside `topic`
     """
 
     topic: str
@@ -33,12 +33,12 @@ class Address:
 
 
 def parse_address(text: str) -> Address:
-    """Read an address.
+    """Return the address that a text denotes.
 
     Raises
     ------
     TopicError
-        Where an edge lacks one of its frames.
+        If an edge lacks one of its two frames.
 
     """
     topic, colon, rest = text.partition(":")

@@ -1,4 +1,4 @@
-"""Whether odometry and truth turn the same way, in the same plane, at the same time."""
+"""Checks that truth and odometry share turning direction, plane of motion and clock."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.io.cross_correlation import likeness
+from odomcorrupt.study.io.cross_correlation import cross_correlation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 
 __all__ = ["check_plane", "check_shape", "check_turning"]
 
-_STILL_M = 0.05
-_LAG_S = 60.0
-_NEAR_S = 3.0
-_CLEAR = 0.7
-_MIRRORED = 0.5
-_FITS = 0.15
+_MIN_WIDTH_M = 0.05  # smaller widths of a path in x-y are not compared
+_MAX_LAG_S = 60.0  # largest lag tested for a clock offset
+_SAME_CLOCK_S = 3.0  # lags up to here count as the same clock
+_CLEAR = 0.7  # correlation above which a lag is taken as a clock offset
+_MIRRORED = 0.5  # magnitude of a negative yaw rate correlation that suggests a mirrored axis
+_SAME_SHAPE = 0.15  # relative residual of a path's alignment below which two paths have the same shape
 
 
 def check_plane(here: Samples, there: Samples) -> None:
-    """Refuse a truth that moves in a plane that is not x-y: its width in x-y then is nothing like the odometry's."""
+    """Refuse a truth that moves in the x-z or y-z plane: its width in x-y is then far below the odometry's."""
     wide = _width(here.xyz[:, :2])
-    if _width(there.xyz[:, :2]) > 0.25 * wide or wide < _STILL_M:
+    if _width(there.xyz[:, :2]) > 0.25 * wide or wide < _MIN_WIDTH_M:
         return
     for up, plane in (("y", [0, 2]), ("x", [1, 2])):
         if _width(there.xyz[:, plane]) > 0.5 * wide:
@@ -39,33 +39,33 @@ def check_plane(here: Samples, there: Samples) -> None:
 
 
 def check_turning(here: Samples, there: Samples) -> None:
-    """Refuse a truth that turns right where the odometry turns left, or does so at another time."""
-    alike = likeness(here.trajectory(), there.trajectory(), min(_LAG_S, here.span_s / 2.0))
-    near = np.abs(alike.lag_s) <= _NEAR_S
-    best, flipped = int(np.argmax(alike.both)), int(np.argmin(np.where(near, alike.turn, 1.0)))
-    least, most = float(alike.turn[flipped]), float(alike.turn[near].max())
-    # drives that repeat themselves look mirrored half a period later: another clock must not explain it better
-    if least < -_MIRRORED and most < 0.5 * abs(least) and alike.both[best] < alike.mirrored[flipped] + 0.02:
+    """Refuse a truth whose yaw rate has the opposite sign of the odometry's, or whose clock is shifted."""
+    corr = cross_correlation(here.trajectory(), there.trajectory(), min(_MAX_LAG_S, here.span_s / 2.0))
+    near = np.abs(corr.lag_s) <= _SAME_CLOCK_S
+    best, flipped = int(np.argmax(corr.both)), int(np.argmin(np.where(near, corr.turn, 1.0)))
+    least, most = float(corr.turn[flipped]), float(corr.turn[near].max())
+    # A periodic drive looks mirrored half a period later: refuse only if no clock offset explains it better.
+    if least < -_MIRRORED and most < 0.5 * abs(least) and corr.both[best] < corr.mirrored[flipped] + 0.02:
         raise RecordingError(
             f"{there.place}: turns right where the odometry turns left (yaw rates correlate by {least:.2f}): one of "
             "its axes is mirrored, or it has compass headings; flip it"
         )
-    if alike.both[best] > _CLEAR and alike.both[near].max() < 0.5 * alike.both[best]:
-        side = "behind" if alike.lag_s[best] > 0.0 else "ahead of"
+    if corr.both[best] > _CLEAR and corr.both[near].max() < 0.5 * corr.both[best]:
+        side = "behind" if corr.lag_s[best] > 0.0 else "ahead of"
         raise RecordingError(
-            f"{there.place}: its clock is {abs(alike.lag_s[best]):.1f} s {side} the odometry's (motions correlate by "
-            f"{alike.both[best]:.2f} there, by {alike.both[near].max():.2f} as they are); say --truth-shift "
-            f"{alike.lag_s[best]:.1f}"
+            f"{there.place}: its clock is {abs(corr.lag_s[best]):.1f} s {side} the odometry's (motions correlate by "
+            f"{corr.both[best]:.2f} there, by {corr.both[near].max():.2f} as they are); say --truth-shift "
+            f"{corr.lag_s[best]:.1f}"
         )
 
 
 def check_shape(here: Samples, there: Samples) -> None:
-    """Refuse a truth onto which the odometry's path fits in a mirror alone: of a robot that never turns, say."""
+    """Refuse a truth that matches the odometry's path only when mirrored (also finds it in drives without turns)."""
     p, q = _shape(here, here), _shape(there, here)
     whole = float(np.sum(np.abs(p) ** 2) + np.sum(np.abs(q) ** 2))
     both = np.array([np.abs(np.vdot(p, q)), np.abs(np.sum(p * q))])
     turned, flipped = np.sqrt(np.maximum(1.0 - 2.0 * both / whole, 0.0)).tolist()
-    if flipped < _FITS and turned > 3.0 * flipped and turned > _FITS:
+    if flipped < _SAME_SHAPE and turned > 3.0 * flipped and turned > _SAME_SHAPE:
         raise RecordingError(
             f"{there.place}: its path is the odometry's in a mirror ({flipped:.0%} off, {turned:.0%} without one): one "
             "of its axes is mirrored; flip it"
@@ -73,7 +73,7 @@ def check_shape(here: Samples, there: Samples) -> None:
 
 
 def _shape(path: Samples, clock: Samples) -> NDArray[np.complex128]:
-    """Return the path as complex numbers about their mean, at the stamps of another one."""
+    """Return a path's positions as complex numbers about their mean, interpolated at the stamps of `clock`."""
     own, at = (x.seconds_since(int(clock.stamps_ns[0])) for x in (path, clock))
     xy = [np.interp(at, own, path.xyz[:, i]) for i in (0, 1)]
     centred: NDArray[np.complex128] = (xy[0] - np.mean(xy[0])) + 1j * (xy[1] - np.mean(xy[1]))

@@ -1,4 +1,4 @@
-"""Read odometry, truth or both from a bag in one pass."""
+"""Reading of odometry and truth from a bag in one pass."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
 __all__ = ["read_bag"]
 
 _ENCODINGS = ("cdr", "ros1")
-_MOST_M2 = 1e12
+_MAX_M2 = 1e12
 
 
 def read_bag(path: Path, place: str, wanted: Mapping[Role, Address | None]) -> dict[Role, Samples]:
-    """Read what is wanted of a bag, as recorded.
+    """Return the requested trajectories of a bag, as recorded.
 
     Parameters
     ----------
     path : any bag
-    place : what messages call it
-    wanted : addresses; None takes the only topic that can be meant
+    place : name of the bag in messages
+    wanted : addresses; None selects the only topic that fits the role
 
     Raises
     ------
     TopicError
-        Where a topic or frame is missing, or several could be meant; the message lists them.
+        If a topic or frame is missing, or if several topics fit; the message lists them.
 
     """
     with open_reader(path) as reader:
@@ -87,7 +87,7 @@ def _edge_reader(
 
 
 class _PoseReader:
-    """Collects the poses of one topic, block by block."""
+    """Collector of one topic's poses, block by block."""
 
     def __init__(self, place: str, channels: list[Channel]) -> None:
         self.place = f"{place}: {channels[0].topic}"
@@ -96,7 +96,7 @@ class _PoseReader:
         self.parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]] = []
 
     def take(self, block: Block) -> None:
-        """Collect what a block holds of the topic."""
+        """Append the topic's poses in a block."""
         for channel in self.channels:
             for layout in locate(block, channel):
                 item = layout.items[0]
@@ -110,17 +110,17 @@ class _PoseReader:
                     values[:, 3] = headings(gather(block, layout, item, "orientation"))
                 if "pose_covariance" in item.fields:
                     covariance = gather(block, layout, item, "pose_covariance")
-                    values[:, 4] = covariance[:, [0, 7]].clip(-_MOST_M2, _MOST_M2).sum(axis=1)
-                if "covariance" in item.fields:  # of a fix; 0 where the receiver does not know
+                    values[:, 4] = covariance[:, [0, 7]].clip(-_MAX_M2, _MAX_M2).sum(axis=1)
+                if "covariance" in item.fields:  # of a satellite fix; 0 if the receiver reports none
                     covariance = gather(block, layout, item, "covariance")
-                    values[:, 4] = covariance[:, [0, 4]].clip(0.0, _MOST_M2).sum(axis=1)
+                    values[:, 4] = covariance[:, [0, 4]].clip(0.0, _MAX_M2).sum(axis=1)
                     values[:, 5] = gather_status(block, layout, item)
                 self.parts.append(
                     (gather_stamps_ns(block, layout, item), block.table["log_ns"][layout.rows].astype(np.int64), values)
                 )
 
     def samples(self) -> Samples:
-        """Return the poses in the order in which they were recorded."""
+        """Return the poses in order of arrival."""
         topic = self.channels[0].topic
         children = sorted({child for _, child in self.frames})
         if len(children) > 1 and self.channels[0].msgtype == TRANSFORM:
@@ -128,7 +128,7 @@ class _PoseReader:
             raise TopicError(f"{self.place} holds transforms of {len(children)} frames; name one of {edges}")
         empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)))
         stamps, logs, values = (np.concatenate(part) for part in zip(empty, *self.parts, strict=True))
-        # layouts of one block come one after the other: back to the order of arrival
+        # A block's layouts are read one after the other: restore the order of arrival.
         arrived = np.argsort(logs, kind="stable")
         stamps, logs, values = stamps[arrived], logs[arrived], values[arrived]
         notes, origin = [], None

@@ -1,6 +1,6 @@
-"""The odometry's clock against the truth's: stamp = t + offset + rate t, with t from the recording's origin.
+"""Clock offset and rate of the odometry relative to the truth: stamp = t + offset + rate t, t from the origin.
 
-Clocks come first: an unseen offset of 30 ms looks like slip and backlash, and makes every coefficient too large.
+Clocks are estimated first: an unmodelled offset of 30 ms looks like slip or backlash and inflates every coefficient.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 
 __all__ = ["Clock", "aligned", "clock_leaders", "coarse_clock", "led"]
 
-_GRID_S = 0.05
+_GRID_S = 0.05  # step of the lags
 _SMOOTHING_S = 0.4
-_REACH_S = 3.0
-_STRETCH_S = 40.0
-_MOVING = 0.1
+_REACH_S = 3.0  # largest lag
+_STRETCH_S = 40.0  # shortest part of a run that is matched on its own
+_MOVING = 0.1  # m/s; below it, a course has no usable rate
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Clock of one recording; offset_s as in the effect `time_offset`, rate as in `clock_skew`."""
+    """Clock of one recording; offset_s as in the effect `time_offset`, rate (s/s) as in `clock_skew`."""
 
     offset_s: float = 0.0
     rate: float = 0.0
 
 
 def aligned(recording: Recording, clock: Clock) -> Recording:
-    """Return the recording with the odometry's stamps put on the truth's clock, in whole nanoseconds.
+    """Return the recording with the odometry's stamps converted to the truth's clock, in whole nanoseconds.
 
-    A truth of positions alone gets its headings here, because they need the clock.
+    A truth without headings gets them here, because they depend on the clock.
     """
     t_ns = recording.odometry.stamps_ns - recording.origin_ns
     shift = (clock.offset_s * 1e9 + clock.rate * t_ns) / (1.0 + clock.rate)
@@ -50,21 +50,21 @@ def aligned(recording: Recording, clock: Clock) -> Recording:
 
 
 def clock_leaders(recordings: Sequence[Recording]) -> list[int]:
-    """Return for each recording the first one that has the same clock."""
+    """Return for each recording the index of the first recording with the same clock."""
     first: dict[str, int] = {}
     return [first.setdefault(recording.clock, i) if recording.clock else i for i, recording in enumerate(recordings)]
 
 
 def led(free: Array, leaders: Sequence[int]) -> Array:
-    """Return which numbers (R, 2) are free where a clock that several runs share is free in the first of them only."""
+    """Return the mask (R, 2) of free clock parameters with a shared clock left free in its first recording only."""
     own: Array = free & (np.array(leaders) == np.arange(len(leaders)))[:, None]
     return own
 
 
 def coarse_clock(recording: Recording) -> Clock:
-    """Return a clock good to a tenth of a second or so, to start a fit from: speeds and yaw rates are matched.
+    """Return initial clock values, accurate to about 0.1 s, from matched speeds and yaw rates.
 
-    Stretches of the run are matched one by one within +- 3 s, and a robust line is laid through their lags.
+    Parts of the run are matched separately at lags within +- 3 s; a Theil-Sen line fits their lags.
     """
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     grid = np.arange(max(odo_s[0], truth_s[0]) + _REACH_S, min(odo_s[-1], truth_s[-1]) - _REACH_S, _GRID_S)
@@ -77,7 +77,7 @@ def coarse_clock(recording: Recording) -> Clock:
     truth = _speeds(truth_s, recording.truth.xyt, grid)
     times, lags = [], []
     for part in np.array_split(np.arange(len(grid)), count):
-        score = _likeness(odometry[part[0] : part[-1] + 2 * reach + 1], truth[part])
+        score = _correlation(odometry[part[0] : part[-1] + 2 * reach + 1], truth[part])
         best = int(np.argmax(score))
         if score[best] > 0.5 and 0 < best < 2 * reach:
             times.append(grid[part].mean())
@@ -91,7 +91,7 @@ def coarse_clock(recording: Recording) -> Clock:
 
 
 def _speeds(t_s: Array, xyt: Array, at_s: Array) -> Array:
-    """Return speed and yaw rate (m, 2), each over its own root mean square."""
+    """Return speed and yaw rate (m, 2), each divided by its root mean square."""
     world = slopes(t_s, xyt, at_s, _SMOOTHING_S)
     speed = np.linalg.norm(world[:, :2], axis=1)
     turn = world[:, 2] if np.isfinite(xyt[:, 2]).all() else _course_rate(world[:, :2], at_s)
@@ -101,18 +101,18 @@ def _speeds(t_s: Array, xyt: Array, at_s: Array) -> Array:
 
 
 def _course_rate(velocity: Array, at_s: Array) -> Array:
-    """Return how fast the direction of travel turns (m,), rad/s; zero where the robot hardly moves."""
+    """Return the rate of the direction of travel (m,), rad/s; zero below 0.1 m/s."""
     course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]), period=np.pi)
     rate: Array = slopes(at_s, course[:, None], at_s, _SMOOTHING_S)[:, 0]
     return np.where(np.linalg.norm(velocity, axis=1) > _MOVING, rate, 0.0)
 
 
-def _likeness(a: Array, b: Array) -> Array:
-    """Return the correlation of b (n, c) with every stretch of a (n + m, c) that is as long, (m + 1,)."""
+def _correlation(a: Array, b: Array) -> Array:
+    """Return the correlation (m + 1,) of b (n, c) with each window of length n of a (n + m, c)."""
     n, b = len(b), b - b.mean(axis=0)
     running = np.concatenate((np.zeros((1, 2, a.shape[1])), np.cumsum(np.stack((a, a**2), axis=1), axis=0)))
     total, square = np.moveaxis(running[n:] - running[:-n], 1, 0)
     common = sum(np.correlate(x, y, "valid") for x, y in zip(a.T, b.T, strict=True))
     spread = np.maximum(np.sum(square - total**2 / n, axis=1), 0.0) * np.sum(b**2)
-    likeness: Array = common / np.maximum(np.sqrt(spread), 1e-12)
-    return likeness
+    correlation: Array = common / np.maximum(np.sqrt(spread), 1e-12)
+    return correlation

@@ -1,9 +1,9 @@
-"""Which column of a text file holds what.
+"""Meaning and units of the columns of a text file, from its header.
 
-A header's names are read by their words: `field.pose.pose.position.x`, `pos_x [m]`, `p_RS_R_x [m]` and `x` are all x.
-Needed are a time, x and y; headings come as yaw (theta, heading) or as a quaternion, and may be missing. Units stand
-in the name (`yaw_deg`, `stamp [ns]`, `x_mm`); without them lengths are metres, angles radians, and times what makes the
-steps between the first lines those of a robot: s, ms, us or ns, whichever brings them closest to 50 ms.
+Names are split into words: `field.pose.pose.position.x`, `pos_x [m]`, `p_RS_R_x [m]` and `x` are all x. Time, x and y
+are required. Headings are optional, as yaw (theta, heading) or as a quaternion. Units are read from the names
+(`yaw_deg`, `stamp [ns]`, `x_mm`). The defaults are metres and radians. Times without a unit are in s, ms, us or ns,
+whichever brings the steps between the first lines closest to 50 ms, a usual period of odometry.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ __all__ = ["TUM", "Columns", "find_columns", "guess_tick"]
 _ROS = ("field", "header", "msg", "pose", "position", "pos", "p", "translation")
 _WHOSE = ("odom", "odometry", "truth", "gt", "rs", "r")
 _FILLERS = frozenset((*_ROS, *_WHOSE))
-"""Words that say nothing about which number it is."""
+"""Words of a column name that are ignored."""
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "metres": 1.0, "meters": 1.0}
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "radians": 1.0, "degrees": np.pi / 180.0}
 _TICKS = {"s": 10**9, "sec": 10**9, "secs": 10**9, "seconds": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 _TIMES = ("stamp", "timestamp", "time", "t")
 _YAWS = ("yaw", "theta", "heading", "th", "psi")
 _ROTATIONS = frozenset({"q", "quat", "quaternion", "orientation", "rotation", "rot"})
-_STEP_NS = 5e7
+_STEP_NS = 5e7  # usual period of odometry
 _DATES = (9.5e17, 4.1e18)
-"""Nanoseconds from 1970 to 2000 and to 2100."""
+"""The years 2000 and 2100 in nanoseconds since 1970."""
 _FARTHEST = 9.2e18
-"""Nanoseconds that 64 bits hold."""
+"""Largest time in nanoseconds that fits in 64 bits."""
 _NANOSECONDS = frozenset({"nsec", "nsecs", "nanosec", "nanosecs"})
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Places of the numbers in a line, and their units.
+    """Column indices of the quantities in a line, and their units.
 
-    delimiter : None for blanks
-    count : how many cells a line has
-    time, nanoseconds : the stamp, and the part of it that a second column adds (None)
-    tick_ns : the unit of the stamp; None where it follows from the numbers
-    xyz : places of x, y and, or None, z; metre is what one of their units is
-    yaw : place of the heading, or None; radian is what one of its units is
-    quat : places of x, y, z, w, or None
+    delimiter : None for white space
+    count : number of cells in a line
+    time, nanoseconds : the stamp, and a second column with its nanoseconds or None
+    tick_ns : unit of the stamp in nanoseconds; None if it has to be inferred from the values
+    xyz : columns of x, y and z (z may be None); metre is their unit in metres
+    yaw : column of the heading or None; radian is its unit in radians
+    quat : columns of x, y, z, w, or None
     """
 
     delimiter: str | None
@@ -75,12 +75,12 @@ class _Name:
 
 
 def find_columns(header: Sequence[str], delimiter: str, place: str) -> Columns:
-    """Return where a header says that time, position and heading are.
+    """Return the columns of time, position and heading according to a header.
 
     Raises
     ------
     RecordingError
-        Where one of them is missing or there twice.
+        If a required column is missing or appears twice.
 
     """
     names = [_read(cell) for cell in header]
@@ -130,9 +130,9 @@ def find_columns(header: Sequence[str], delimiter: str, place: str) -> Columns:
 
 
 def guess_tick(times: Sequence[float]) -> int:
-    """Return the unit of stamps in nanoseconds: steps are to be a robot's, and a date since 2000 speaks for itself."""
+    """Return the most plausible unit of stamps, ns, from their steps and the date that they would give."""
     stamps = np.asarray(times)
-    # what no unit makes a stamp of is refused with its line, when it is read as one
+    # Values too large for a stamp in any unit are refused later, with their line number.
     stamps = stamps[np.abs(stamps) < _FARTHEST]
     steps = np.abs(np.diff(stamps))
     steps = steps[steps > 0.0]
@@ -149,7 +149,7 @@ def guess_tick(times: Sequence[float]) -> int:
 
 
 def _read(cell: str) -> _Name:
-    """Return the words of a column's name that count, and its unit."""
+    """Return the significant words of a column's name, and its unit."""
     text = cell.lower().replace("µs", "us")
     words = [word for word in re.split(r"[^a-z0-9]+", text) if word]
     unit = words.pop() if len(words) > 1 and words[-1] in _LENGTHS | _ANGLES | _TICKS else ""

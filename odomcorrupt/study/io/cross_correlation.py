@@ -1,4 +1,4 @@
-"""How alike two motions are, at every lag: they need neither frame, scale nor clock in common."""
+"""Cross-correlation of two motions over lags; independent of their frames and clocks."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Trajectory
 
-__all__ = ["CrossCorrelation", "Spread", "likeness"]
+__all__ = ["CrossCorrelation", "Spread", "cross_correlation"]
 
 _SMOOTHING_S = 0.5
-_MOST = 200_000
-_FASTEST = 3.0
+_MAX_GRID = 200_000  # grid points
+_MAX_RADPS = 3.0  # rad/s at which yaw rates are clipped
 _GAP_S = 5.0
-"""What a path does in a gap so long (an outage, fixes without ambiguities resolved) it does not show."""
-_HARDLY = 0.03
-"""Yaw rate (rad/s, root mean square) of a robot that drives sideways instead of turning."""
+"""Longer gaps between poses (outages, unresolved fixes) are excluded: interpolation does not show the motion there."""
+_SIDEWAYS_RADPS = 0.03
+"""Yaw rate (rad/s, root mean square) below which a robot counts as moving sideways instead of turning."""
 
 
 class Spread(NamedTuple):
@@ -34,11 +34,11 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CrossCorrelation:
-    """Correlations of speed and of yaw rate.
+    """Correlations of speed and of yaw rate at each lag.
 
-    lag_s : (k,) by how much the truth is shifted to later, seconds
-    speed, turn : (k,) correlations, -1 to 1
-    odometry, truth : how much each of them varies
+    lag_s : (k,) shift of the truth to later times, seconds
+    speed, turn : (k,) correlations of speeds and of yaw rates, -1 to 1
+    odometry, truth : spread of speed and yaw rate in each of them
     """
 
     lag_s: Array
@@ -49,16 +49,16 @@ class CrossCorrelation:
 
     @property
     def both(self) -> Array:
-        """Correlation (k,) of a motion."""
+        """Mean of both correlations (k,)."""
         return (self.turn + self.speed) / 2.0
 
     @property
     def mirrored(self) -> Array:
-        """Correlation (k,) of a motion seen in a mirror."""
+        """Mean of both correlations (k,) with the sign of the truth's yaw rate reversed."""
         return (self.speed - self.turn) / 2.0
 
 
-def likeness(
+def cross_correlation(
     odometry: Trajectory,
     truth: Trajectory,
     reach_s: float,
@@ -66,10 +66,10 @@ def likeness(
     from_start: bool = False,
     smoothing_s: float = _SMOOTHING_S,
 ) -> CrossCorrelation:
-    """Return correlations at lags up to +- reach_s.
+    """Return the correlations at lags from -reach_s to reach_s.
 
-    from_start : count both times from their own first stamps instead of taking them as they are
-    smoothing_s : time over which speeds and yaw rates are taken
+    from_start : measure each time from its own first stamp instead of comparing absolute stamps
+    smoothing_s : time over which speeds and yaw rates are averaged
     """
     origin = int(odometry.stamps_ns[0])
     a_s = odometry.seconds_since(origin)
@@ -78,10 +78,10 @@ def likeness(
         first, last = max(a_s[0], b_s[0]) - reach_s, min(a_s[-1], b_s[-1]) + reach_s
     else:
         first, last = 0.0, max(a_s[-1], b_s[-1])
-    step = max(0.1, (last - first) / _MOST)
+    step = max(0.1, (last - first) / _MAX_GRID)
     grid = np.arange(first, last, step)
     turned = np.sqrt(np.mean(slopes(a_s, odometry.xyt[:, 2:], grid, smoothing_s) ** 2))
-    by_course = bool(np.isnan(truth.xyt[:, 2]).all()) or turned < _HARDLY
+    by_course = bool(np.isnan(truth.xyt[:, 2]).all()) or turned < _SIDEWAYS_RADPS
     one, other = (
         _signals(t, path.xyt, grid, smoothing_s, by_course=by_course) for t, path in ((a_s, odometry), (b_s, truth))
     )
@@ -103,17 +103,17 @@ def _spread(signals: Array) -> Spread:
 
 
 def _signals(t_s: Array, xyt: Array, grid: Array, smoothing_s: float, *, by_course: bool) -> Array:
-    """Return yaw rate and speed (m, 2) on a grid, NaN where there is no path; courses may stand in for headings."""
+    """Return yaw rate and speed (m, 2) on a grid, NaN outside the path; yaw rates from courses if `by_course`."""
     world = slopes(t_s, xyt[:, :2], grid, smoothing_s)
     speed = np.linalg.norm(world, axis=1)
     if by_course:
-        # twice the course: it does not care whether the robot drives forwards or backwards
+        # Doubled courses are the same for forward and backward driving.
         course = 2.0 * np.arctan2(world[:, 1], world[:, 0])
         turn = np.gradient(np.unwrap(course), grid) / 2.0
         turn[speed < 0.3 * np.sqrt(np.mean(speed**2))] = 0.0
     else:
         turn = slopes(t_s, xyt[:, 2:], grid, smoothing_s)[:, 0]
-    out = np.stack((np.clip(turn, -_FASTEST, _FASTEST), speed), axis=1)
+    out = np.stack((np.clip(turn, -_MAX_RADPS, _MAX_RADPS), speed), axis=1)
     out[:, 1] = np.minimum(out[:, 1], 1.5 * np.percentile(speed, 95.0))
     unseen = (grid < t_s[0]) | (grid > t_s[-1])
     for gap in np.flatnonzero(np.diff(t_s) > _GAP_S):
@@ -123,7 +123,7 @@ def _signals(t_s: Array, xyt: Array, grid: Array, smoothing_s: float, *, by_cour
 
 
 def _correlation(a: Array, b: Array, count: int) -> Array:
-    """Return the correlations (2 count + 1,) of a at i + lag with b at i, over where both are numbers."""
+    """Return the correlations (2 count + 1,) of a at i + lag with b at i, over samples where both are finite."""
     size = 1 << int(np.ceil(np.log2(2 * len(a))))
     there_a, there_b = np.isfinite(a).astype(np.float64), np.isfinite(b).astype(np.float64)
     a, b = np.where(there_a > 0, a, 0.0), np.where(there_b > 0, b, 0.0)
@@ -139,5 +139,5 @@ def _correlation(a: Array, b: Array, count: int) -> Array:
     var_a = shifted(a * a, there_b) / n - mean_a**2
     var_b = shifted(there_a, b * b) / n - mean_b**2
     scale = np.sqrt(np.maximum(var_a, 1e-9) * np.maximum(var_b, 1e-9))
-    # few samples in common agree by chance
+    # With little overlap, correlations are high by chance.
     return np.where(n > 0.3 * n.max(), cross / scale, 0.0)

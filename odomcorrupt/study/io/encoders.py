@@ -1,4 +1,4 @@
-"""What the encoders did, seen in the odometry alone: increments that were lost, and coarse ticks."""
+"""Encoder faults that the odometry alone shows: lost increments and coarse ticks."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
 
 __all__ = ["encoder_effects", "hides_losses", "restore_lost"]
 
-_FEWEST_LOST = 5
-_LEAST_LOST = 5e-4
-_MOSTLY = 0.5
-"""Part of the moving increments that are too few ticks to show a loss, from which on none is expected to be seen."""
+_MIN_LOST = 5
+_MIN_LOST_FRACTION = 5e-4  # fraction of the increments
+_MAX_HIDDEN = 0.5
+"""If a larger part of the moving increments has too few ticks to show a loss, losses count as undetectable."""
 _STEPS_M = np.geomspace(1e-3, 0.05, 600)
-"""Ticks finer than a millimetre bound the error to less than the truth resolves."""
-_LATTICE = 0.9
-_RESTLESS = 0.05
+"""Tested ticks, metres. The error of ticks below 1 mm is smaller than the truth resolves."""
+_MIN_REGULARITY = 0.9  # least mean cosine of increments that are multiples of a tick
+_MIN_CHANGES = 0.05  # least fraction of moving increments that differ from their predecessor by a tick
 _STILL_M = 1e-6
 
 
 def encoder_effects(recording: Recording) -> list[Effect]:
-    """Return lost increments and coarse ticks where the odometry shows them, with their parameters."""
+    """Return the effects `lost_increments` and `quantization`, with parameters, if the odometry shows them."""
     found = []
     shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
-    if shown.seen >= _FEWEST_LOST and shown.fraction > _LEAST_LOST:
+    if shown.seen >= _MIN_LOST and shown.fraction > _MIN_LOST_FRACTION:
         found.append(effect_from_values("lost_increments", {"fraction": shown.fraction}))
     step = _tick(recording)
     if step is not None:
@@ -46,13 +46,13 @@ def encoder_effects(recording: Recording) -> list[Effect]:
 
 
 def hides_losses(recording: Recording) -> bool:
-    """Return whether ticks are so coarse that most lost increments would pass for zeros between two counts."""
+    """Return whether ticks are so coarse that most lost increments look like zeros between two counts."""
     shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
-    return shown.hidden > _MOSTLY and _tick(recording) is not None
+    return shown.hidden > _MAX_HIDDEN and _tick(recording) is not None
 
 
 def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
-    """Return the recording with what its own odometry shows put right, where effects name it."""
+    """Return the recording with its odometry corrected for those effects that the odometry alone can restore."""
     restorable = [effect for effect in effects if effect.restorable]
     if not restorable:
         return recording
@@ -62,9 +62,9 @@ def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
 
 
 def _tick(recording: Recording) -> float | None:
-    """Return the wheel travel of a tick, where the increments lie on a lattice.
+    """Return the wheel travel per tick, metres, or None if the increments are no multiples of a tick.
 
-    Those of both wheels, where these give the heading, too; or those of the robot, which goes half a tick with each.
+    With a known track, both wheels are tested. Otherwise the robot's travel is, which is half a tick per wheel tick.
     """
     steps = increments(recording.odometry.xyt)
     found = None
@@ -78,34 +78,34 @@ def _tick(recording: Recording) -> float | None:
 
 
 def _lattice(travels: Sequence[Array]) -> float | None:
-    """Return the coarsest step that all travels (n,) are multiples of, if there is one that they change by."""
+    """Return the largest step of which all travels (n,) are multiples and by which they change, or None."""
     lattices = []
     for travel in travels:
         moved = travel[np.abs(travel) > _STILL_M][:1500]
         if len(moved) < 200:
             return None
-        # a wheel that has moved at all has moved by a tick: coarser lattices than that only seem to fit small numbers
+        # A moving wheel moves by at least one tick; coarser steps fit small increments only by chance.
         possible = np.quantile(np.abs(moved), 0.05) > 0.5 * _STEPS_M
         lattices.append(np.where(possible, _regularity(moved), 0.0))
     common = np.min(lattices, axis=0)
-    on = np.flatnonzero(common > _LATTICE)
+    on = np.flatnonzero(common > _MIN_REGULARITY)
     if not len(on):
         return None
-    # a lattice of s is one of s/2, too: the coarsest is meant, at its own peak
+    # Multiples of s are multiples of s/2, too: take the coarsest step, at its own peak.
     last = on[-1]
     near = on[_STEPS_M[on] > 0.9 * _STEPS_M[last]]
     step = float(_STEPS_M[near[np.argmax(common[near])]])
-    # a robot that keeps one speed goes the same way every time, without ticks: with them, counts come and go
-    restless = min(_restless(travel, step) for travel in travels)
-    return step if restless > _RESTLESS else None
+    # Constant speed also gives equal increments, but without changes by a tick.
+    changes = min(_change_fraction(travel, step) for travel in travels)
+    return step if changes > _MIN_CHANGES else None
 
 
-def _restless(travel: Array, step: float) -> float:
-    """Return how often travel (n,) changes by a step, of all the times that it moves."""
+def _change_fraction(travel: Array, step: float) -> float:
+    """Return the fraction of moving increments (n,) that differ from their predecessor by at least half a step."""
     moving = (np.abs(travel[1:]) > _STILL_M) | (np.abs(travel[:-1]) > _STILL_M)
     return float(np.mean(np.abs(np.diff(travel))[moving] > 0.5 * step))
 
 
 def _regularity(travel: Array) -> Array:
-    """Return how much travel (n,) clusters at multiples of each step: 1 for a lattice, about 0 for none."""
+    """Return the mean cosine of travel (n,) for each step: 1 for exact multiples, about 0 for no relation."""
     return np.array([np.mean(np.cos(2.0 * np.pi * travel / step)) for step in _STEPS_M])

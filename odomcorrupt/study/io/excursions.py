@@ -1,9 +1,8 @@
-"""Excursions of a truth: poses that leave where odometry and the rest of the truth agree, and come back.
+"""Removal of excursions of the truth: poses that depart from the odometry for some seconds and then return.
 
-A localisation that loses its way for some seconds is off by decimetres and returns to where it was; so does a tracker
-that swaps two markers. A robot that was pushed or lifted stays where it is. Compared with running medians of the
-difference, the first depart and the second does not: a median follows a step that lasts, and passes by one that does
-not.
+Examples are a localisation that is lost for some seconds, and a tracker that swaps two markers: both are off by
+decimetres and return. A robot that was pushed or lifted stays at its new place. Running medians of the difference
+between truth and odometry separate the two: a median follows a lasting step and ignores a short one.
 """
 
 from __future__ import annotations
@@ -28,31 +27,31 @@ if TYPE_CHECKING:
 __all__ = ["without_excursions"]
 
 _REACH_S = 20.0
-"""Half the window of the running medians, seconds: what lasts shorter is an excursion."""
-_FEWEST = 7
-"""Poses in a window for its median to say anything."""
+"""Half the window of the running medians, seconds; departures that last longer are no excursions."""
+_MIN_POSES = 7
+"""Fewest poses in a window for a running median."""
 _SIGMAS, _STILL_SIGMAS = 5.0, 3.0
-"""How far an excursion departs, in deviations of usual poses, and as long as what lies beside it does."""
-_LEAST = np.array([0.05, 0.03])
-"""Metres and radians by which an excursion departs at least."""
-_MOST = 0.2
-"""Part of the poses above which they are no excursions, but how this truth is."""
+"""Thresholds of a departure, in standard deviations of usual poses: at its peak, and at its beginning and end."""
+_MIN_APART = np.array([0.05, 0.03])
+"""Smallest departure of an excursion, metres and radians."""
+_MAX_FRACTION = 0.2
+"""Fraction of departing poses above which nothing is removed: departures are then usual for this truth."""
 _APART_S = 3.0
-_RETURNS = 0.5
-"""What may be left of a tracker's excursion once it is back, in parts of its size."""
+_MAX_LEFT = 0.5
+"""Largest residual departure after a tracker's excursion, as a fraction of its size."""
 _FLIP_RAD = 1.3
-"""What the truth turns at once beside the odometry that says nothing about which way round the difference goes on."""
+"""Step of the heading difference, radians, that counts as a flip; its direction then cannot be inferred."""
 
 
 def without_excursions(odometry: Samples, truth: Samples) -> Samples:
-    """Return a truth's poses without its excursions; one without headings as it is.
+    """Return a truth without its excursions; a truth without headings is returned unchanged.
 
-    A tracker's have to begin or end with a step that no robot makes: it errs at once, a localisation by degrees. Its
-    outliers stay, and hide none.
+    A tracker's excursion must begin or end with a step beyond the robot's reach, because trackers fail suddenly and
+    localisations gradually. Single outliers of a tracker are kept, and ignored in this test.
 
     Parameters
     ----------
-    odometry, truth : by growing stamps, on nearly the same clock
+    odometry, truth : sorted by stamp, with clocks that nearly agree
 
     """
     if not (truth.headed and odometry.headed):
@@ -61,19 +60,19 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     t_s = truth.seconds_since(int(odometry.stamps_ns[0]))
     own_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     inside = np.flatnonzero((t_s >= own_s[0]) & (t_s <= own_s[-1]))
-    if len(inside) < _FEWEST:
+    if len(inside) < _MIN_POSES:
         return whole
     apart = np.zeros((len(truth), 2))
     apart[inside], difference = _departures(odometry, own_s, truth, t_s, inside)
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
-    out, near = ((apart > np.maximum(sigmas * usual, _LEAST)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
+    out, near = ((apart > np.maximum(sigmas * usual, _MIN_APART)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
     sudden = None if truth.localised else _Sudden(reach_of(odometry, truth), t_s[inside], difference)
-    # on its way out and back, and where noise brings it nearer, it is still the same one
+    # An excursion includes its way out and back, and interruptions by noise.
     edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
     for first, end in edges.reshape(-1, 2):
         far = out[first:end].any()
         out[first:end] = far and (sudden is None or sudden.between(first - inside[0], end - inside[0]))
-    if not out.any() or out.mean() > _MOST:
+    if not out.any() or out.mean() > _MAX_FRACTION:
         return whole
     rows = np.flatnonzero(out)
     groups = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > _APART_S) + 1)
@@ -88,21 +87,21 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
 
 
 class _Sudden(NamedTuple):
-    """How far a robot can go, times (m,) and the difference (m, 3) of truth and odometry: m, m, rad."""
+    """Test for sudden steps: the robot's reach, times (m,) and truth minus odometry (m, 3) in m, m, rad."""
 
     reach: Reach
     t_s: Array
     difference: Array
 
     def between(self, first: int, end: int) -> bool:
-        """Tell whether poses are left or entered by a step that no robot makes, and those around them agree."""
+        """Return whether poses first to end begin or end with an impossible step while their neighbours agree."""
         if first < 1 or end >= len(self.t_s):
             return False
         slack = self.reach.noise + self.reach.top * (self.t_s[[first, end]] - self.t_s[[first - 1, end - 1]])[:, None]
         steps = self._apart([first, end], [first - 1, end - 1])
         stays = self._apart([end], [first - 1])
         largest = self._apart(range(first, end), [first - 1]).max(axis=0)
-        return bool((steps > slack).any() and (stays < np.maximum(_RETURNS * largest, _LEAST)).all())
+        return bool((steps > slack).any() and (stays < np.maximum(_MAX_LEFT * largest, _MIN_APART)).all())
 
     def _apart(self, one: Sequence[int], other: Sequence[int]) -> Array:
         moved = self.difference[one] - self.difference[other]
@@ -112,20 +111,20 @@ class _Sudden(NamedTuple):
 def _departures(
     odometry: Samples, own_s: Array, truth: Samples, t_s: Array, inside: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Return how far poses (m, 2) are from the running medians of truth less odometry, and this (m, 3); m and rad."""
+    """Return departures from the running medians of truth minus odometry (m, 2), and the difference (m, 3); m, rad."""
     at = t_s[inside]
     heading = np.interp(at, own_s, np.unwrap(odometry.yaw_rad))
     turned, calm = _unwrapped(truth.yaw_rad[inside] - heading)
     way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyz[:, :2], axis=0), axis=1))))
     design = np.stack((np.ones(len(at)), at, heading, np.interp(at, own_s, way)), axis=1)
-    # what a bias, a gain of turns and unequal wheels make of it goes on all the time
+    # Gyro bias, heading gain and unequal wheels act all the time: remove their contribution by regression.
     steady = design @ np.linalg.lstsq(design, calm, rcond=None)[0]
     usual = steady + _medians(at, (turned - steady)[:, None])[:, 0]
-    # the odometry's path, laid along the truth by its headings
+    # Integrate the odometry's path with the truth's usual headings.
     path = np.stack([np.interp(at, own_s, odometry.xyz[:, axis]) for axis in (0, 1)], axis=1)
     steps = rotate(np.diff(path, axis=0), (usual[1:] + usual[:-1]) / 2.0)
     laid = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
-    # travel of another length departs from it, too, as far as the path does
+    # Remove the error of the travelled length, too: it grows with the path.
     away = truth.xyz[inside, :2] - laid
     similar = np.stack((laid.ravel(), (laid[:, ::-1] * (-1.0, 1.0)).ravel(), *np.tile(np.eye(2), len(laid))), axis=1)
     away = away - (similar[:, :2] @ np.linalg.lstsq(similar, away.ravel(), rcond=None)[0][:2]).reshape(-1, 2)
@@ -134,7 +133,7 @@ def _departures(
 
 
 def _unwrapped(difference: Array) -> tuple[Array, Array]:
-    """Return a difference of headings (n,) that goes on through flips by half a turn, as it is and without them."""
+    """Return a difference of headings (n,) unwrapped across flips by half a turn, with and without the flips."""
     steps = wrap(np.diff(difference))
     steps[np.abs(steps) > _FLIP_RAD] = 0.0
     calm = difference[0] + np.concatenate(([0.0], np.cumsum(steps)))
@@ -142,7 +141,7 @@ def _unwrapped(difference: Array) -> tuple[Array, Array]:
 
 
 def _medians(t_s: Array, values: Array) -> Array:
-    """Return the running medians (n, c) of values (n, c); where too few are near, the values themselves."""
+    """Return running medians (n, c) of values (n, c); values with too few neighbours are returned unchanged."""
     first, last = np.searchsorted(t_s, t_s - _REACH_S), np.searchsorted(t_s, t_s + _REACH_S, side="right")
     bounds = list(zip(first.tolist(), last.tolist(), strict=True))
     medians = values.copy()
@@ -155,7 +154,7 @@ def _medians(t_s: Array, values: Array) -> Array:
             for one in column[begin:a]:
                 del ordered[bisect_left(ordered, one)]
             begin, end = a, b
-            if b - a >= _FEWEST:
+            if b - a >= _MIN_POSES:
                 half = (b - a) // 2
                 medians[i, c] = (ordered[half] + ordered[~half]) / 2.0
     return medians

@@ -1,9 +1,9 @@
-"""Satellite fixes as positions: those with resolved ambiguities, as metres east and north.
+"""Positions east and north, in metres, from satellite fixes with resolved ambiguities.
 
-A receiver with carrier-phase corrections (RTK) reports centimetres while its integer ambiguities are resolved. When it
-loses them it goes on with float ambiguities, decimetres off and drifting as they settle, or with a plain code solution.
-What says so is the status (NavSatStatus: -1 no fix, 0 fix, 1 satellite-based, 2 ground-based augmentation), and where
-a driver gives float and fixed solutions the same status (ublox, nmea_navsat_driver), the position covariance.
+A receiver with carrier-phase corrections (RTK) is accurate to centimetres while its integer ambiguities are resolved.
+Otherwise it reports float ambiguities, decimetres off and drifting as they settle, or a plain code solution. The status
+separates them (NavSatStatus: -1 no fix, 0 fix, 1 satellite-based, 2 ground-based augmentation). Some drivers (ublox,
+nmea_navsat_driver) give float and fixed solutions the same status; then the position covariance does.
 Sources: sensor_msgs/NavSatFix and NavSatStatus; u-blox ZED-F9P integration manual, section on RTK modes.
 """
 
@@ -20,27 +20,28 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Origin
+    from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["Fixes", "Resolved", "resolved"]
+__all__ = ["Fixes", "Resolved", "resolved", "without_float_episodes"]
 
 FLOAT_TIMES, _SETTLED_TIMES = 5.0, 2.5
-"""A fix whose deviation is so many times that of the best ones is not one of them; and the episode lasts until it is
-less than so many times: a float solution claims less and less while it settles."""
-_BEST, _ENOUGH = 0.1, 0.3
-"""Quantile of the best fixes; part of all fixes that has to be left."""
+"""Ratios to the best fixes' standard deviation: above the first a float episode begins; it ends below the second,
+which is smaller because a float solution claims less and less while it settles."""
+_BEST_QUANTILE, _MIN_GOOD = 0.1, 0.3
+"""Quantile that defines the best fixes; fraction of fixes that must remain."""
 _ISLAND_S = 3.0
-"""Resolved fixes between two float episodes count as float if they last shorter: such a solution was not trusted."""
-_OUTAGE_S, _OUTAGE_STEPS = 2.0, 5.0
+"""Resolved fixes between two float episodes count as float if they last shorter: too short to be reliable."""
+_OUTAGE_S, _OUTAGE_STEPS = 2.0, 5.0  # an outage is longer than both: seconds, and multiples of the median step
 NO_FIX, UNKNOWN = -1, -2
 
 
 class Fixes(NamedTuple):
-    """What a receiver reports, n messages by growing stamps.
+    """Fixes of a receiver, n messages sorted by stamp.
 
-    stamps_ns : (n,)
+    stamps_ns : (n,) nanoseconds
     lla : (n, 3) latitude and longitude in degrees, height in metres
-    status : (n,) of NavSatStatus
-    variance_m2 : (n,) east plus north; 0 or NaN where the receiver does not say
+    status : (n,) values of NavSatStatus
+    variance_m2 : (n,) east plus north; 0 or NaN if the receiver reports none
     """
 
     stamps_ns: NDArray[np.int64]
@@ -50,12 +51,12 @@ class Fixes(NamedTuple):
 
 
 class Resolved(NamedTuple):
-    """Positions of the fixes that are as good as a receiver's good ones.
+    """Positions of the fixes with resolved ambiguities.
 
-    rows : (k,) which fixes they are
-    xyz : (k, 3) metres east, north and up of the first of them
-    origin : what they are counted from, None where there is no fix
-    notes : what was left out, in words
+    rows : (k,) indices of these fixes
+    xyz : (k, 3) metres east, north and up of the first one
+    origin : geodetic origin of xyz, None if there is no fix
+    notes : descriptions of the fixes left out, for reports
     """
 
     rows: NDArray[np.int64]
@@ -65,7 +66,7 @@ class Resolved(NamedTuple):
 
 
 def resolved(fixes: Fixes) -> Resolved:
-    """Return the positions of the good fixes; float episodes and messages without a fix are left out."""
+    """Return the positions of the resolved fixes, or of all fixes if 30 % or fewer are resolved."""
     notes: list[str] = []
     there = np.isfinite(fixes.lla[:, :2]).all(axis=1) & (fixes.lla[:, :2] != 0.0).any(axis=1)
     there &= fixes.status != NO_FIX
@@ -76,10 +77,10 @@ def resolved(fixes: Fixes) -> Resolved:
         return Resolved(rows, np.zeros((0, 3)), None, tuple(notes))
     stamps_s = (fixes.stamps_ns[rows] - fixes.stamps_ns[rows[0]]).astype(np.float64) * 1e-9
     poor = _poor(fixes.status[rows], fixes.variance_m2[rows])
-    if np.mean(~poor) > _ENOUGH:
+    if np.mean(~poor) > _MIN_GOOD:
         poor = _joined(stamps_s, poor)
     good_share = float(np.mean(~poor))
-    if good_share > _ENOUGH:
+    if good_share > _MIN_GOOD:
         notes += _episodes(stamps_s, poor)
         rows = rows[~poor]
     elif poor.any():
@@ -92,15 +93,29 @@ def resolved(fixes: Fixes) -> Resolved:
     return Resolved(rows, east_north_up(fixes.lla[rows]), origin_of(fixes.lla[rows[0]]), tuple(notes))
 
 
+def without_float_episodes(truth: Samples) -> Samples:
+    """Return a truth of positions without float episodes by its reported variances: a receiver's poses, not fixes.
+
+    A truth with headings is returned as it is: variances of a localisation vary for other reasons.
+    """
+    if truth.headed or truth.geodetic_origin is not None or not len(truth.variance_m2):
+        return truth
+    stamps_s = truth.seconds_since(int(truth.stamps_ns[0]))
+    poor = _joined(stamps_s, _poor(np.full(len(truth), UNKNOWN, dtype=np.int8), truth.variance_m2))
+    if not poor.any() or np.mean(~poor) <= _MIN_GOOD:
+        return truth
+    return truth.only(~poor, *_episodes(stamps_s, poor))
+
+
 def _poor(status: NDArray[np.int8], variance_m2: Array) -> NDArray[np.bool_]:
-    """Return which fixes (n,) are of a lower grade than the best usual one, by status or by the deviation claimed."""
+    """Return which fixes (n,) have a lower grade than the best usual one, by status or reported covariance."""
     poor = np.zeros(len(status), dtype=bool)
-    grades = [grade for grade in (0, 1, 2) if np.mean(status >= grade) > _ENOUGH]
+    grades = [grade for grade in (0, 1, 2) if np.mean(status >= grade) > _MIN_GOOD]
     if grades:
         poor |= (status < grades[-1]) & (status != UNKNOWN)
     claimed = np.isfinite(variance_m2) & (variance_m2 > 0.0)
     if np.any(claimed & ~poor):
-        best = float(np.quantile(variance_m2[claimed & ~poor], _BEST))
+        best = float(np.quantile(variance_m2[claimed & ~poor], _BEST_QUANTILE))
         poor |= claimed & (variance_m2 > FLOAT_TIMES**2 * best)
         for first, last in _runs(poor | (claimed & (variance_m2 > _SETTLED_TIMES**2 * best))):
             poor[first:last] |= poor[first:last].any()
@@ -108,7 +123,7 @@ def _poor(status: NDArray[np.int8], variance_m2: Array) -> NDArray[np.bool_]:
 
 
 def _joined(stamps_s: Array, poor: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the same, good fixes that last only a moment between two poor stretches being poor."""
+    """Return the mask with short stretches of good fixes between two poor ones counted as poor."""
     joined = poor.copy()
     for first, last in _runs(~poor):
         inside = first > 0 and last < len(poor)
@@ -139,6 +154,6 @@ def _outages(stamps_s: Array) -> list[str]:
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the stretches of a mask (n,) that are true, as half-open ranges."""
+    """Return the stretches of a mask (n,) that are true, as half-open index ranges."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -1,7 +1,7 @@
-"""Satellite fixes as metres east and north, and recordings with different origins in one frame.
+"""Conversion of satellite fixes to metres east and north, and of recordings to a common geodetic origin.
 
-The plane touches the ellipsoid at its origin. Geodetic to Earth-centred coordinates is the closed formula of the
-World Geodetic System 1984 (NIMA TR8350.2, third edition, section 4.2), and a rotation takes these to east and north.
+The plane touches the ellipsoid at its origin. Geodetic coordinates become Earth-centred ones by the closed formula of
+the World Geodetic System 1984 (NIMA TR8350.2, third edition, section 4.2); a rotation turns these to east and north.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ _E2 = _F * (2.0 - _F)
 
 
 def origin_of(lla: Array) -> Origin:
-    """Return a fix (3,) as an origin; a height that is no number counts as 0."""
+    """Return a fix (3,) as an origin; a height that is not finite counts as 0."""
     latitude, longitude, height = np.nan_to_num(lla).tolist()
     return Origin(latitude, longitude, height)
 
 
 def east_north_up(lla: Array) -> Array:
-    """Return metres (n, 3) east, north and up of the first of fixes (n, 3): degrees, degrees, metres.
+    """Return positions (n, 3) in metres east, north and up of the first fix, from fixes (n, 3) in degrees and metres.
 
-    A height that is no number counts as that of the ellipsoid: receivers without height still know where they are.
+    Heights that are NaN count as 0 (on the ellipsoid): some receivers report only latitude and longitude.
     """
     centred = _earth_centred(lla)
     plane: Array = (centred - centred[0]) @ _to_plane(lla[0]).T
@@ -45,7 +45,7 @@ def east_north_up(lla: Array) -> Array:
 
 
 def frame_of(origin: Origin, other: Origin) -> Array:
-    """Return the pose (3,) of the plane at an origin in the plane at another one: x east, y north, m and rad.
+    """Return the pose (3,) of one origin's plane in another origin's plane: x east, y north; m and rad.
 
     The two planes are not parallel; at d metres from each other lengths differ by less than (d / 6 371 km)^2 / 2.
     """
@@ -57,9 +57,9 @@ def frame_of(origin: Origin, other: Origin) -> Array:
 
 
 def in_frame(recording: Recording, origin: Origin | None) -> Recording:
-    """Return the recording with its truth in the frame of another origin; as it is where it has none of its own.
+    """Return the recording with its truth moved to another geodetic origin; unchanged if it has no origin.
 
-    A place learned from one recording, as a patch of wet floor, is then the same place in the others.
+    A place learned from one recording, such as a patch of wet floor, is then the same place in the others.
     """
     own = recording.geodetic_origin
     if origin is None or own is None or own == origin:

@@ -1,8 +1,8 @@
-"""A gyro as a witness of turning: angular velocities of an Imu topic, their vertical axis, and the heading they give.
+"""Yaw rate from an IMU topic, used to separate wheel errors from heading errors.
 
-A gyro measures turns alone, up to a gain and an offset of its own. Beside a truth it shows whether the odometry's
-heading comes from the wheels or from the gyro, which no truth can. Without one it is the truth itself, of headings:
-its positions are the odometry's travel along its own headings, their variance such that they carry no information.
+A gyro measures turns only, with a scale error and a bias. In addition to a truth it shows whether the odometry's
+heading comes from the wheels or from the gyro, which a truth cannot show. Without a truth it serves as a truth of
+headings; its positions are the odometry's travel along the gyro's headings, with a variance that removes their weight.
 """
 
 from __future__ import annotations
@@ -31,32 +31,32 @@ __all__ = ["SCALE_ACCURACY", "Gyro", "YawGyro", "gyro_truth", "only_imu", "read_
 
 IMU = "sensor_msgs/msg/Imu"
 SCALE_ACCURACY = 0.01
-"""Standard deviation of a gyro's own scale error where nobody says better: 1 % (MEMS, not calibrated)."""
-_FEWEST = 50
+"""Default standard deviation of a gyro's scale error: 1 % (uncalibrated MEMS)."""
+_MIN_SAMPLES = 50
 _GRID_S = 0.05
-_LAG_S = 1.0
-_ALIKE = 0.6
-_SPREAD_S = 0.3
-_STILL_S = 1.0
+_MAX_LAG_S = 1.0  # largest lag between gyro and odometry
+_MIN_CORR = 0.6  # least correlation of their yaw rates
+_WINDOW_S = 0.3  # time over which yaw rates are averaged
+_STILL_S = 1.0  # shortest rest
 _STILL_MPS, _STILL_RADPS = 2e-3, 2e-3
-_LEAST_STILL_S = 3.0
-_KNOWN_BIAS_RADPS, _UNKNOWN_BIAS_RADPS = 3e-4, 0.02
-_MOST_BIAS_RADPS = 0.05
-_SAME, _OTHER = 0.1, 0.5
-_EXACT_RAD = 1e-7
-_RIDGE = 0.05
-_MOST_HZ = 100.0
-_UNKNOWN_M2 = 100.0
-_LAG_SAID_S = 0.01
+_MIN_STILL_S = 3.0  # total rest for a measured bias
+_KNOWN_BIAS_RADPS, _UNKNOWN_BIAS_RADPS = 3e-4, 0.02  # standard deviations of a bias measured, and not measured, at rest
+_MAX_BIAS_RADPS = 0.05
+_MAX_JITTER, _REST_CORR = 0.1, 0.5  # residual jitter (relative) and correlation at rest of a heading from the gyro
+_EXACT_RAD = 1e-7  # smaller heading steps count as zero
+_RIDGE = 0.05  # regularisation of the axis estimate, relative to the trace
+_MAX_HZ = 100.0  # highest rate of a truth made from a gyro
+_UNKNOWN_M2 = 100.0  # position variance of such a truth
+_REPORTED_LAG_S = 0.01  # shorter lags are not reported
 
 
 @dataclass(frozen=True, slots=True)
 class Gyro:
     """Angular velocities as recorded.
 
-    place : what messages call the topic: "run.bag: /imu/data"
-    stamps_ns : (n,) growing
-    rates : (n, 3) rad/s in the sensor's axes
+    place : name of bag and topic in messages: "run.bag: /imu/data"
+    stamps_ns : (n,) increasing
+    rates : (n, 3) angular velocities in the sensor's axes, rad/s
     """
 
     place: str
@@ -67,13 +67,13 @@ class Gyro:
 
 @dataclass(frozen=True, slots=True)
 class YawGyro:
-    """The vertical part of a gyro, on the odometry's clock.
+    """Yaw rate from a gyro, on the odometry's clock.
 
     stamps_ns : (n,)
-    rate : (n,) yaw rate less the bias, rad/s; its gain is the gyro's own
-    bias_error_radps : standard deviation of what may be left of the bias
-    heading_source : where the odometry's heading comes from: "wheels", "gyro", or "" where it does not show
-    notes : what was found, in words
+    rate : (n,) yaw rate minus the estimated bias, rad/s; includes the gyro's scale error
+    bias_error_radps : standard deviation of the remaining bias
+    heading_source : source of the odometry's heading: "wheels", "gyro", or "" if undecided
+    notes : findings, for reports
     """
 
     place: str
@@ -85,7 +85,7 @@ class YawGyro:
     notes: tuple[str, ...]
 
     def heading_at(self, stamps_ns: NDArray[np.int64]) -> Array:
-        """Return the summed heading (m,) at stamps within the record, rad; zero at its start."""
+        """Return the integrated heading (m,) at stamps within the record, rad; zero at its start."""
         origin = int(self.stamps_ns[0])
         own = (self.stamps_ns - origin) * 1e-9
         heading = np.concatenate(([0.0], np.cumsum(0.5 * (self.rate[1:] + self.rate[:-1]) * np.diff(own))))
@@ -94,21 +94,21 @@ class YawGyro:
 
 
 def only_imu(path: Path) -> str | None:
-    """Return the only Imu topic of a bag; None where there is none, or several."""
+    """Return the Imu topic of a bag with exactly one; otherwise None."""
     with open_reader(path) as reader:
         topics = {c.topic for c in reader.channels.values() if c.msgtype == IMU}
     return topics.pop() if len(topics) == 1 else None
 
 
 def read_gyro(path: Path, place: str, topic: str) -> Gyro:
-    """Read the angular velocities of an Imu topic.
+    """Return the angular velocities of an Imu topic.
 
     Raises
     ------
     TopicError
-        Where the bag has no such topic.
+        If the bag has no such topic.
     RecordingError
-        Where it holds too few, or nothing but zeros: a driver without a gyro.
+        If there are too few angular velocities, or all are zero (a driver without a gyro).
 
     """
     parts: list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] = []
@@ -131,7 +131,7 @@ def read_gyro(path: Path, place: str, topic: str) -> Gyro:
     _, index = np.unique(stamps[good], return_index=True)
     stamps, rates = stamps[good][index], rates[good][index]
     where = f"{place}: {topic}"
-    if len(stamps) < _FEWEST:
+    if len(stamps) < _MIN_SAMPLES:
         raise RecordingError(f"{where} holds {len(stamps)} angular velocities; leave --imu out, or record it longer")
     if not rates.any():
         raise RecordingError(f"{where}: all angular velocities are zero: there is no gyro behind it; leave --imu out")
@@ -139,15 +139,15 @@ def read_gyro(path: Path, place: str, topic: str) -> Gyro:
 
 
 def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
-    """Return the part of a gyro that is the robot's yaw rate, its lag and bias taken out.
+    """Return the robot's yaw rate according to a gyro, corrected for lag and bias.
 
-    The vertical axis is the direction in which its rates follow the odometry's turns: TF need not say it, and often
-    says it wrongly.
+    The vertical axis is found by regression of the odometry's yaw rate on the gyro's rates; TF is not used, because it
+    is often missing or wrong.
 
     Raises
     ------
     RecordingError
-        Where the odometry does not turn, or the gyro does not turn with it.
+        If the odometry does not turn, or if the gyro's rates do not correlate with its turns.
 
     """
     odo_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
@@ -159,38 +159,38 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
             "out"
         )
     heading = np.unwrap(odometry.yaw_rad)
-    grid = np.arange(first + _LAG_S, last - _LAG_S, _GRID_S)
+    grid = np.arange(first + _MAX_LAG_S, last - _MAX_LAG_S, _GRID_S)
     turned = _rate_on(odo_s, heading, grid)
     if float(np.std(turned)) < 5.0 * _STILL_RADPS:
-        raise RecordingError(f"{odometry.place}: hardly turns; a gyro has nothing to witness: leave --imu out")
-    angles = _summed(own_s, gyro.rates)
-    lag_s, coefficients, alike = _lagged(own_s, angles, grid, turned)
-    if alike < _ALIKE:
+        raise RecordingError(f"{odometry.place}: hardly turns, so that a gyro shows nothing: leave --imu out")
+    angles = _integrated(own_s, gyro.rates)
+    lag_s, coefficients, corr = _lagged(own_s, angles, grid, turned)
+    if corr < _MIN_CORR:
         raise RecordingError(
-            f"{gyro.place}: turns unlike the odometry (their yaw rates correlate by {alike:.2f} at best): it is not on "
+            f"{gyro.place}: turns unlike the odometry (their yaw rates correlate by {corr:.2f} at best): it is not on "
             "this robot, or its clock is more than a second off; leave --imu out"
         )
     axis = coefficients / np.linalg.norm(coefficients)
     stamps = gyro.stamps_ns - round(lag_s * 1e9)
     rate = gyro.rates @ axis
-    still = _still(odometry)
+    still = _at_rest(odometry)
     at = np.interp((stamps - odometry.stamps_ns[0]) * 1e-9, odo_s, still.astype(np.float64)) > 1.0 - 1e-9
     interval_s = float(np.median(np.diff(stamps))) * 1e-9
     still_s = float(np.count_nonzero(at)) * interval_s
-    if still_s > _LEAST_STILL_S:
+    if still_s > _MIN_STILL_S:
         bias, error = float(np.median(rate[at])), _KNOWN_BIAS_RADPS
         how = f"measured in {still_s:.0f} s at rest"
     else:
         own = angles @ axis
         bias, error = float(np.median(_rate_on(own_s - lag_s, own, grid) - turned)), _UNKNOWN_BIAS_RADPS
         how = "taken from the odometry, which hardly rests: not known"
-        if abs(bias) > _MOST_BIAS_RADPS:
-            # wheels that skid, not a gyro that is off by degrees a second
+        if abs(bias) > _MAX_BIAS_RADPS:
+            # A difference this large comes from skidding wheels, not from a gyro.
             bias, how = 0.0, "not known, for the odometry hardly rests"
     found = YawGyro(gyro.place, gyro.topic, stamps, rate - bias, error, "", ())
     source = _heading_source(found, odometry, still)
     notes = [_axis_words(axis), f"its bias is {np.degrees(bias):.3f} deg/s, {how}"]
-    if abs(lag_s) > _LAG_SAID_S:
+    if abs(lag_s) > _REPORTED_LAG_S:
         word = "late" if lag_s > 0.0 else "early"
         notes.append(f"stamped {abs(lag_s):.3f} s {word} against the odometry's turns; taken out")
     notes.append(_SOURCES[source])
@@ -199,25 +199,25 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
 
 
 _SOURCES = {
-    "gyro": "the odometry's heading comes from this gyro: of a wrong gain of turns, gyro_scale is meant",
-    "wheels": "the odometry's heading comes from the wheels (at rest it says exactly nothing, the gyro does not): of a "
-    "wrong gain of turns, wheelbase is meant",
-    "": "whether the odometry's heading comes from the wheels or from a gyro does not show",
+    "gyro": "the odometry's heading comes from this gyro: a wrong gain of turns is gyro_scale",
+    "wheels": "the odometry's heading comes from the wheels (at rest it is exactly constant, the gyro's is not): a "
+    "wrong gain of turns is wheelbase",
+    "": "whether the odometry's heading comes from the wheels or from a gyro is not known",
 }
 
 
 def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
-    """Return a truth of headings: positions are the odometry's travel along the gyro's headings, and carry nothing.
+    """Return a truth of headings from a gyro; its positions are the odometry's travel and have a large variance.
 
     Raises
     ------
     RecordingError
-        Where the odometry's heading is this gyro's, so that there is no second witness.
+        If the odometry's heading comes from this gyro, which then cannot serve as a reference.
 
     """
     if gyro.heading_source == "gyro":
         raise RecordingError(
-            f"{gyro.place}: the odometry's heading comes from this gyro, which is no witness against itself; give a "
+            f"{gyro.place}: the odometry's heading comes from this gyro, so the two cannot be compared; give a "
             "truth or a laser (--truth, --scan)"
         )
     inside = (odometry.stamps_ns >= gyro.stamps_ns[0]) & (odometry.stamps_ns <= gyro.stamps_ns[-1])
@@ -229,7 +229,7 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
     step = rotate(body, 0.5 * (theirs[1:] + theirs[:-1]))
     xy = np.concatenate((np.zeros((1, 2)), np.cumsum(step, axis=0)))
     rate_hz = 1e9 / float(np.median(np.diff(gyro.stamps_ns)))
-    every = max(1, round(rate_hz / _MOST_HZ))
+    every = max(1, round(rate_hz / _MAX_HZ))
     stamps = gyro.stamps_ns[::every]
     stamps = stamps[(stamps >= kept.stamps_ns[0]) & (stamps <= kept.stamps_ns[-1])]
     origin = int(kept.stamps_ns[0])
@@ -251,49 +251,49 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
     )
 
 
-def _summed(t_s: Array, rates: Array) -> Array:
-    """Return angles (n, c) summed from rates (n, c) by trapezia, rad."""
+def _integrated(t_s: Array, rates: Array) -> Array:
+    """Return angles (n, c) integrated from rates (n, c) by the trapezoidal rule, rad."""
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t_s)[:, None]
     return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(steps, axis=0)))
 
 
 def _rate_on(t_s: Array, angle: Array, grid: Array) -> Array:
     """Return the mean rate (m,) of an angle (n,) over 0.3 s around each time of a grid."""
-    half = 0.5 * _SPREAD_S
+    half = 0.5 * _WINDOW_S
     after: Array = np.interp(grid + half, t_s, angle)
     before: Array = np.interp(grid - half, t_s, angle)
-    return (after - before) / _SPREAD_S
+    return (after - before) / _WINDOW_S
 
 
 def _lagged(own_s: Array, angles: Array, grid: Array, turned: Array) -> tuple[float, Array, float]:
-    """Return the gyro's lag, coefficients (3,) that make its rates the odometry's yaw rate, and their correlation."""
+    """Return the gyro's lag, s, the coefficients (3,) that give the odometry's yaw rate, and the correlation."""
 
-    def tried(lag: float) -> tuple[float, Array]:
+    def fit_at(lag: float) -> tuple[float, Array]:
         rates = np.stack([_rate_on(own_s - lag, angles[:, i], grid) for i in range(3)], axis=1)
-        rates -= np.median(rates[resting], axis=0) if resting.sum() > _FEWEST else 0.0
+        rates -= np.median(rates[resting], axis=0) if resting.sum() > _MIN_SAMPLES else 0.0
         square = rates.T @ rates
-        # of an axis that hardly turns nothing is known: it must not stand in for one that does
+        # Regularised: an axis that hardly turns must not replace one that does.
         solution = np.linalg.solve(square + _RIDGE * np.trace(square) * np.eye(3), rates.T @ turned)
         fitted = rates @ solution
         return float(fitted @ turned) / max(float(np.linalg.norm(fitted) * np.linalg.norm(turned)), 1e-12), solution
 
     resting = np.abs(turned) < _STILL_RADPS
-    lags = np.arange(-_LAG_S, _LAG_S + 1e-9, 0.05)
-    lag = float(lags[int(np.argmax([tried(float(one))[0] for one in lags]))])
+    lags = np.arange(-_MAX_LAG_S, _MAX_LAG_S + 1e-9, 0.05)
+    lag = float(lags[int(np.argmax([fit_at(float(one))[0] for one in lags]))])
     for step in (0.01, 0.002):
         near_it = lag + step * np.arange(-6, 7)
-        lag = float(near_it[int(np.argmax([tried(float(one))[0] for one in near_it]))])
-    alike, solution = tried(lag)
-    return lag, solution, alike
+        lag = float(near_it[int(np.argmax([fit_at(float(one))[0] for one in near_it]))])
+    corr, solution = fit_at(lag)
+    return lag, solution, corr
 
 
-def _still(odometry: Samples) -> NDArray[np.bool_]:
-    """Return which samples (n,) of the odometry lie in a second or more without motion."""
+def _at_rest(odometry: Samples) -> NDArray[np.bool_]:
+    """Return which odometry samples (n,) belong to a rest of at least 1 s."""
     t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     half = 0.5 * _STILL_S
     ahead, behind = (np.clip(t_s + sign * half, t_s[0], t_s[-1]) for sign in (1.0, -1.0))
     moved = [np.interp(ahead, t_s, odometry.xyz[:, i]) - np.interp(behind, t_s, odometry.xyz[:, i]) for i in (0, 1)]
-    # how far it went, not how far it came: back and forth is no rest
+    # Use the travelled path in addition to the displacement, because back and forth is no rest.
     way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyz[:, :2], axis=0), axis=1))))
     gone = np.maximum(np.hypot(*moved), np.interp(ahead, t_s, way) - np.interp(behind, t_s, way))
     heading = np.unwrap(odometry.yaw_rad)
@@ -304,10 +304,10 @@ def _still(odometry: Samples) -> NDArray[np.bool_]:
 
 
 def _heading_source(gyro: YawGyro, odometry: Samples, still: NDArray[np.bool_]) -> str:
-    """Return where the odometry's heading comes from, by what it shares with the gyro that no wheel can.
+    """Return the source of the odometry's heading: "wheels", "gyro" or "".
 
-    Fast jitter of the gyro (third differences) is in an odometry whose heading is summed from it and in no other. And
-    wheels that rest say exactly nothing, while a gyro always says something.
+    Fast jitter of the gyro (third differences) appears only in a heading integrated from it. At rest, a heading from
+    wheels is exactly constant, while the gyro's is noisy.
     """
     inside = (odometry.stamps_ns > gyro.stamps_ns[0]) & (odometry.stamps_ns < gyro.stamps_ns[-1])
     stamps, rest = odometry.stamps_ns[inside], still[inside]
@@ -317,22 +317,22 @@ def _heading_source(gyro: YawGyro, odometry: Samples, still: NDArray[np.bool_]) 
     scale = float(ours @ other / max(float(other @ other), 1e-30))
     alone = 1.4826 * float(np.median(np.abs(ours - scale * other)))
     jitter = 1.4826 * float(np.median(np.abs(other)))
-    if abs(scale - 1.0) < 0.2 and alone < _SAME * jitter:
+    if abs(scale - 1.0) < 0.2 and alone < _MAX_JITTER * jitter:
         return "gyro"
     resting = rest[:-1] & rest[1:]
-    if np.count_nonzero(resting) > _FEWEST:
+    if np.count_nonzero(resting) > _MIN_SAMPLES:
         own = np.abs(np.diff(heading)[resting])
         seen = np.abs(np.diff(theirs)[resting])
         if np.mean(own < _EXACT_RAD) > 0.9 and float(np.median(seen)) > _EXACT_RAD:
             return "wheels"
         shared = np.corrcoef(np.diff(heading)[resting], np.diff(theirs)[resting])[0, 1] if own.any() else 0.0
-        if shared > _OTHER:
+        if shared > _REST_CORR:
             return "gyro"
     return ""
 
 
 def _axis_words(axis: Array) -> str:
-    """Return which axis of the sensor points up, in words."""
+    """Return which axis of the sensor points up, for a report."""
     largest = int(np.argmax(np.abs(axis)))
     sign = "" if axis[largest] > 0.0 else "-"
     tilt = float(np.degrees(np.arccos(min(abs(float(axis[largest])), 1.0))))

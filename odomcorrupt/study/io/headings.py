@@ -1,12 +1,11 @@
-"""Headings for a truth that has only positions: a place to linearise at, never a measurement.
+"""Headings for a truth of positions only: linearisation points, not measurements.
 
-Around every truth sample a few metres of the odometry's path are turned onto the truth's positions; the turn gives the
-heading there. Because the odometry had a hand in it, the likelihood treats these headings as unknown (their variance is
-`UNKNOWN_RAD` squared, flat over what a linearisation can bear), and only the positions carry information.
+A few metres of the odometry's path around each truth sample are aligned with the truth's positions; the rotation gives
+the heading there. These headings depend on the odometry, so the likelihood treats them as unknown: their variance is
+`UNKNOWN_RAD` squared, practically flat within the range of the linearisation. Only the positions carry information.
 
-Errors at the end of a window need a heading to start from, too. There each model is given the headings that its own
-odometry, with its effects taken out, has when laid onto the positions: a model is not blamed for what the uncorrected
-odometry bends in the headings.
+Drift errors at the end of a window also need an initial heading. For each model it comes from that model's corrected
+odometry aligned with the positions; bends of the uncorrected odometry then do not count as errors of the model.
 """
 
 from __future__ import annotations
@@ -24,16 +23,16 @@ if TYPE_CHECKING:
 __all__ = ["UNKNOWN_RAD", "with_headings", "with_recomputed_headings"]
 
 UNKNOWN_RAD = 0.5
-_REACH_M = 4.0
+_REACH_M = 4.0  # travel before and after a sample that is aligned
 
 
 def with_headings(recording: Recording) -> Recording:
-    """Return the recording with headings for its truth where it has none, and how far off they may be."""
+    """Return the recording with estimated headings and their error, if its truth has no headings."""
     return _headed(recording) if np.isnan(recording.truth.xyt[:, 2]).all() else recording
 
 
 def with_recomputed_headings(recording: Recording) -> Recording:
-    """Return the recording with headings recomputed from its present odometry, for a truth of positions alone."""
+    """Return the recording with headings re-estimated from its present odometry, for a truth of positions only."""
     return recording if recording.heading_error_rad is None else _headed(recording)
 
 

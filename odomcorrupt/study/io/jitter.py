@@ -1,7 +1,7 @@
-"""Stamps of when a pose arrived and not of when it was taken: the intervals vary, the steps between poses do not.
+"""Detection of stamps that mark a pose's arrival instead of its measurement: intervals vary but steps do not.
 
-So they do where poses are published whenever the robot has come so far: what moves then says whether its speed changed,
-the odometry at the stamps of a truth, or the truth at those of the odometry.
+Poses that are published after a fixed travel look the same. The other path, interpolated at these stamps, tells
+whether the speed really changed: odometry at the truth's stamps, or truth at the odometry's.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["jitter_signs"]
+__all__ = ["jitter_warnings"]
 
-_AROUND = 21
-"""Samples over which speeds are taken to be the same."""
+_WINDOW = 21
+"""Samples over which the speed is assumed constant."""
 _MOVING_MPS = 0.1
-_FEW = 200
-_LEAST_S = 2e-3
-"""Less than this moves a robot by a millimetre or two."""
-_SHARE, _PLAINLY = 0.5, 4.0
-"""Steps follow their intervals one to one where these are true; stamps jitter where by less, plainly."""
-_GAP = 3.0
+_MIN_SAMPLES = 200
+_MIN_JITTER_S = 2e-3
+"""Smallest jitter reported: it corresponds to one or two millimetres of motion."""
+_MIN_RATIO, _SIGMAS = 0.5, 4.0
+"""Steps over intervals vary with ratio 1 if stamps are right; jitter is reported below 0.5, by 4 standard errors."""
+_GAP_STEPS = 3.0
 
 
-def jitter_signs(path: Samples, other: Samples) -> list[str]:
-    """Notice stamps that jitter, which a fit can only take for noise of every step; another path shows the speed."""
+def jitter_warnings(path: Samples, other: Samples) -> list[str]:
+    """Return a warning if a path's stamps jitter: a fit would count it as noise of every step."""
     off_s = _jitter_s(path, other)
     if off_s is None:
         return []
@@ -38,36 +38,36 @@ def jitter_signs(path: Samples, other: Samples) -> list[str]:
 
 
 def _jitter_s(path: Samples, other: Samples) -> float | None:
-    """Return the deviation of stamps, seconds, where the poses know nothing of it; None where stamps are right."""
+    """Return the standard deviation of the stamps' jitter, seconds; None if the poses follow their stamps."""
     interval_s = np.diff(path.stamps_ns) * 1e-9
     way_m = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
-    if len(interval_s) < _FEW:
+    if len(interval_s) < _MIN_SAMPLES:
         return None
-    usual_s, usual_m = _around(interval_s), _around(way_m)
+    usual_s, usual_m = _running_mean(interval_s), _running_mean(way_m)
     speed = usual_m / np.maximum(usual_s, 1e-9)
-    used = (speed > _MOVING_MPS) & (interval_s < _GAP * np.median(interval_s))
-    used[: _AROUND // 2] = used[-(_AROUND // 2) :] = False
-    if used.sum() < _FEW:
+    used = (speed > _MOVING_MPS) & (interval_s < _GAP_STEPS * np.median(interval_s))
+    used[: _WINDOW // 2] = used[-(_WINDOW // 2) :] = False
+    if used.sum() < _MIN_SAMPLES:
         return None
     varies_s = interval_s - usual_s
     off_s = float(np.std(varies_s[used])) / np.sqrt(2.0)
     there = other.trajectory().at(path.seconds_since(int(path.stamps_ns[0])), int(path.stamps_ns[0]))[:, :2]
     there_m = np.linalg.norm(np.diff(there, axis=0), axis=1)
     expected_m = (speed * varies_s)[used]
-    if off_s < _LEAST_S or _follow((way_m - usual_m)[used], expected_m):
+    if off_s < _MIN_JITTER_S or _follow((way_m - usual_m)[used], expected_m):
         return None
-    return off_s if _follow((there_m - _around(there_m))[used], expected_m) else None
+    return off_s if _follow((there_m - _running_mean(there_m))[used], expected_m) else None
 
 
 def _follow(steps_m: Array, expected_m: Array) -> bool:
-    """Return whether deviations of steps (n,) may be half of what is expected of them (n,), or more."""
+    """Return whether deviations of steps (n,) may be at least half of the expected deviations (n,)."""
     square = float(expected_m @ expected_m)
     share = float(expected_m @ steps_m) / square
     error = float(np.std(steps_m - share * expected_m)) / float(np.sqrt(square))
-    return share + _PLAINLY * error >= _SHARE
+    return share + _SIGMAS * error >= _MIN_RATIO
 
 
-def _around(values: Array) -> Array:
-    """Return the mean (n,) of so many values around each."""
-    mean: Array = np.convolve(values, np.full(_AROUND, 1.0 / _AROUND), "same")
+def _running_mean(values: Array) -> Array:
+    """Return the running mean (n,) over `_WINDOW` values."""
+    mean: Array = np.convolve(values, np.full(_WINDOW, 1.0 / _WINDOW), "same")
     return mean

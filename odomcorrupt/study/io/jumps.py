@@ -1,7 +1,7 @@
-"""Jumps in a path: outliers (spikes, or there and back) are left out, lasting ones cut it into independent stretches.
+"""Jumps in a path: short ones (spikes, or there and back) are removed, lasting ones split it into stretches.
 
-A reset of the odometry, a tracker that swaps its markers or a map that is shifted say nothing about how odometry errs:
-nothing may be computed across them. What lies before and after is a run of its own, with a clock of its own.
+A reset of the odometry, a tracker that swaps its markers or a shifted map is no odometry error, so no increment may
+span it. The parts before and after are separate runs with separate clocks.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ if TYPE_CHECKING:
 __all__ = ["Reach", "Stretches", "reach_of", "stretches", "without_outliers"]
 
 OUTLIER_S = 3.0
-"""What lasts shorter than this between two jumps is an outlier, what lasts longer a stretch of its own."""
-_SPEED_S = 0.1
-_MARGIN = 4.0
+"""Longest outlier: a longer piece between two jumps is a stretch."""
+_SPEED_S = 0.1  # time over which top speeds are measured
+_MARGIN = 4.0  # factor from usual top speed to possible speed
 _SLACK = (np.array([0.1, 0.3]), np.array([3.0, 1.5]))
-"""Least and largest slack, m and rad: what looks like more noise than the largest is two paths in one."""
+"""Smallest and largest slack, m and rad; noise above the largest suggests two paths in one."""
 _SPIKE = np.array([0.03, 0.03])
-"""Least that a single pose must be off to be left out, m and rad: ticks and jitter are less."""
+"""Least deviation of a single pose that is removed, m and rad; ticks and jitter are smaller."""
 _SIGMAS = 20.0
-_LEVER_M = 1.0
-_MOST_JUMPS = 0.2
+_LEVER_M = 1.0  # assumed distance of the truth's tracked point from the odometry's
+_MAX_JUMPS = 0.2  # fraction of steps that may be jumps
 
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far a path can go in a time: rate (2,) m/s and rad/s, plus slack (2,) m and rad.
+    """Largest possible motion in a time t: rate * t + slack, with rate (2,) m/s and rad/s, slack (2,) m and rad.
 
-    top, noise : (2,) rate that is usual, and what noise does at most
+    top, noise : (2,) usual top speed and turn rate; upper bound of the noise, m and rad
     """
 
     rate: Array
@@ -52,16 +52,16 @@ class Reach:
 
 @dataclass(frozen=True, slots=True)
 class Stretches:
-    """Indices of the samples of each stretch, and how many samples are outliers."""
+    """Indices of the samples of each stretch, and the number of outliers."""
 
     rows: tuple[NDArray[np.int64], ...]
     outliers: int
 
 
 def reach_of(odometry: Samples, path: Samples) -> Reach:
-    """Return how far a path of a robot with this odometry can go: a few times its usual top speed, and its noise.
+    """Return the largest possible motion of a path, from the usual top speed of the odometry and the path's noise.
 
-    Top speed is taken over a tenth of a second, because stamps bunch.
+    Speeds are taken over 0.1 s, because stamps may be bunched.
     """
     t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     k = int(np.clip(np.ceil(_SPEED_S / np.median(np.diff(t_s))), 1, max(len(t_s) // 4, 1)))
@@ -74,24 +74,24 @@ def reach_of(odometry: Samples, path: Samples) -> Reach:
         rate=_MARGIN * top + lever,
         slack=np.clip(_SIGMAS * _noise(path, 0.5), *_SLACK),
         top=top + lever,
-        # trackers have their bad moments
+        # higher quantile: trackers have occasional bursts of noise
         noise=np.clip(_SIGMAS * _noise(path, 0.9), _SPIKE, _SLACK[1]),
     )
 
 
 def without_outliers(path: Samples) -> Samples:
-    """Return the samples that its own speeds explain: enough for checks that one gross outlier would mislead."""
+    """Return the samples consistent with the path's own top speed, for checks that gross outliers would mislead."""
     cut = stretches(path, reach_of(path, path))
     return path.only(np.concatenate(cut.rows)) if cut.outliers else path
 
 
 def stretches(path: Samples, reach: Reach) -> Stretches:
-    """Return the stretches that a robot can have driven.
+    """Return the stretches of a path between lasting jumps.
 
     Raises
     ------
     RecordingError
-        Where there are more jumps than path.
+        If more than 20 % of the steps are jumps.
 
     """
     t_s = path.seconds_since(int(path.stamps_ns[0]))
@@ -108,7 +108,7 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
 
     every = np.arange(len(path))
     jump = far(every[:-1], every[1:])
-    if np.mean(jump) > _MOST_JUMPS:
+    if np.mean(jump) > _MAX_JUMPS:
         raise RecordingError(
             f"{path.place}: {np.sum(jump)} of its {len(path)} poses lie farther from the one before than the robot can "
             "go: several robots or publishers on one topic, or no path at all; name another one"
@@ -130,13 +130,13 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
 
 
 def _top(speeds: Array) -> float:
-    """Return the speed that is hardly ever passed while moving."""
+    """Return the 95th percentile of the speeds while moving."""
     moving = speeds[speeds > 1e-3]
     return float(np.percentile(moving, 95.0)) if len(moving) else 0.0
 
 
 def _noise(path: Samples, part: float) -> Array:
-    """Return the white noise (2,) of position and heading, by the second differences that a part of them are below."""
+    """Return the white noise (2,) of position and heading, m and rad, from a quantile of their second differences."""
     xy = np.abs(np.diff(path.xyz[:, :2], n=2, axis=0))
     yaw = np.abs(np.diff(wrap(np.diff(path.yaw_rad)))) if path.headed else np.zeros(1)
     below = np.array([np.quantile(xy, part) if len(xy) else 0.0, np.quantile(yaw, part) if len(yaw) else 0.0])

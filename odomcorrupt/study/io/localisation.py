@@ -1,8 +1,8 @@
-"""A localisation on top of the odometry: poses that repeat its steps between corrections.
+"""Detection of a truth that is a localisation on top of the odometry, and its reduction to the corrections.
 
-AMCL and SLAM correct the odometry now and then (nav2's amcl: after 0.25 m or 0.2 rad). Asked for a pose in between, TF
-answers with the last correction and the odometry since: whoever publishes poses from TF at a rate of his own publishes
-the odometry, errors and all, and agrees with it. Only the poses at which the correction changed say where the robot is.
+AMCL and SLAM correct the odometry intermittently (nav2's amcl: after 0.25 m or 0.2 rad). In between, TF returns the
+last correction composed with the odometry since then. Poses sampled from TF at a fixed rate therefore repeat the
+odometry with its errors. Only the poses at which the correction changed are independent of it.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ if TYPE_CHECKING:
 __all__ = ["CORRECTIONS", "REPEATED", "SPARSE_HZ", "ahead_s", "corrections_alone", "is_of_base"]
 
 REPEATED, CORRECTIONS = 0.3, 20
-"""A localisation repeats itself in at least this part of its messages while the robot moves.
+"""Least fraction of messages during motion that repeat the odometry's step in a localisation.
 
-It takes so many corrections to learn from.
+The second is the least number of corrections from which to learn.
 """
 _NAMES = re.compile(r"amcl|slam|locali[sz]|cartographer|rtabmap|hector")
-"""Topics on which a localisation publishes its own poses."""
+"""Names of topics on which localisations publish their poses."""
 SPARSE_HZ = 5.0
-"""Rate below which such poses are corrections; above it a tracker of scans or images says where it is all the time."""
+"""Rate below which such poses are corrections; faster ones are of a tracker of scans or images, good at all times."""
 _UNEVEN = 0.3
-"""Spread of times between corrections (10 to 90 %) over their median: updates every 0.5 m or 0.5 rad are uneven."""
+"""Spread (10 to 90 %) of the times between corrections over their median; updates by travel or turn exceed it."""
 _BASES = frozenset({"base_link", "base_footprint"})
-"""REP 105 and 120: one point of the robot, and what lies below it on the floor."""
+"""REP 105 and 120: a point of the robot, and its projection to the floor."""
 _SAME, _MOVES = 1e-6, 1e-4
-"""Metres and radians: steps that differ by less are the same, and a robot that moves by less stands."""
-_CORRECTS = 5e-4
-"""Metres or radians of a usual correction at least: less is a simulator's rounding, or the odometry itself."""
-_LEAST_MOTION = 0.05
-"""Metres or radians of odometry between corrections that come after motion, at least."""
-_BACK = 4
-"""Poses may be asked for up to so many samples of the odometry late, and be stamped with the time of asking."""
+"""Metres and radians: the difference of equal steps, and the motion of a robot at rest, are smaller."""
+_MIN_CORRECTION = 5e-4
+"""Least median correction, metres or radians; smaller ones are a simulator's rounding or the odometry itself."""
+_MIN_MOTION = 0.05
+"""Least odometry motion between corrections that are triggered by motion, metres or radians."""
+_MAX_AGE = 4
+"""Poses may use an odometry sample up to this many samples old, but have the stamp of the request."""
 
 
 def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
-    """Return the truth at its corrections where in between it repeats the odometry, as it is where it does not.
+    """Return the truth reduced to its corrections if it repeats the odometry in between; otherwise unchanged.
 
-    Both by growing stamps. A sparse one that is by its name a localisation's is marked as such.
+    Both must be sorted by stamp. A truth of low rate that is named like a localisation's is marked as localised.
     """
     if not (truth.headed and odometry.headed):
         return truth
@@ -62,7 +62,7 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
         return truth
     real = np.column_stack((truth.xyz[:, :2], truth.yaw_rad))[inside]
     best: NDArray[np.bool_] | None = None
-    for path in _readings(odometry, truth.stamps_ns[inside]):
+    for path in _odometry_at(odometry, truth.stamps_ns[inside]):
         step, own = between(real[:-1], real[1:]), between(path[:-1], path[1:])
         apart = step - own
         apart[:, 2] = wrap(apart[:, 2])
@@ -72,7 +72,7 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
         new = ~repeats & moving
         if np.sum(repeats & moving) < REPEATED * np.sum(moving) or np.sum(new) < CORRECTIONS:
             continue
-        if np.median(size[new]) < _CORRECTS:
+        if np.median(size[new]) < _MIN_CORRECTION:
             continue
         if best is None or np.sum(new) < np.sum(best):
             best = new
@@ -87,10 +87,10 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
 
 
 def is_of_base(truth: Samples, odometry: Samples) -> bool:
-    """Tell whether a localisation gives poses of the odometry's own frame: it has neither lever arm nor mounting yaw.
+    """Return whether a localisation reports the odometry's own frame, without lever arm or mounting yaw.
 
-    Messages without a child frame (nav2's /amcl_pose, slam_toolbox's /pose) are of the base frame by definition; what
-    is wrong with them is the localisation's bias.
+    Messages without a child frame (nav2's /amcl_pose, slam_toolbox's /pose) refer to the base frame by definition;
+    their remaining offset is the localisation's bias.
     """
     if not (truth.localised and truth.frame):
         return False
@@ -99,23 +99,23 @@ def is_of_base(truth: Samples, odometry: Samples) -> bool:
 
 
 def _is_by_motion(odometry: Samples, truth: Samples) -> bool:
-    """Tell whether poses in the map come after so much motion, as slam_toolbox's /pose, and not at a rate of time."""
+    """Return whether poses in the map follow certain amounts of motion (slam_toolbox's /pose), not a fixed rate."""
     if plain(truth.frame).rpartition("/")[2] != "map" or truth.child or len(truth) < CORRECTIONS:
         return False
     low, usual, high = np.quantile(np.diff(truth.stamps_ns), (0.1, 0.5, 0.9))
-    own = _readings(odometry, truth.stamps_ns)[0]
-    moved = np.abs(between(own[:-1], own[1:])).max(axis=1) > _LEAST_MOTION
+    own = _odometry_at(odometry, truth.stamps_ns)[0]
+    moved = np.abs(between(own[:-1], own[1:])).max(axis=1) > _MIN_MOTION
     return bool(high - low > _UNEVEN * usual and moved.mean() > 1.0 - REPEATED)
 
 
 def ahead_s(
     stamps_ns: NDArray[np.int64], logs_ns: NDArray[np.int64], other: tuple[NDArray[np.int64], NDArray[np.int64]]
 ) -> float:
-    """Return by how much messages are stamped ahead of those of another publisher that are sent with them, seconds.
+    """Return by how much stamps are ahead of another publisher's stamps at the same log time, seconds.
 
-    Stamps of both count from one clock, which may be a simulator's; log times say what was sent together.
+    The stamps of both must count from one clock, which may be a simulator's; log times match the messages.
 
-    other : its stamps and its log times (m,)
+    other : stamps and log times (m,) of the other publisher
     """
     order = np.argsort(other[1], kind="stable")
     others, logs = other[0][order], other[1][order]
@@ -127,10 +127,10 @@ def ahead_s(
     return float(np.median((stamps_ns[together] - start) * 1e-9 - beside))
 
 
-def _readings(odometry: Samples, at_ns: NDArray[np.int64]) -> list[Array]:
-    """Return what the odometry said (n, 3) at stamps: between its samples as TF has it, and at each of the last few."""
+def _odometry_at(odometry: Samples, at_ns: NDArray[np.int64]) -> list[Array]:
+    """Return candidates of the odometry (n, 3) at stamps: interpolated as in TF, and each of the latest samples."""
     own = np.column_stack((odometry.xyz[:, :2], np.unwrap(odometry.yaw_rad)))
     t_s, at_s = ((s - odometry.stamps_ns[0]).astype(np.float64) * 1e-9 for s in (odometry.stamps_ns, at_ns))
     last = np.searchsorted(odometry.stamps_ns, at_ns, side="right") - 1
     straight = np.stack([np.interp(at_s, t_s, column) for column in own.T], axis=1)
-    return [straight, *(own[np.maximum(last - back, 0)] for back in range(_BACK))]
+    return [straight, *(own[np.maximum(last - back, 0)] for back in range(_MAX_AGE))]

@@ -1,4 +1,4 @@
-"""Can these two be one run? Odometry and truth, before anything is computed of them."""
+"""Plausibility checks of odometry and truth as one run, before any computation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.axes import check_plane, check_shape, check_turning
-from odomcorrupt.study.io.cross_correlation import likeness
+from odomcorrupt.study.io.cross_correlation import cross_correlation
 from odomcorrupt.study.io.same_run import check_together
 
 if TYPE_CHECKING:
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
 __all__ = ["SHORTEST_S", "check_pair"]
 
 SHORTEST_S = 10.0
-"""Less than this in common carries no study."""
-_FEWEST = 20
+"""Minimum overlap of odometry and truth, seconds."""
+_MIN_POSES = 20
 _STILL_M, _STILL_RAD = 0.05, 0.1
 _MOVES_M = 1.0
-_SCALE = 20.0
-_CLEAR = 0.7
+_MAX_RATIO = 20.0  # ratio of extents that suggests different units
+_CLEAR = 0.7  # correlation at which a time shift is suggested
 _DAY_S = 86_400.0
 _YEAR_S = 365.25 * _DAY_S
 
 
 def check_pair(odometry: Samples, truth: Samples) -> None:
-    """Refuse two that cannot be a run: no time in common, nothing moves, other units, axes, clocks or drives.
+    """Refuse odometry and truth that cannot be one run: disjoint times, no motion, other units, axes or clocks.
 
     Raises
     ------
     RecordingError
-        With what was found and the way out.
+        With the value found and the remedy.
 
     """
     _check_time(odometry, truth)
@@ -44,10 +44,10 @@ def check_pair(odometry: Samples, truth: Samples) -> None:
     here = odometry.only(_within(odometry, first, last))
     there = truth.only(_within(truth, first, last))
     for part, whole in ((here, odometry), (there, truth)):
-        if len(part) < _FEWEST:
+        if len(part) < _MIN_POSES:
             raise RecordingError(
                 f"{whole.place}: only {len(part)} of its {len(whole)} poses lie in the time that odometry and truth "
-                f"share; {_FEWEST} and more are needed: record longer"
+                f"share; {_MIN_POSES} and more are needed: record longer"
             )
     _check_motion(here, there)
     check_plane(here, there)
@@ -85,13 +85,13 @@ def _check_time(odometry: Samples, truth: Samples) -> None:
 
 
 def _shift(odometry: Samples, truth: Samples) -> str:
-    """Return the sentence that offers the shift of the truth which makes the motions match."""
+    """Return the advice on --truth-shift: the shift that matches the motions, or the one that matches the starts."""
     reach = max(odometry.span_s, truth.span_s)
-    alike = likeness(odometry.trajectory(), truth.trajectory(), reach, from_start=True)
-    best = int(np.argmax(alike.both))
+    corr = cross_correlation(odometry.trajectory(), truth.trajectory(), reach, from_start=True)
+    best = int(np.argmax(corr.both))
     start_s = float(odometry.stamps_ns[0] - truth.stamps_ns[0]) * 1e-9
-    if alike.both[best] > _CLEAR:
-        return f"the motions match with --truth-shift {start_s + alike.lag_s[best]:.1f}"
+    if corr.both[best] > _CLEAR:
+        return f"the motions match with --truth-shift {start_s + corr.lag_s[best]:.1f}"
     return f"if both began together, say --truth-shift {start_s:.1f}"
 
 
@@ -114,7 +114,7 @@ def _check_motion(here: Samples, there: Samples) -> None:
             "robot"
         )
     ratio = extents[1] / max(extents[0], 1e-9)
-    if max(extents) > _MOVES_M and min(extents) > 1e-3 and not 1.0 / _SCALE < ratio < _SCALE:
+    if max(extents) > _MOVES_M and min(extents) > 1e-3 and not 1.0 / _MAX_RATIO < ratio < _MAX_RATIO:
         small, large = (here, there) if ratio > 1.0 else (there, here)
         factor = max(ratio, 1.0 / ratio)
         unit = "millimetres" if 300.0 < factor < 3000.0 else "centimetres" if 30.0 < factor < 300.0 else "another unit"

@@ -1,4 +1,4 @@
-"""Samples: poses as somebody recorded them, before anything is put in order."""
+"""A trajectory as recorded: unsorted, unchecked poses with their source."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ LEAST = 2
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """n poses in the order in which they were recorded.
+    """A trajectory of n poses, in recorded order.
 
-    place : what they were read from, for messages: "run.bag: /odom"
-    name : the topic, edge or file alone
-    frame : the frame they are given in, "" where nobody says
-    stamps_ns : (n,) int64, since 1970 or since anything
+    place : source in messages: "run.bag: /odom"
+    name : topic, edge or file name without the bag
+    frame : frame of the poses, "" if not given
+    stamps_ns : (n,) int64, since 1970 or any other origin
     xyz : (n, 3) metres
-    yaw_rad : (n,) as recorded, neither wrapped nor unwrapped; NaN where there is no heading
-    log_ns : (n,) int64, when they were recorded; empty where nobody says
-    variance_m2 : (n,) what the recorder claims of x plus y; empty where it claims nothing
-    covariance : (n, 3, 3) of each pose in its own axes, where its source measured it
-    child : the frame that moves, "" where nobody says
+    yaw_rad : (n,) as recorded, neither wrapped nor unwrapped; NaN if there is no heading
+    log_ns : (n,) int64 times of recording; empty if unknown
+    variance_m2 : (n,) reported variance of x plus y; empty if none is reported
+    covariance : (n, 3, 3) of each pose in its own axes, if the source measured it
+    child : the moving frame, "" if not given
     relative : whether motions from pose to pose were measured, see `Trajectory`
-    notes : what was noticed or left out so far, in words
-    geodetic_origin : of its frame, where it was satellite fixes
-    localised : whether it is the corrections of a localisation, whose errors are alike over some length of path
+    notes : findings and removals so far, for reports
+    geodetic_origin : origin of the frame, for satellite fixes
+    localised : whether these are corrections of a localisation, whose errors are correlated along the path
     """
 
     place: str
@@ -61,7 +61,7 @@ class Samples:
 
     @property
     def headed(self) -> bool:
-        """Whether there are headings."""
+        """Whether the poses have headings."""
         return not bool(np.isnan(self.yaw_rad).all())
 
     @property
@@ -74,7 +74,7 @@ class Samples:
         return (self.stamps_ns - origin_ns).astype(np.float64) * 1e-9
 
     def only(self, rows: NDArray[np.bool_] | NDArray[np.int64], *notes: str) -> Samples:
-        """Return some of the samples, by mask or by index, with notes that say why."""
+        """Return the samples selected by a mask or by indices, with notes that give the reason."""
         return replace(
             self,
             stamps_ns=self.stamps_ns[rows],
@@ -90,15 +90,15 @@ class Samples:
         return replace(self, stamps_ns=stamps_ns)
 
     def without_headings(self) -> Samples:
-        """Return the positions alone."""
+        """Return the samples without their headings."""
         return replace(self, yaw_rad=np.full(len(self), np.nan))
 
     def noted(self, *notes: str) -> Samples:
-        """Return the same samples with more said about them."""
+        """Return the samples with further notes."""
         return replace(self, notes=(*self.notes, *(f"{self.name}: {note}" for note in notes)))
 
     def trajectory(self) -> Trajectory:
-        """Return stamps, x, y and unwrapped headings; the stamps must grow."""
+        """Return stamps, x, y and unwrapped headings; the stamps must increase."""
         if len(self) < LEAST:
             raise RecordingError(f"{self.place} holds {len(self)} usable poses; it takes many more")
         yaw = np.unwrap(self.yaw_rad) if self.headed else self.yaw_rad

@@ -1,4 +1,4 @@
-"""Read runs of a robot: odometry and truth from wherever they were recorded, cleaned, checked, and said so."""
+"""Reading of a robot's runs: odometry and truth from any supported source, cleaned and checked, with notes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import feedback_of
+from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
-from odomcorrupt.study.io.jitter import jitter_signs
+from odomcorrupt.study.io.jitter import jitter_warnings
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import NO_SCAN, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import corrections_alone, is_of_base
@@ -30,8 +31,8 @@ from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
 from odomcorrupt.study.io.warnings import (
     check_identity,
-    filter_signs,
-    heading_signs,
+    filter_warnings,
+    heading_warnings,
     without_constant_heading,
     without_course,
 )
@@ -50,27 +51,27 @@ if TYPE_CHECKING:
 __all__ = ["read_odometry", "read_runs", "recordings_of"]
 
 _OTHER_TRACK = 0.01
-"""Relative difference from which a track that is named is said to be another than the odometry's."""
+"""Relative difference from which a given track is reported as different from the odometry's."""
 
 
 def read_runs(source: Source, progress: Callable[[str, float], None] | None = None) -> list[Recording]:
-    """Read one run, as `_read_runs`, of a robot of this drive type."""
+    """Return the recordings of one run, as `_read_runs` does, with the robot's drive type."""
     if source.drive_type in STEERED:
         source = replace(source, track_m=None)
     return [replace(run, drive_type=source.drive_type) for run in _read_runs(source, progress)]
 
 
 def _read_runs(source: Source, progress: Callable[[str, float], None] | None) -> list[Recording]:
-    """Read one run: one recording, or several where resets cut it into independent stretches.
+    """Return one recording, or several if resets split the run into independent stretches.
 
-    progress : called with the stage and its share that is done
+    progress : called with the name of the stage and the fraction done
 
     Raises
     ------
     TopicError
-        Where a topic or frame is missing or several could be meant; the message lists them.
+        If a topic or frame is missing, or if several topics fit; the message lists them.
     RecordingError
-        Where what is there cannot be odometry and truth of one run; the message says why.
+        If the data cannot be odometry and truth of one run; the message gives the reason.
 
     """
     if source.relative is not None:
@@ -81,26 +82,26 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
             raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
         return _by_laser(source, scan, progress)
     imu = source.imu or automatic_imu(source)
-    if imu is not None and not _is_truth_there(source):
+    if imu is not None and not _has_truth(source):
         return _by_gyro(source, imu)
     odometry, truth = _read(source)
     wheels = _with_wheels(source, odometry)
     runs = _between_clock_steps(replace(source, track_m=wheels.track_m), wheels.odometry, truth)
-    return _witnessed(source, imu, odometry, wheels.noted(runs))
+    return _with_heading_source(source, imu, odometry, wheels.noted(runs))
 
 
 def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
-    """Return the odometry of a run alone, and the track where it is named or the wheels' angles show it.
+    """Return the odometry of a run, and the track if it is given or follows from the wheel angles.
 
     Raises
     ------
     TopicError, RecordingError
-        Where there is none, or it cannot be odometry.
+        If there is no odometry, or if it is implausible.
 
     """
     place = _place(source)
     odom = parse_address(source.odom) if source.odom is not None else None
-    odometry = in_order(_one(source.path, place, "odometry", odom))
+    odometry = in_order(_read_one(source.path, place, "odometry", odom))
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     check_itself(without_outliers(odometry))
@@ -109,10 +110,10 @@ def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
 
 
 def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] | None) -> list[Recording]:
-    """Return the recordings of a run whose truth is its laser."""
+    """Return the recordings of a run with laser scans as truth."""
     odom = parse_address(source.odom) if source.odom is not None else None
     place = _place(source)
-    wheels = _with_wheels(source, in_order(_one(source.path, place, "odometry", odom)))
+    wheels = _with_wheels(source, in_order(_read_one(source.path, place, "odometry", odom)))
     try:
         run = laser_run(source.path, place, odom, scan, progress, odometry=wheels.odometry)
         parts = truth_of(run)
@@ -129,10 +130,10 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
             if len(parts) == 1:
                 raise
     if not found:
-        raise RecordingError(f"{_place(source)}: no part of the laser's map carries a study; drive slower or longer")
-    chosen = "" if source.scan else f"no truth: the laser on {scan} is learned from; --scan says so without this line"
+        raise RecordingError(f"{_place(source)}: no part of the laser's map is long enough; drive slower or longer")
+    chosen = "" if source.scan else f"no truth: the laser on {scan} is used instead (as with --scan {scan})"
     error = source.truth_scale_error
-    said = f"the laser is a ruler good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
+    said = f"the laser as a ruler is accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
     runs = [
         replace(
             r,
@@ -143,16 +144,16 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
         )
         for i, r in enumerate(found)
     ]
-    return _witnessed(source, source.imu or automatic_imu(source), run.odometry, wheels.noted(runs))
+    return _with_heading_source(source, source.imu or automatic_imu(source), run.odometry, wheels.noted(runs))
 
 
 def _by_motions(source: Source, path: Path) -> list[Recording]:
-    """Return the recordings of a run whose truth is a file of relative motions: one for each chain of them."""
+    """Return the recordings of a run with a file of relative motions as truth, one for each chain of motions."""
     place = _place(source)
     if source.truth is not None or source.truth_path is not None or source.scan is not None:
         raise RecordingError(f"{place}: --relative {path} and a truth or scans; name one of them")
     odom = parse_address(source.odom) if source.odom is not None else None
-    odometry = in_order(_one(source.path, place, "odometry", odom))
+    odometry = in_order(_read_one(source.path, place, "odometry", odom))
     wheels = _with_wheels(source, odometry)
     motions = read_motions(path)
     shift = round(source.truth_shift_s * 1e9)
@@ -167,9 +168,9 @@ def _by_motions(source: Source, path: Path) -> list[Recording]:
             if len(chains) == 1:
                 raise
     if not found:
-        raise RecordingError(f"{place}: no chain of motions carries a study; record longer")
+        raise RecordingError(f"{place}: no chain of motions is long enough; record longer")
     error = source.truth_scale_error
-    said = f"lengths of the motions are good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
+    said = f"lengths of the motions are accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
     runs = [
         replace(
             r,
@@ -180,14 +181,14 @@ def _by_motions(source: Source, path: Path) -> list[Recording]:
         )
         for i, r in enumerate(found)
     ]
-    return _witnessed(source, source.imu or automatic_imu(source), odometry, wheels.noted(runs))
+    return _with_heading_source(source, source.imu or automatic_imu(source), odometry, wheels.noted(runs))
 
 
 def _by_gyro(source: Source, imu: str) -> list[Recording]:
-    """Return the recordings of a run that has nothing but odometry and a gyro: a truth of headings alone."""
+    """Return the recordings of a run that has only odometry and a gyro: its truth has headings only."""
     place = _place(source)
     odom = parse_address(source.odom) if source.odom is not None else None
-    odometry = in_order(_one(source.path, place, "odometry", odom))
+    odometry = in_order(_read_one(source.path, place, "odometry", odom))
     gyro = yaw_gyro(read_gyro(source.path, place, imu), odometry)
     wheels = _with_wheels(source, odometry)
     truth = gyro_truth(wheels.odometry, gyro)
@@ -199,7 +200,7 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
             f"no truth, no laser: wheels and the gyro on {imu} alone. What they disagree about is an error of one of "
             "them; travel cannot be known (not testable: wheel_scale, speed_scale and all else that is travel)"
         ),
-        f"the gyro's turns are good to {error:.2%}: no gain of turns is known better (--gyro-scale-accuracy)",
+        f"the gyro's turns are accurate to {error:.2%}, which limits any gain of turns (--gyro-scale-accuracy)",
     )
     return [
         replace(
@@ -215,8 +216,8 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
     ]
 
 
-def _witnessed(source: Source, imu: str | None, odometry: Samples, runs: list[Recording]) -> list[Recording]:
-    """Return recordings that know what a gyro beside their truth shows: where the odometry's heading comes from."""
+def _with_heading_source(source: Source, imu: str | None, odometry: Samples, runs: list[Recording]) -> list[Recording]:
+    """Return the recordings with the source of the odometry's heading, as found from a gyro beside the truth."""
     if imu is None:
         return runs
     try:
@@ -233,19 +234,19 @@ def _witnessed(source: Source, imu: str | None, odometry: Samples, runs: list[Re
 
 @dataclass(frozen=True, slots=True)
 class _Wheeled:
-    """The odometry to learn from, the track of its robot, and what its wheels' angles show, in words."""
+    """Odometry to learn from, the robot's track, and findings from its wheel angles."""
 
     odometry: Samples
     track_m: float | None
     notes: tuple[str, ...] = ()
 
     def noted(self, runs: list[Recording]) -> list[Recording]:
-        """Return recordings with what the wheels show."""
+        """Return the recordings with these findings among their notes."""
         return [replace(runs[0], notes=(*runs[0].notes, *self.notes)), *runs[1:]]
 
 
 def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
-    """Return what the wheels' angles in the bag tell of the odometry; in its place where their joints are named."""
+    """Return the odometry with findings from the bag's wheel angles, or odometry made from them if joints are named."""
     plain = _Wheeled(odometry, source.track_m)
     if is_text(source.path):
         return plain
@@ -269,7 +270,7 @@ def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
 
 
 def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> list[Recording]:
-    """Return the recordings of a run, those before and after a step of a clock apart."""
+    """Return the recordings of a run, separated at steps of a clock."""
     name = source.name or source.path.name
     pairs = [(one, other) for one in between_steps(odometry) for other in between_steps(truth)]
     found: list[Recording] = []
@@ -288,12 +289,12 @@ def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> l
 def recordings_of(
     name: str, odometry: Samples, truth: Samples, track_m: float | None = None, truth_shift_s: float = 0.0
 ) -> list[Recording]:
-    """Return the recordings of odometry and truth, checked and cleaned: several where resets cut them.
+    """Return the recordings of odometry and truth, checked and cleaned; several if resets split them.
 
     Raises
     ------
     RecordingError
-        Where they cannot be of one run; the message says why.
+        If they cannot be of one run; the message gives the reason.
 
     """
     odometry, truth = in_order(odometry), in_order(truth)
@@ -304,21 +305,21 @@ def recordings_of(
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    truth = without_course(odometry, without_constant_heading(odometry, truth))
+    truth = without_float_episodes(without_course(odometry, without_constant_heading(odometry, truth)))
     if not truth.relative:
         truth = without_excursions(odometry, corrections_alone(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
     for path in (calm, real):
         check_itself(path)
     check_pair(calm, real)
-    said = check_identity(calm, real) or heading_signs(calm, real)
+    said = check_identity(calm, real) or heading_warnings(calm, real)
     feedback = feedback_of(odometry, calm, real)
-    # a laser's reader has looked at its stamps already
-    said += filter_signs(calm, real, feedback) + jitter_signs(calm, real)
-    said += jitter_signs(real, calm) if truth.covariance is None else []
+    # The reader of laser scans has checked their stamps already.
+    said += filter_warnings(calm, real, feedback) + jitter_warnings(calm, real)
+    said += jitter_warnings(real, calm) if truth.covariance is None else []
     odometry = feedback.free
     truth = without_gaps(odometry, without_frozen(odometry, truth))
-    opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
+    opening = f"odometry {_description(odometry)}, truth {_description(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
     return [
         replace(
@@ -336,19 +337,19 @@ def recordings_of(
 
 
 def automatic_scan(source: Source) -> str | None:
-    """Return the laser to learn from where neither it nor a truth is named, None where there is no need of one."""
+    """Return the only scan topic of a bag if neither a scan nor a truth is named; otherwise None."""
     if source.truth is not None or source.truth_path is not None or is_text(source.path):
         return None
     return only_scan(source.path)
 
 
 def automatic_imu(source: Source) -> str | None:
-    """Return the only gyro of a bag, where none is named."""
+    """Return the only Imu topic of a bag; None for text files, and if there is none or several."""
     return None if is_text(source.path) else only_imu(source.path)
 
 
-def _is_truth_there(source: Source) -> bool:
-    """Whether a truth is named, or the bag holds something that could be one."""
+def _has_truth(source: Source) -> bool:
+    """Return whether a truth is named, or the bag holds a candidate for one."""
     if source.truth is not None or source.truth_path is not None or is_text(source.path):
         return True
     with open_reader(source.path) as reader:
@@ -368,11 +369,11 @@ def _read(source: Source) -> tuple[Samples, Samples]:
             raise RecordingError(f"{place}: a text file holds one trajectory; name the truth's with --truth-bag")
         both = read_bag(source.path, place, {"odometry": odom, "truth": truth})
         return both["odometry"], both["truth"]
-    odometry = _one(source.path, place, "odometry", odom)
-    return odometry, _one(source.truth_path, str(source.truth_path), "truth", truth)
+    odometry = _read_one(source.path, place, "odometry", odom)
+    return odometry, _read_one(source.truth_path, str(source.truth_path), "truth", truth)
 
 
-def _one(path: Path, place: str, role: Role, address: Address | None) -> Samples:
+def _read_one(path: Path, place: str, role: Role, address: Address | None) -> Samples:
     if not is_text(path):
         return read_bag(path, place, {role: address})[role]
     if address is not None:
@@ -380,7 +381,7 @@ def _one(path: Path, place: str, role: Role, address: Address | None) -> Samples
     return read_text(path, place)
 
 
-def _named(path: Samples) -> str:
+def _description(path: Samples) -> str:
     frame = f" in frame {path.frame}" if path.frame else ""
     positions = "" if np.isfinite(path.yaw_rad).any() else " (positions without headings)"
     return f"{path.name}{frame}{positions}"

@@ -1,4 +1,4 @@
-"""Trajectories and recordings: what a robot's odometry said, and where the robot really was."""
+"""Trajectories and recordings: a robot's odometry with the reference trajectory (truth) of the same run."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 __all__ = ["UNKNOWN_M2", "Recording", "Trajectory", "TruthField"]
 
 UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
-"""Variance of a pose of which nothing is known along an axis; and the share of poses that must be known."""
+"""Variance along an axis from which a pose counts as unknown, m^2; least fraction of poses that must be known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """n poses with strictly growing stamps.
+    """A trajectory of n poses with strictly increasing stamps.
 
     stamps_ns : (n,) int64, nanoseconds since 1970
-    xyt : (n, 3) metres and radians, headings unwrapped; NaN headings in a truth of positions alone
-    covariance : (n, 3, 3) of each pose in its own axes, where its source says it: only their shapes count, the level
-        is estimated; None where all poses are equally good
-    relative : whether motions from pose to pose were measured and the poses are their sum, so that each motion has an
-        error of its own, independent of the others'
+    xyt : (n, 3) metres and radians, headings unwrapped; NaN headings in a truth of positions only
+    covariance : (n, 3, 3) of each pose in its own axes, if the source reports it; only ratios matter, because the
+        level is estimated; None if all poses are equally accurate
+    relative : whether motions from pose to pose were measured and the poses are their sums; the errors of the motions
+        are then mutually independent
     """
 
     stamps_ns: NDArray[np.int64]
@@ -51,7 +51,7 @@ class Trajectory:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Which poses (n,) are known on all axes: all, where their source says nothing, or nearly none of them is."""
+        """Mask (n,) of poses known on all axes; all of them without covariances, or if hardly any would remain."""
         everywhere = np.ones(len(self), dtype=bool)
         if self.covariance is None:
             return everywhere
@@ -60,25 +60,25 @@ class Trajectory:
         return known if known.mean() > _FEW_KNOWN else everywhere
 
     def seconds_since(self, origin_ns: int) -> Array:
-        """Return the stamps as seconds (n,) since an integer origin: float64 stamps since 1970 lose 256 ns."""
+        """Return the stamps as seconds (n,) since an integer origin, because float64 stamps since 1970 lose 256 ns."""
         return (self.stamps_ns - origin_ns).astype(np.float64) * 1e-9
 
     def at(self, t_s: Array, origin_ns: int) -> Array:
-        """Return poses (m, 3) at times within the trajectory, on arcs between neighbours."""
+        """Return poses (m, 3) at times within the trajectory, interpolated on arcs."""
         left, fraction = self.place_of(t_s, origin_ns)
         return interpolate(self.xyt[left], self.xyt[left + 1], fraction)
 
     def heading_at(self, t_s: Array, origin_ns: int) -> Array:
-        """Return the headings (m,) of `at`, alone: they cost a tenth."""
+        """Return only the headings (m,) of `at`, at a tenth of the cost."""
         return self.headings_between(*self.place_of(t_s, origin_ns))
 
     def headings_between(self, left: NDArray[np.int64], fraction: Array) -> Array:
-        """Return the headings (m,) at parts of the way (m,) from poses (m,) to the next ones, see `place_of`."""
+        """Return headings (m,) interpolated from poses (m,) to their successors by fractions (m,), see `place_of`."""
         heading = self.xyt[:, 2]
         return heading[left] + fraction * wrap(heading[left + 1] - heading[left])
 
     def place_of(self, t_s: Array, origin_ns: int) -> tuple[NDArray[np.int64], Array]:
-        """Return the poses (m,) that times come after, and the parts of the way to the next ones."""
+        """Return the indices (m,) of the poses before given times, and the fractions (m,) of the interval passed."""
         own = self.seconds_since(origin_ns)
         left = np.clip(np.searchsorted(own, t_s, side="right") - 1, 0, len(own) - 2)
         return left, (t_s - own[left]) / (own[left + 1] - own[left])
@@ -86,10 +86,10 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class TruthField:
-    """Errors of a localisation: independent ones of each pose, and a Gaussian field that belongs to places on the map.
+    """Errors of a localisation: independent errors of each pose, and a Gaussian random field on the map.
 
     own_xy_m, own_yaw_rad : standard deviations of the independent errors
-    xy_m, yaw_rad, length_m : standard deviations of the field, and over which distance it is alike
+    xy_m, yaw_rad, length_m : standard deviations of the field, and its correlation length
     """
 
     own_xy_m: float
@@ -101,31 +101,31 @@ class TruthField:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """One run of a robot: its odometry and the truth, each on its own clock, in its own frame.
+    """One run of a robot: its odometry and the truth, each with its own clock and frame.
 
-    origin_ns : what float times count from: the odometry's first stamp as it was recorded
-    track_m : the robot's nominal track where it is known
-    drive_type : how its wheels steer it, see `drive_types`; "auto" where nobody said it
-    notes : what reading it left out or noticed, in words
-    clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
-    heading_error_rad : where the truth has only positions, how far off the headings given to it may be
-    truth_scale_error : standard deviation of a scale error that all lengths of the truth may share (a laser's)
-    positioned : whether the truth measured positions; a gyro's are the odometry's travel along its headings
-    turn_scale_error : standard deviation of a scale error that all turns of the truth may share (a gyro's)
-    turn_bias_error : standard deviation of an offset that all yaw rates of the truth may share, rad/s
-    heading_source : what a gyro in the bag shows the odometry's heading to come from: "wheels", "gyro", or "" unknown
-    geodetic_origin : of the truth's frame, where it was satellite fixes
-    localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are alike over some length of path
-    of_base : whether the truth is a localisation's of the very frame whose odometry it is (map -> odom -> base_link),
-        so that it has no lever arm and no mounting yaw
-    truth_correlation_m : way over which errors of the truth fade to 1/e of their correlation; 0: they are independent
-        of each other; None: not estimated yet, and taken for 0
-    truth_field : which of the truth's errors belong to places, where that explains them better
-    pulled_per_s : how fast the odometry's errors fade towards the truth, as those of a filter do that is given poses
-    pose_corrections : steps of such a filter that were found in the odometry and taken out of it
-    truth_level : by how much its truth is noisier than that of the first recording of a study, position and heading
-    odometry_topic : where its odometry was found; "" where it was no topic
-    stamp_error_s : standard deviation of an offset between the two clocks that rounded stamps hide, seconds
+    origin_ns : origin of times in float seconds: the odometry's first stamp as recorded
+    track_m : the robot's nominal track, if known
+    drive_type : steering of the wheels, see `drive_types`; "auto" if not given
+    notes : removals and findings of the reader, for reports
+    clock : name of the clock, and of the origin, shared by stretches of one run; "" if not shared
+    heading_error_rad : for a truth of positions only, standard deviation of the headings estimated for it
+    truth_scale_error : standard deviation of a scale error common to all lengths of the truth (a laser's)
+    positioned : whether the truth measured positions; a gyro's are the odometry's travel along the gyro's headings
+    turn_scale_error : standard deviation of a scale error common to all turns of the truth (a gyro's)
+    turn_bias_error : standard deviation of a bias common to all yaw rates of the truth, rad/s
+    heading_source : source of the odometry's heading according to a gyro: "wheels", "gyro", or "" if unknown
+    geodetic_origin : origin of the truth's frame, for satellite fixes
+    localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are correlated along the path
+    of_base : whether the truth is a localisation of the odometry's own frame (map -> odom -> base_link), and so has
+        neither lever arm nor mounting yaw
+    truth_correlation_m : travel over which the truth's errors decorrelate to 1/e; 0 if independent; None if not
+        estimated yet, which counts as 0
+    truth_field : model of truth errors that depend on the place, if it fits better
+    pulled_per_s : decay rate of the odometry's errors towards the truth, as of a filter that receives poses, 1/s
+    pose_corrections : number of steps of such a filter that were removed from the odometry
+    truth_level : noise of the truth relative to that of a study's first recording, position and heading
+    odometry_topic : topic of the odometry; "" if it was no topic
+    stamp_error_s : standard deviation of a clock offset hidden by rounded stamps, seconds
     """
 
     name: str
@@ -144,12 +144,12 @@ class Recording:
 
     @property
     def matched(self) -> bool:
-        """Whether the truth comes from scans matched with a map."""
+        """Whether the truth comes from scan matching."""
         return self.truth.covariance is not None and not self.truth.relative
 
     @property
     def axes(self) -> list[int]:
-        """Which of along (0), across (1) and yaw (2) the truth measured."""
+        """Axes that the truth measured: along (0), across (1), yaw (2)."""
         return [*([0, 1] if self.positioned else []), *([2] if self.headed else [])]
 
     geodetic_origin: Origin | None = None
@@ -166,7 +166,7 @@ class Recording:
 
     @property
     def headed(self) -> bool:
-        """Whether the truth measured headings: those that were given to positions are none."""
+        """Whether the truth measured headings; headings estimated for a truth of positions do not count."""
         return self.heading_error_rad is None and bool(np.isfinite(self.truth.xyt[:, 2]).all())
 
     @property

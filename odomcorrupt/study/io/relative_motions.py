@@ -1,8 +1,8 @@
-"""Relative motions from a file as the truth: what scan matchers and visual odometry write.
+"""Relative motions from a file as truth, as scan matchers and visual odometry write them.
 
-CSV with a header that names two times, dx, dy and dyaw (t0,t1,dx,dy,dyaw; also t1,t2 or start,end; dtheta), each motion
-in the axes of its start, and if known its covariance in the same axes: six columns xx,xy,xyaw,yy,yyaw,yawyaw. Motions
-that join end to end make chains; overlaps and loop closures are left out.
+The CSV header names two times, dx, dy and dyaw (t0,t1,dx,dy,dyaw; also t1,t2 or start,end; dtheta), each motion in the
+axes of its start. Its covariance in the same axes is optional: six columns xx,xy,xyaw,yy,yyaw,yawyaw. Motions that join
+end to end form chains; overlaps and loop closures are left out.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ __all__ = ["Motions", "chains_of", "read_motions"]
 _TIMES = (("t0", "t1"), ("t1", "t2"), ("start", "end"), ("from", "to"), ("start_s", "end_s"), ("t0_s", "t1_s"))
 _YAWS = ("dyaw", "dtheta", "dth", "dpsi")
 _COVARIANCE = ("xx", "xy", "xyaw", "yy", "yyaw", "yawyaw")
-_FEWEST = 20
-_MOST = 5_000_000
+_MIN_MOTIONS = 20
+_MAX_LINES = 5_000_000
 _JOINED = 0.02
-"""Motions join where the time between them is at most this part of the shorter one."""
-_TURNED_RAD = np.radians(15.0)
-_LEAST_S = 15.0
-_GROSS, _UNKNOWN_M2 = 10.0, 100.0
+"""Motions join if the time between them is at most this fraction of the shorter one."""
+_TURNED_RAD = np.radians(15.0)  # smaller mounting yaws are left to the fit
+_MIN_S = 15.0  # shortest chain
+_GROSS, _UNKNOWN_M2 = 10.0, 100.0  # a failed match: ratio to the median difference, and the variance it then gets
 
 
 class Motions(NamedTuple):
-    """n motions: when they begin and end (n,) ns, the pose of the end seen from the start (n, 3), and covariances.
+    """n relative motions: start and end times (n,) ns, poses (n, 3) of the end in the frame of the start, covariances.
 
     covariance : (n, 3, 3) in the axes of the start, or None
     """
@@ -65,27 +65,27 @@ class _Layout:
 
 
 def read_motions(path: Path) -> Motions:
-    """Read a file of relative motions.
+    """Return the relative motions in a CSV file.
 
     Raises
     ------
     RecordingError
-        Where it is none, or a line does not hold what its header promises.
+        If the file has no such header, or a line does not match it.
 
     """
     try:
         with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
             rows = ((n, line) for n, line in enumerate(csv.reader(stream), start=1) if line and not _is_comment(line))
             layout, table = None, []
-            for n, line in itertools.islice(rows, _MOST):
+            for n, line in itertools.islice(rows, _MAX_LINES):
                 if layout is None:
                     layout = _layout(line, str(path))
                     continue
                 table.append(_numbers(line, layout, f"{path}: line {n}"))
     except (OSError, csv.Error) as error:
         raise RecordingError(f"{path}: cannot be read: {error}") from error
-    if layout is None or len(table) < _FEWEST:
-        raise RecordingError(f"{path}: holds {len(table)} relative motions; {_FEWEST} and more are needed")
+    if layout is None or len(table) < _MIN_MOTIONS:
+        raise RecordingError(f"{path}: holds {len(table)} relative motions; {_MIN_MOTIONS} and more are needed")
     values = np.array(table)
     tick = guess_tick(values[:1000, 0].tolist())
     start, end = (_nanoseconds(values[:, i], tick, str(path)) for i in (0, 1))
@@ -102,24 +102,24 @@ def read_motions(path: Path) -> Motions:
 
 
 def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
-    """Return the chains of motions that last, as truths of relative poses on the robot.
+    """Return the chains of motions of at least 15 s, as truths of relative poses in the robot's frame.
 
-    A sensor that sits turned by more than 15 deg is found by the odometry (hand-eye calibration) and taken out; what is
-    left of its place is free in every fit.
+    A sensor mounted with a yaw of more than 15 deg is calibrated against the odometry (hand-eye calibration), and its
+    motions are transformed; the remaining mounting offset is a free parameter of every fit.
 
     Raises
     ------
     RecordingError
-        Where no chain lasts 15 s.
+        If no chain lasts 15 s.
 
     """
     motions, said = _on_robot(motions, odometry)
     chains = _chains(motions)
-    lasting = [c for c in chains if float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 >= _LEAST_S]
+    lasting = [c for c in chains if float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 >= _MIN_S]
     if not lasting:
         longest = max((float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 for c in chains), default=0.0)
         raise RecordingError(
-            f"{motions.place}: motions join end to end for {longest:.1f} s at most, {_LEAST_S:g} s are needed: the end "
+            f"{motions.place}: motions join end to end for {longest:.1f} s at most, {_MIN_S:g} s are needed: the end "
             "of each is to be the start of the next"
         )
     used = sum(len(c) for c in lasting)
@@ -134,7 +134,7 @@ def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
 
 
 def _chain(motions: Motions, rows: NDArray[np.int64]) -> Samples:
-    """Return a chain as a truth: poses summed from its motions."""
+    """Return a chain as a truth, with poses integrated from its motions."""
     poses, xyt = np.zeros((len(rows) + 1, 3)), motions.xyt
     for k, row in enumerate(rows):
         poses[k + 1] = compose(poses[k], xyt[row])
@@ -157,7 +157,7 @@ def _chain(motions: Motions, rows: NDArray[np.int64]) -> Samples:
 
 
 def _chains(motions: Motions) -> list[list[int]]:
-    """Return chains of rows that join end to end; of several that begin together the shortest goes on."""
+    """Return chains of rows that join end to end; of motions with the same start, the shortest is used."""
     order = np.lexsort((motions.end_ns, motions.start_ns))
     span = motions.end_ns - motions.start_ns
     chains: list[list[int]] = []
@@ -178,17 +178,17 @@ def _chains(motions: Motions) -> list[list[int]]:
 
 
 def _on_robot(motions: Motions, odometry: Samples) -> tuple[Motions, list[str]]:
-    """Return the motions of the robot, gross errors marked as unknown, and what was found, in words.
+    """Return the motions in the robot's frame with gross errors marked as unknown, and notes on both.
 
-    Where the sensor sits turned on the robot, that is taken out; motions that differ from the odometry's ten times as
-    much as is usual are failures of a matcher, and get a covariance of which nothing follows.
+    The sensor's mounting is removed if its yaw is large. Motions that differ from the odometry's by more than ten times
+    the median difference are failed matches and get a covariance that removes their weight.
     """
     path, origin = odometry.trajectory(), int(odometry.stamps_ns[0])
     start: Array = (motions.start_ns - origin).astype(np.float64) * 1e-9
     end: Array = (motions.end_ns - origin).astype(np.float64) * 1e-9
     last = float(odometry.stamps_ns[-1] - origin) * 1e-9
     inside = np.flatnonzero((start >= 0.0) & (end <= last) & (end > start))
-    if len(inside) < _FEWEST:
+    if len(inside) < _MIN_MOTIONS:
         raise RecordingError(
             f"{motions.place}: {len(inside)} of {len(start)} motions lie in the time of {odometry.name}: give their "
             "times on the odometry's clock (--truth-shift moves them)"

@@ -1,4 +1,4 @@
-"""Rows of a text file, read line by line: text comes from anybody, so that nothing in it is of unbounded length."""
+"""Rows of a text file, read line by line with limits on length, because the input is untrusted."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 
 __all__ = ["Row", "are_numbers", "read_lines", "split_line", "whole_rows"]
 
-_LONGEST = 65_536
-_LATEST_NS = 9.2e18
+_MAX_LINE = 65_536  # characters in a line
+_LATEST_NS = 9.2e18  # largest stamp in 64 bits
 
 
 class Row(NamedTuple):
-    """A line cut into cells; `place` and `line` (counted from 1) are for messages."""
+    """A line split into cells; `place` and `line` (counted from 1) are for messages."""
 
     place: str
     line: int
     cells: list[str]
 
     def number(self, at: int) -> float:
-        """Return a cell's number, NaN where the cell is empty."""
+        """Return the number in a cell, NaN if it is empty."""
         cell = self.cells[at]
         try:
             return float(cell) if cell.strip() else float("nan")
@@ -34,7 +34,7 @@ class Row(NamedTuple):
             raise RecordingError(f"{self.place}: {cell[:40]!r} in line {self.line} is no number; mend it") from error
 
     def nanoseconds(self, at: int, tick_ns: int) -> int:
-        """Return a cell's stamp exactly: a float64 of seconds since 1970 would lose 100 ns and more."""
+        """Return the exact stamp in a cell; float64 seconds since 1970 would lose 100 ns and more."""
         rough = self.number(at) * tick_ns
         if not abs(rough) < _LATEST_NS:
             raise RecordingError(f"{self.place}: {self.cells[at][:40]!r} in line {self.line} is no stamp; mend it")
@@ -42,24 +42,24 @@ class Row(NamedTuple):
 
 
 def read_lines(stream: TextIO, place: str) -> Iterator[Row]:
-    """Yield lines that are not blank, each as a row of one cell."""
+    """Yield the non-blank lines, each as a row of one cell."""
     count = 0
-    while line := stream.readline(_LONGEST):
+    while line := stream.readline(_MAX_LINE):
         count += 1
-        if len(line) == _LONGEST:
-            raise RecordingError(f"{place}: line {count} has more than {_LONGEST} letters; this is no TUM or CSV file")
+        if len(line) == _MAX_LINE:
+            raise RecordingError(f"{place}: line {count} has more than {_MAX_LINE} letters; this is no TUM or CSV file")
         if line.strip():
             yield Row(place, count, [line.strip()])
 
 
 def split_line(row: Row, delimiter: str | None) -> Row:
-    """Cut a line into cells; None cuts at blanks."""
+    """Split a line into cells; None splits at white space."""
     line = row.cells[0]
     return row._replace(cells=line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter)))
 
 
 def whole_rows(rows: Iterable[Row], count: int, notes: list[str]) -> Iterator[Row]:
-    """Yield rows with all their cells; the last one may be cut, because whoever wrote it may have been stopped."""
+    """Yield complete rows; an incomplete last row (writing was interrupted) is left out with a note."""
     short: Row | None = None
     for row in rows:
         if short is not None:
@@ -75,7 +75,7 @@ def whole_rows(rows: Iterable[Row], count: int, notes: list[str]) -> Iterator[Ro
 
 
 def are_numbers(row: Row) -> bool:
-    """Tell whether all cells are numbers, or empty."""
+    """Return whether all cells are numbers or empty."""
     try:
         for at in range(len(row.cells)):
             row.number(at)

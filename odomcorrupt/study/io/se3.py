@@ -1,4 +1,4 @@
-"""Transforms in space: only what a chain of TF edges needs."""
+"""Rigid transforms in space, as needed for a chain of TF edges."""
 
 from __future__ import annotations
 
@@ -18,46 +18,46 @@ _SHORTEST = 1e-6
 
 
 class Transforms(NamedTuple):
-    """Positions (n, 3) in metres and unit quaternions xyzw (n, 4); n may be 1 for one that never moves."""
+    """Positions (n, 3) in metres and unit quaternions xyzw (n, 4); n may be 1 for a static transform."""
 
     xyz: Array
     quat_xyzw: Array
 
 
 def unit(quat_xyzw: Array) -> Array:
-    """Return quaternions (n, 4) of length one; those that have no length, or are no numbers, become NaN."""
+    """Return quaternions (n, 4) normalised; NaN for those that are zero or not finite."""
     largest = np.abs(quat_xyzw).max(axis=1, keepdims=True)
     usable = (largest > _SHORTEST) & (largest < np.inf)
-    # scaled first: squares of what a damaged bag holds would overflow
+    # Scale first: squares of values from a damaged bag could overflow.
     scaled = np.divide(quat_xyzw, largest, out=np.full_like(quat_xyzw, np.nan), where=usable)
     out: Array = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
     return out
 
 
 def headings(quat_xyzw: Array) -> Array:
-    """Return the headings (n,) of quaternions (n, 4) of any length, NaN where they are none."""
+    """Return the headings (n,) of quaternions (n, 4) of any norm, NaN for invalid ones."""
     return np.asarray(yaw_from_quaternion(unit(quat_xyzw)))
 
 
 def composed(a: Transforms, b: Transforms) -> Transforms:
-    """Return a followed by b, b given in the frame of a."""
+    """Return the composition of a and b, with b in the frame of a."""
     return Transforms(a.xyz + _turned(a.quat_xyzw, b.xyz), _product(a.quat_xyzw, b.quat_xyzw))
 
 
 def inverted(a: Transforms) -> Transforms:
-    """Return the transforms that undo a."""
+    """Return the inverse transforms."""
     back = a.quat_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
     return Transforms(-_turned(back, a.xyz), back)
 
 
 def interpolated(t_s: Array, moving: Transforms, at_s: Array) -> Transforms:
-    """Return transforms (m,) at times within t_s (n,), n > 1: straight in position, steady in rotation."""
+    """Return transforms (m,) at times within t_s (n,), n > 1: linear in position, spherical linear in rotation."""
     left = np.clip(np.searchsorted(t_s, at_s, side="right") - 1, 0, len(t_s) - 2)
     fraction = ((at_s - t_s[left]) / (t_s[left + 1] - t_s[left]))[:, None]
     xyz = moving.xyz[left] + fraction * (moving.xyz[left + 1] - moving.xyz[left])
     start, end = moving.quat_xyzw[left], moving.quat_xyzw[left + 1]
     cosine = np.sum(start * end, axis=1, keepdims=True)
-    # q and -q are the same rotation: take the shorter way round
+    # q and -q are the same rotation: take the shorter arc.
     end = np.where(cosine < 0.0, -end, end)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     whole = np.sinc(angle / np.pi)

@@ -1,4 +1,4 @@
-"""Cut two paths into recordings that belong together, and take out of the truth what the odometry cannot answer for."""
+"""Splitting of odometry and truth into independent recordings, without parts of the truth that cannot be compared."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ if TYPE_CHECKING:
 
 __all__ = ["independent_parts", "without_frozen", "without_gaps"]
 
-_GAP_S = 0.5
-_GAP_STEPS = 5.0
-_SLOW = np.array([0.02, 0.05])
+_GAP_S = 0.5  # a gap of the odometry is longer than this
+_GAP_STEPS = 5.0  # and than this many median intervals
+_MIN_SPEED = np.array([0.02, 0.05])  # m/s and rad/s; a faster robot should change the truth
 _CLOCKS_S = 3.0
-"""How far off a clock may be that the study is to find: so much truth, or odometry, is kept beyond a stretch."""
-_LEAST_HEADED_S, _LEAST_BLIND_S = 25.0, 50.0
-"""Stretches shorter than this carry too few nodes to be halved; they are left out where longer ones are there."""
+"""Largest clock offset that the study can find: truth and odometry are kept this long beyond a stretch."""
+_MIN_HEADED_S, _MIN_UNHEADED_S = 25.0, 50.0
+"""Shortest stretches, with and without headings, with enough intervals for two halves; used if longer ones exist."""
 
 
 def without_frozen(odometry: Samples, truth: Samples) -> Samples:
-    """Return the truth without poses that were repeated while the robot moved: a tracker that saw nothing."""
+    """Return the truth without poses repeated while the robot moved, as from a tracker that lost its target."""
     t_s, own = truth.seconds_since(int(odometry.stamps_ns[0])), odometry.seconds_since(int(odometry.stamps_ns[0]))
     yaw = np.nan_to_num(truth.yaw_rad)
     repeated = np.concatenate(([False], (np.diff(truth.xyz, axis=0) == 0.0).all(axis=1) & (np.diff(yaw) == 0.0)))
     if not repeated.any():
         return truth
     poses = np.concatenate((odometry.xyz[:, :2], np.unwrap(odometry.yaw_rad)[:, None]), axis=1)
-    # a quarter of a second around: odometry comes in ticks
+    # Average over 0.25 s on each side, because odometry comes in ticks.
     before, after = (np.stack([np.interp(t_s + d, own, p) for p in poses.T], axis=1) for d in (-0.25, 0.25))
     speed = np.stack((np.linalg.norm((after - before)[:, :2], axis=1), np.abs((after - before)[:, 2])), axis=1) / 0.5
-    frozen = repeated & (speed > _SLOW).any(axis=1)
+    frozen = repeated & (speed > _MIN_SPEED).any(axis=1)
     if not frozen.any():
         return truth
     return truth.only(~frozen, f"{np.sum(frozen)} poses that repeat the one before while the robot moves left out")
 
 
 def without_gaps(odometry: Samples, truth: Samples) -> Samples:
-    """Return the truth without what lies inside gaps of the odometry: there is nothing to compare it with."""
+    """Return the truth without poses inside gaps of the odometry, which cannot be compared."""
     steps = np.diff(odometry.seconds_since(int(odometry.stamps_ns[0])))
     gaps = np.flatnonzero(steps > max(_GAP_S, _GAP_STEPS * float(np.median(steps))))
     if not len(gaps):
@@ -59,12 +59,12 @@ def without_gaps(odometry: Samples, truth: Samples) -> Samples:
 
 
 def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: float | None) -> list[Recording]:
-    """Return a recording for every stretch of odometry and truth that lasts.
+    """Return a recording for each sufficiently long stretch common to odometry and truth.
 
     Raises
     ------
     RecordingError
-        Where no stretch does.
+        If there is no such stretch.
 
     """
     pieces = []
@@ -81,7 +81,7 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
             notes.append(f"{path.name}: {len(cut.rows) - 1} {what[len(cut.rows) > 2]} ({where})")
         pieces.append([path.only(rows) for rows in cut.rows])
     both = [(one, other) for one in pieces[0] for other in pieces[1] if _shared_s(one, other) >= SHORTEST_S]
-    moved = _long_ones([pair for pair in both if _moves(pair[0])])
+    moved = _long_pairs([pair for pair in both if _moves(pair[0])])
     if not moved:
         longest = max((_shared_s(a, b) for a in pieces[0] for b in pieces[1]), default=0.0)
         raise RecordingError(
@@ -95,12 +95,12 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
     recordings = []
     for i, (one, other) in enumerate(moved):
         part = f"{name} part {i + 1}" if len(moved) > 1 else name
-        own = (_until_end_of(one, other) if len(moved) > 1 else one).trajectory()
+        own = (_odometry_until(one, other) if len(moved) > 1 else one).trajectory()
         said = tuple(notes) if i == 0 else ()
-        # what resets cut apart was still recorded by one clock
+        # Parts separated by resets still share one clock.
         origin_ns = int((odometry if len(moved) > 1 else one).stamps_ns[0])
         clock = f"{name} from {origin_ns}" if len(moved) > 1 else ""
-        real = _beside(one, other) if len(moved) > 1 else other
+        real = _truth_during(one, other) if len(moved) > 1 else other
         recordings.append(
             Recording(
                 name=part,
@@ -116,21 +116,21 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
     return recordings
 
 
-def _long_ones(pairs: list[tuple[Samples, Samples]]) -> list[tuple[Samples, Samples]]:
-    """Return the pairs of odometry and truth that share enough time for all of a study, or all where none does."""
-    enough = [pair for pair in pairs if _shared_s(*pair) >= (_LEAST_HEADED_S if pair[1].headed else _LEAST_BLIND_S)]
+def _long_pairs(pairs: list[tuple[Samples, Samples]]) -> list[tuple[Samples, Samples]]:
+    """Return the pairs of odometry and truth with an overlap long enough for all of a study; if none has, all pairs."""
+    enough = [pair for pair in pairs if _shared_s(*pair) >= (_MIN_HEADED_S if pair[1].headed else _MIN_UNHEADED_S)]
     return enough or pairs
 
 
-def _beside(odometry: Samples, truth: Samples) -> Samples:
-    """Return the truth of a stretch of odometry, not that of the whole run."""
+def _truth_during(odometry: Samples, truth: Samples) -> Samples:
+    """Return the truth in the time of a stretch of odometry, plus a margin for clock offsets."""
     margin = round(_CLOCKS_S * 1e9)
     first, last = odometry.stamps_ns[0] - margin, odometry.stamps_ns[-1] + margin
     return truth.only((truth.stamps_ns >= first) & (truth.stamps_ns <= last))
 
 
-def _until_end_of(odometry: Samples, truth: Samples) -> Samples:
-    """Return the odometry up to the end of a stretch of truth: its wheels roll on from the start of the run."""
+def _odometry_until(odometry: Samples, truth: Samples) -> Samples:
+    """Return the odometry from the start of the run up to the end of a stretch of truth, plus a margin."""
     return odometry.only(odometry.stamps_ns <= truth.stamps_ns[-1] + round(_CLOCKS_S * 1e9))
 
 

@@ -1,4 +1,4 @@
-"""Does a path agree with itself? Where it goes must be where it looks, up to a constant, in radians and metres."""
+"""Consistency of a path's headings with its direction of travel, and plausibility of their units."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 __all__ = ["check_itself"]
 
 _DEGREE = np.pi / 180.0
-_CLEAR, _UNCLEAR = 0.9, 0.6
-_FEW = 12
-_CHORDS = 40
+_CLEAR, _UNCLEAR = 0.9, 0.6  # agreement of a better reading of the headings, and of the given one, for a refusal
+_MIN_CHORDS = 12
+_CHORDS = 40  # chords per extent of the path
 _SPEED_S = 2.0
-_FASTEST = 60.0
+_MAX_MPS = 60.0  # m/s
 
 _READINGS = (
     (-1.0, "its headings turn the other way than its path does: an axis is mirrored, or they are compass headings; {}"),
@@ -30,16 +30,16 @@ _READINGS = (
 
 
 def check_itself(path: Samples) -> None:
-    """Refuse a path whose headings or units cannot be meant.
+    """Refuse a path with implausible headings or units.
 
-    Chords of the path point where the robot looks, or straight backwards, whatever the angle at which it is mounted;
-    twice their angle minus twice the heading is then a constant. Where another reading of the headings makes it
-    constant and the given one does not, the given one is wrong.
+    Chords of the path point along the heading or straight backwards, up to a constant mounting angle. Twice the chord's
+    angle minus twice the heading is therefore constant. If this holds for degrees or mirrored headings and not for the
+    given headings, those are wrong.
 
     Raises
     ------
     RecordingError
-        Where headings are degrees or mirrored, or the robot flies.
+        If headings are in degrees or mirrored, or the usual speed exceeds 60 m/s.
 
     """
     t_s = path.seconds_since(int(path.stamps_ns[0]))
@@ -48,7 +48,7 @@ def check_itself(path: Samples) -> None:
     later = later[here]
     speed = np.linalg.norm(path.xyz[later, :2] - path.xyz[here, :2], axis=1) / (t_s[later] - t_s[here])
     usual = float(np.median(speed[speed > 0.0])) if np.any(speed > 0.0) else 0.0
-    if usual > _FASTEST:
+    if usual > _MAX_MPS:
         raise RecordingError(
             f"{path.place}: it usually moves at {usual:.0f} m/s: millimetres for metres? Give metres, or name a CSV "
             "file's columns x_mm, y_mm"
@@ -56,7 +56,7 @@ def check_itself(path: Samples) -> None:
     if not path.headed:
         return
     course, yaw = _chords(path)
-    if len(course) < _FEW:
+    if len(course) < _MIN_CHORDS:
         return
     if _agreement(course, yaw) > _UNCLEAR:
         return
@@ -67,13 +67,13 @@ def check_itself(path: Samples) -> None:
 
 
 def _chords(path: Samples) -> tuple[Array, Array]:
-    """Return the angles of chords (k,), and the headings (k,) half way along them."""
+    """Return the angles of chords (k,), and the headings (k,) at their middle, radians."""
     xy = path.xyz[:, :2]
     extent = float(np.linalg.norm(np.std(xy, axis=0)))
     noise = float(np.median(np.abs(np.diff(xy, n=2, axis=0)))) if len(xy) > 2 else 0.0
     length = max(extent / _CHORDS, 15.0 * noise, 1e-6)
     picked = [0]
-    # distances add up only to a guess of where a chord ends; a walk over the guesses makes them long enough
+    # The travelled distance only bounds the chord from above: continue until the chord itself is long enough.
     gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))))
     at = 0
     while (at := int(np.searchsorted(gone, gone[at] + length))) < len(xy):
@@ -85,5 +85,5 @@ def _chords(path: Samples) -> tuple[Array, Array]:
 
 
 def _agreement(course: Array, yaw: Array) -> float:
-    """Return how constant twice the difference of two angles is: 1 constant, 0 any."""
+    """Return the concentration of twice the difference of two angles: 1 for a constant, about 0 for no relation."""
     return float(np.abs(np.mean(np.exp(2j * (course - yaw)))))

@@ -1,4 +1,4 @@
-"""Where one run of a robot lies, and what is known of it before it is read."""
+"""Files, topics and prior knowledge that define one run of a robot."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ __all__ = ["Source"]
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where one run lies.
+    """Files, topics and prior knowledge of one run.
 
     path : a bag, or a TUM or CSV file with the odometry
-    odom, truth : topics, or edges of TF as /tf:map.base_link; None takes the only topic that can be meant
-    truth_path : the bag, TUM or CSV file with the truth, where it is another one
-    truth_shift_s : what is added to the stamps of the truth, seconds
-    track_m : nominal distance between the wheels, where it is known
-    name : what to call the run, where not by its path
-    drive_type : how the robot's wheels steer it, see `drive_types`; one that is steered has no track
-    scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth,
-        "none" none at all
-    truth_scale_error : standard deviation of the laser's own scale error
-    imu : topic of a gyro; None takes the only Imu topic, where it turns with the odometry
-    gyro_scale_error : standard deviation of the gyro's own scale error
-    relative : file of relative motions that are to be the truth, see `relative_motions`
-    joints : left and right wheel in JointState, whose angles are to be the odometry; None takes what their names say
-        for the nominal track alone
+    odom, truth : topics, or TF edges as /tf:map.base_link; None selects the only topic that fits
+    truth_path : the bag, TUM or CSV file with the truth, if not in `path`
+    truth_shift_s : added to the stamps of the truth, seconds
+    track_m : nominal distance between the wheels, if known
+    name : name of the run, by default its path
+    drive_type : steering of the robot's wheels, see `drive_types`; a steered robot has no track
+    scan : topic of the laser used as truth; None selects the only one of a bag without a truth, "none" disables it
+        altogether
+    truth_scale_error : standard deviation of the laser's scale error
+    imu : topic of a gyro; None selects the only Imu topic, if it turns with the odometry
+    gyro_scale_error : standard deviation of the gyro's scale error
+    relative : file of relative motions used as truth, see `relative_motions`
+    joints : left and right wheel in JointState, whose angles replace the odometry; None finds wheels by name and uses
+        them for the nominal track only
     """
 
     path: Path

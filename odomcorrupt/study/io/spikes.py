@@ -1,8 +1,8 @@
-"""Spikes: a few poses that disagree with both neighbours, while these agree with each other.
+"""Removal of spikes: a few poses that disagree with both neighbours while the neighbours agree with each other.
 
-Markers that are swapped turn a pose by any angle, often by less than what would stand out as a jump: one side of it may
-pass for motion and the other not, so that all that follows seems to have jumped. Spikes are therefore taken out before
-jumps are detected. Only positions are tested, not times: stamps bunch, and a late pose is still on the path.
+Swapped markers turn a pose by any angle, often by less than the threshold of a jump. One side of it may then look like
+motion and the other like a jump of everything that follows, so spikes are removed before jumps are detected. Only poses
+are tested, not stamps: stamps may be bunched, and a late pose still belongs to the path.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 __all__ = ["without_spikes"]
 
 LONGEST = 5
-"""So many poses in a row may be wrong; more of them are jumps there and back, if they stand out that much."""
+"""Longest spike in poses; longer ones are left to the detection of jumps."""
 _ROUNDS = 20
 
 
 def without_spikes(t_s: Array, xyt: Array, top: Array, limit: Array) -> NDArray[np.int64]:
-    """Return the indices of the poses that are no spikes.
+    """Return the indices of the poses that are not spikes.
 
     Parameters
     ----------
     t_s, xyt : (n,), (n, 3)
         Times and poses, seconds, metres and radians.
     top : (2,)
-        What the robot usually does at most, m/s and rad/s.
+        Usual top speed and turn rate of the robot, m/s and rad/s.
     limit : (2,)
-        What noise does at most, m and rad.
+        Upper bound of the noise, m and rad.
 
     """
     kept = np.arange(len(t_s))
@@ -44,7 +44,7 @@ def without_spikes(t_s: Array, xyt: Array, top: Array, limit: Array) -> NDArray[
         over = _apart(own_xyt[:-1], own_xyt[1:]) > limit + top * np.diff(own_s)[:, None]
         steps = over[:, 0] | over[:, 1]
         found = (_spikes(own_s, own_xyt, top, limit, steps, count) for count in range(1, LONGEST + 1) if steps.any())
-        # the shortest first: their neighbours are tested again without them
+        # The shortest spikes first; the remaining poses are tested again without them.
         bad = next((rows for rows in found if len(rows)), None)
         if bad is None:
             break
@@ -55,8 +55,8 @@ def without_spikes(t_s: Array, xyt: Array, top: Array, limit: Array) -> NDArray[
 def _spikes(
     t_s: Array, xyt: Array, top: Array, limit: Array, stands_out: NDArray[np.bool_], count: int
 ) -> NDArray[np.int64]:
-    """Return the poses of all spikes of `count` poses in a row, where these steps (n - 1,) stand out."""
-    # a spike begins and ends with a step that stands out; on one side at least, the step beyond does not
+    """Return the indices of all spikes of `count` consecutive poses, given the steps (n - 1,) above the limit."""
+    # A spike begins and ends with a large step; on at least one side, the adjacent step is small.
     before = np.flatnonzero(stands_out)
     after = before + count + 1
     inside = (before >= 1) & (after < len(t_s) - 1)
@@ -65,24 +65,24 @@ def _spikes(
     before, after = before[trusted], after[trusted]
     moved = _apart(xyt[before], xyt[after])
     slack = limit + top * (t_s[after] - t_s[before])[:, None]
-    # the best of the poses in between: each of them must be wrong
+    # The smallest deviation of the poses in between, because each of them must be wrong.
     least = np.full(moved.shape, np.inf)
     for i in range(1, count + 1):
         least = np.minimum(least, _off(xyt[before], xyt[before + i], xyt[after]))
-    # the neighbours agree: they are no farther apart than they may drive, or than they are from what is wrong
+    # The neighbours agree if their distance is within the limit, or below the deviation of the spike.
     spike = (moved < np.maximum(slack, least)).all(axis=1) & (least > slack).any(axis=1)
     rows: NDArray[np.int64] = (before[spike][:, None] + np.arange(1, count + 1)).ravel()
     return rows
 
 
 def _apart(a_xyt: Array, b_xyt: Array) -> Array:
-    """Return how far poses (n, 3) are apart (n, 2): m and rad."""
+    """Return the distances (n, 2) between poses (n, 3), m and rad."""
     gone = np.linalg.norm(b_xyt[:, :2] - a_xyt[:, :2], axis=1)
     return np.stack((gone, np.abs(wrap(b_xyt[:, 2] - a_xyt[:, 2]))), axis=1)
 
 
 def _off(a_xyt: Array, xyt: Array, b_xyt: Array) -> Array:
-    """Return how far poses (n, 3) lie off the straight way from a to b (n, 2): m and rad."""
+    """Return the deviations (n, 2) of poses (n, 3) from the straight line between a and b, m and rad."""
     way, gone = b_xyt[:, :2] - a_xyt[:, :2], xyt[:, :2] - a_xyt[:, :2]
     part = np.clip(np.sum(way * gone, axis=1) / np.maximum(np.sum(way**2, axis=1), 1e-12), 0.0, 1.0)
     off_m = np.linalg.norm(gone - part[:, None] * way, axis=1)

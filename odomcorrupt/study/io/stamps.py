@@ -1,8 +1,8 @@
-"""Stamps that are not when poses were taken: rounded ones, and clocks that are set while recording.
+"""Rounded stamps, and steps of a clock during a recording.
 
-Drivers and loggers cut stamps to milliseconds, or to hundredths of a second: an offset of less than half of that is no
-clock's. A network time daemon that steps a clock shifts all stamps from there on: against the recorder's own times,
-which go on evenly, the stamps jump, and what lies before and after has a clock of its own.
+Drivers and loggers round stamps to milliseconds or to hundredths of a second, which hides clock offsets of less than
+half of that. A network time daemon that steps a clock shifts all later stamps: they jump relative to the log times,
+which remain even. The parts before and after a step have different clocks.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ if TYPE_CHECKING:
 __all__ = ["Step", "between_steps", "clock_steps", "even_stamps", "stamp_resolution_s"]
 
 _STEP_S = (0.02, 1.0)
-"""Smallest and largest step of a clock that is searched; a clock set back by more begins another run (`time_order`)."""
-_BESIDE, _LEAST = 25, 10
-"""Samples on each side of a step that show that it lasts; at least so many are needed."""
-_ALIKE = 0.3
-"""How well steps of single stamps, and of those around them, have to agree."""
+"""Smallest and largest clock step that is detected; a larger one backwards begins another run (`time_order`)."""
+_NEIGHBOURS, _MIN_NEIGHBOURS = 25, 10
+"""Samples on each side of a step that are compared, and the fewest of them."""
+_TOLERANCE = 0.3
+"""Relative tolerance between a step of a single stamp and of the medians around it."""
 
 
 class Step(NamedTuple):
-    """A clock was set between two samples: index of the first sample after it, and by how much, seconds."""
+    """A step of a clock: index of the first sample after it, and its size in seconds."""
 
     row: int
     by_s: float
 
 
 def stamp_resolution_s(path: Samples) -> float:
-    """Return what stamps are rounded to, seconds; 0 where they are not, or where it cannot be seen."""
+    """Return the resolution of the stamps, seconds; 0 if they are not rounded or it cannot be determined."""
     return resolution_s(path.stamps_ns)
 
 
 def even_stamps(path: Samples) -> Samples:
-    """Return the samples with rounded stamps of a regular publisher put back on its even grid; others as they are."""
+    """Return the samples with rounded stamps of a periodic publisher restored to an even grid; others unchanged."""
     rounded_s = stamp_resolution_s(path)
     if not rounded_s:
         return path
@@ -52,11 +52,11 @@ def even_stamps(path: Samples) -> Samples:
 
 
 def clock_steps(path: Samples) -> list[Step]:
-    """Return where the clock of the stamps was set, by samples in the order of their arrival and the times of it.
+    """Return the steps of the stamps' clock, from samples in order of arrival with their log times.
 
-    There the stamps jump and the times of arrival do not, and it lasts: a message that is late, or lost, is none.
+    At a step the stamps jump permanently and the log times do not; late or lost messages are not steps.
     """
-    if len(path.log_ns) != len(path) or len(path) < 2 * _LEAST or not path.stamps_ns.all():
+    if len(path.log_ns) != len(path) or len(path) < 2 * _MIN_NEIGHBOURS or not path.stamps_ns.all():
         return []
     ahead = (path.stamps_ns - path.log_ns).astype(np.float64) * 1e-9
     interval = np.diff(path.stamps_ns) * 1e-9
@@ -64,20 +64,20 @@ def clock_steps(path: Samples) -> list[Step]:
     jump = np.diff(ahead)
     found: list[Step] = []
     for i in np.flatnonzero((np.abs(jump) > _STEP_S[0]) & (np.abs(jump) < _STEP_S[1])):
-        before, after = ahead[max(i + 1 - _BESIDE, 0) : i + 1], ahead[i + 1 : i + 1 + _BESIDE]
-        if min(len(before), len(after)) < _LEAST:
+        before, after = ahead[max(i + 1 - _NEIGHBOURS, 0) : i + 1], ahead[i + 1 : i + 1 + _NEIGHBOURS]
+        if min(len(before), len(after)) < _MIN_NEIGHBOURS:
             continue
         by_s = float(np.median(after) - np.median(before))
-        lasts = abs(by_s) > _STEP_S[0] and abs(by_s - jump[i]) < _ALIKE * abs(by_s)
-        stamped = abs(interval[i] - usual_s - by_s) < _ALIKE * abs(by_s) + usual_s
+        lasts = abs(by_s) > _STEP_S[0] and abs(by_s - jump[i]) < _TOLERANCE * abs(by_s)
+        stamped = abs(interval[i] - usual_s - by_s) < _TOLERANCE * abs(by_s) + usual_s
         calm = float(np.median(np.abs(before - np.median(before))) + np.median(np.abs(after - np.median(after))))
-        if lasts and stamped and calm < _ALIKE * abs(by_s):
+        if lasts and stamped and calm < _TOLERANCE * abs(by_s):
             found.append(Step(int(i) + 1, by_s))
     return found
 
 
 def between_steps(path: Samples) -> list[Samples]:
-    """Return the samples before, between and after the steps of their clock, in the order of arrival."""
+    """Return the samples in order of arrival, split at the steps of their clock."""
     steps = clock_steps(path)
     if not steps:
         return [path]
@@ -86,4 +86,4 @@ def between_steps(path: Samples) -> list[Samples]:
     path = path.noted(f"its clock was set while recording ({where}): what lies between has a clock of its own")
     edges = [0, *(s.row for s in steps), len(path)]
     parts = [path.only(np.arange(a, b)) for a, b in pairwise(edges)]
-    return [part for part in parts if len(part) > _LEAST]
+    return [part for part in parts if len(part) > _MIN_NEIGHBOURS]

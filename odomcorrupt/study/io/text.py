@@ -1,6 +1,6 @@
-"""Read trajectories from text: TUM files and CSV files, distinguished by their content.
+"""Reading of trajectories from TUM and CSV files, distinguished by content.
 
-TUM: `stamp x y z qx qy qz qw` in seconds and metres, separated by blanks; lines that begin with # are comments.
+TUM: `stamp x y z qx qy qz qw` in seconds and metres, separated by white space; lines that begin with # are comments.
 CSV: a header names the columns, see `columns`.
 """
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["is_text", "read_text"]
 
-_MOST = 50_000_000
-_AHEAD = 1000
+_MAX_LINES = 50_000_000  # lines
+_AHEAD = 1000  # lines read to infer the unit of the stamps
 _BATCH = 16_384
 _DELIMITERS = ",;\t"
 _BAGS = (b"#ROSBAG V", b"\x89MCAP", b"SQLite format 3")
@@ -44,7 +44,7 @@ class _Part(NamedTuple):
 
 
 def is_text(path: Path) -> bool:
-    """Tell whether a file is text: neither the magic of a bag nor bytes that no text has."""
+    """Return whether a file is text: without a bag's magic number and without control characters."""
     if path.is_dir():
         return False
     with open_input(path, RecordingError) as stream:
@@ -53,12 +53,12 @@ def is_text(path: Path) -> bool:
 
 
 def read_text(path: Path, place: str) -> Samples:
-    """Read a TUM or CSV file, as recorded.
+    """Return the trajectory in a TUM or CSV file, as recorded.
 
     Raises
     ------
     RecordingError
-        Where it is neither, or a line does not hold what its file promises.
+        If the file is neither, or a line does not match its columns.
 
     """
     notes: list[str] = []
@@ -73,8 +73,8 @@ def read_text(path: Path, place: str) -> Samples:
         parts = []
         while batch := list(itertools.islice(rows, _BATCH)):
             parts.append(_part(batch, columns, tick))
-            if len(parts) * _BATCH > _MOST:
-                raise RecordingError(f"{place}: more than {_MOST} lines; thin it out")
+            if len(parts) * _BATCH > _MAX_LINES:
+                raise RecordingError(f"{place}: more than {_MAX_LINES} lines; thin it out")
     if not parts:
         raise RecordingError(f"{place}: holds no line of numbers; nothing was recorded")
     if not columns.tick_ns and tick != 10**9:
@@ -94,7 +94,7 @@ def read_text(path: Path, place: str) -> Samples:
 
 
 def _begin(lines: Iterator[Row], place: str) -> tuple[Columns, list[Row]]:
-    """Return the columns, and the lines of numbers that had to be read to know them."""
+    """Return the columns, and the data lines already consumed to determine them."""
     for row in lines:
         line = row.cells[0]
         if line.startswith("#") and not any(mark in line for mark in _DELIMITERS):

@@ -1,12 +1,11 @@
-"""Read an edge of TF without ROS: map.base_link is composed of whatever edges lead from the one to the other.
+"""Reading of a TF edge from a bag: map.base_link is composed of the edges that connect the two frames.
 
-The bag is read twice: once for the tree, once for the edges on the way, so that a hundred joints cost nothing. The
-moving edge with the most samples gives the times; the others are interpolated there, and edges of a static topic hold
-for all times.
+The bag is read twice: first for the tree, then for the edges on the path only, so that other joints cost nothing. The
+moving edge with the most samples gives the stamps; the others are interpolated, and static edges hold at all times.
 
-A localisation (AMCL, SLAM) corrects the odometry now and then and sends the same correction again until the next one:
-between two of them such a truth is the odometry itself, and agrees with it. Only the poses at its corrections are
-taken.
+A localisation (AMCL, SLAM) corrects the odometry intermittently and repeats each correction until the next one. Between
+two corrections such a truth equals the odometry and would always agree with it, so only the poses at its corrections
+are used.
 """
 
 from __future__ import annotations
@@ -38,11 +37,11 @@ __all__ = ["EdgeReader"]
 
 _FAR_M = 1e9
 _MOVES = np.array([1e-4, 1e-4])
-"""Metres, radians: the others have to move by so much for a repeated correction to mean that there was no new one."""
+"""Metres, radians: if the other edges move by more, a repeated correction means that there was no new one."""
 _SLOWER = 5.0
-"""A localisation that sends no more than its corrections sends so many times less often than the odometry."""
+"""A localisation that sends only its corrections is slower than the odometry by at least this factor."""
 _AHEAD_S = (0.02, 5.0)
-"""By how much a localisation stamps its corrections ahead of the time at which they are sent."""
+"""Range of the time by which a localisation's stamps may be ahead of the log times, seconds."""
 
 
 class _Ordered(NamedTuple):
@@ -52,7 +51,7 @@ class _Ordered(NamedTuple):
     notes: tuple[str, ...]
 
     def between(self, stamps_ns: NDArray[np.int64]) -> Transforms:
-        """Return it at other stamps (n,), held beyond its ends."""
+        """Return the transforms at other stamps (n,), constant beyond the ends."""
         origin = self.stamps_ns[0]
         own_s, at_s = ((s - origin).astype(np.float64) * 1e-9 for s in (self.stamps_ns, stamps_ns))
         return interpolated(own_s, self.poses, np.clip(at_s, own_s[0], own_s[-1]))
@@ -66,7 +65,7 @@ class _Collected:
 
 
 class EdgeReader:
-    """Collects the edges on the way of one address, block by block."""
+    """Collector of the edges that connect the two frames of an address, block by block."""
 
     def __init__(self, place: str, address: Address, channels: list[Channel], tree: Tree) -> None:
         self.place = f"{place}: {address}"
@@ -77,7 +76,7 @@ class EdgeReader:
         self.collected = {edge: _Collected() for edge, _ in self.way}
 
     def take(self, block: Block) -> None:
-        """Collect what a block holds of the edges."""
+        """Append the transforms of these edges in a block."""
         for channel in self.channels:
             for layout in locate(block, channel):
                 for item in layout.items:
@@ -95,7 +94,7 @@ class EdgeReader:
         Raises
         ------
         RecordingError
-            Where no edge on the way moves, or the moving ones share no time.
+            If no edge on the path moves, or the moving edges have no time in common.
 
         """
         edges = {edge: self._edge(edge) for edge, _ in self.way}
@@ -141,12 +140,12 @@ class EdgeReader:
         here = self.collected[edge]
         values = np.concatenate(here.values)
         values = np.concatenate((values[:, :3], unit(values[:, 3:])), axis=1)
-        # a comparison with what is no number is false
+        # comparisons with NaN are false
         good = np.asarray((np.abs(values) < _FAR_M).all(axis=1))
         if not good.any():
             raise RecordingError(f"{self.place}: none of {len(good)} transforms {edge.parent}.{edge.child} is a number")
         stamps, logs = np.concatenate(here.stamps)[good], np.concatenate(here.logs)[good]
-        # static edges are repeated and stamped with anything
+        # Static edges are repeated with arbitrary stamps.
         order = order_of(stamps, logs if edge in self.tree.moving else logs[:0])
         kept = values[good][order.rows]
         notes = order.notes if edge in self.tree.moving else ()
@@ -154,10 +153,9 @@ class EdgeReader:
 
 
 def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | None:
-    """Return the edge of a localisation and its corrections, each once and when it was sent; None where there is none.
+    """Return the edge of a localisation with each correction once, at its time of sending; None if there is none.
 
-    It is the edge that repeats itself while the others move, or comes seldom beside them: between two of its messages
-    it is not to be interpolated.
+    This edge repeats itself while the others move, or is rarer than they are. It must not be interpolated.
     """
     for edge, own in moving.items():
         others = [other for e, other in moving.items() if e != edge]

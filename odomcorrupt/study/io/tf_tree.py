@@ -1,4 +1,4 @@
-"""The tree of TF, and the way through it from one frame to another."""
+"""The TF tree, and the path through it from one frame to another."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Edge", "Tree", "read_tree"]
 
-_MOST_EDGES = 100_000
+_MAX_EDGES = 100_000
 
 
 class Edge(NamedTuple):
@@ -31,7 +31,7 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Tree:
-    """The edges of a bag's TF topics: those that move, and those of static topics."""
+    """Edges of a bag's TF topics, moving and static."""
 
     moving: frozenset[Edge]
     static: frozenset[Edge]
@@ -42,12 +42,12 @@ class Tree:
         return self.moving | self.static
 
     def way(self, address: Address, place: str) -> list[tuple[Edge, bool]]:
-        """Return the edges from the parent to the child, each with whether it is walked backwards.
+        """Return the edges from parent to child, each with a flag for traversal from child to parent.
 
         Raises
         ------
         TopicError
-            Where a frame is not there, or nothing connects the two.
+            If a frame does not exist, or the two frames are not connected.
 
         """
         frames = {frame for edge in self.edges for frame in edge}
@@ -91,13 +91,13 @@ class Tree:
 
 
 def read_tree(reader: BagReader, moving: Iterable[Channel], static: Iterable[Channel]) -> Tree:
-    """Return the edges on channels of a bag; the reader is used up by it."""
+    """Return the edges on channels of a bag, consuming the reader."""
     found: dict[bool, set[Edge]] = {False: set(), True: set()}
     channels = [(c, False) for c in moving] + [(c, True) for c in static]
     for block in reader.blocks():
         for channel, still in channels:
             for layout in locate(block, channel):
                 found[still] |= {Edge(plain(i.frame_id), plain(i.child_frame_id)) for i in layout.items}
-                if len(found[still]) > _MOST_EDGES:
-                    raise RecordingError(f"{channel.topic}: more than {_MOST_EDGES} edges; this is no robot's TF")
+                if len(found[still]) > _MAX_EDGES:
+                    raise RecordingError(f"{channel.topic}: more than {_MAX_EDGES} edges; this is no robot's TF")
     return Tree(frozenset(found[False]), frozenset(found[True] - found[False]))

@@ -1,8 +1,8 @@
-"""Put samples in the order of their stamps, and leave out what no order can save.
+"""Sorting of samples by stamp, and removal of those that sorting cannot repair.
 
-A few swapped or repeated stamps are sorted. A clock that is set back while recording (a simulation started again, a
-bag played in a loop) makes two runs with the same stamps: the longest stretch is kept, because sorting would interleave
-them. So it is where a clock is set forward by more than an hour (a robot that learns the date after it has started).
+A few swapped or repeated stamps are sorted. A clock set back while recording (a restarted simulation, a looping bag)
+gives two runs with the same stamps; sorting would interleave them, so only the longest stretch is kept. The same holds
+for a clock set forward by more than an hour (a robot that receives the date after its start).
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ if TYPE_CHECKING:
 
 __all__ = ["Order", "in_order", "order_of"]
 
-_BACK_NS = 1_000_000_000
+_BACK_NS = 1_000_000_000  # smallest step back that begins another run
 _FORWARD_NS = 3_600_000_000_000
 _NEIGHBOURS = 5
 _FAR_M = 1e9
-"""And 1e9 radians: what is larger is no number either."""
+"""Larger positions (metres) and headings (radians) count as invalid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """Which of the samples to take.
+    """Selection and order of the usable samples.
 
-    rows : (k,) indices into the samples, in the order of growing stamps
-    stamps_ns : (k,) their stamps, strictly growing
-    notes : what was left out
+    rows : (k,) indices into the samples, in order of increasing stamps
+    stamps_ns : (k,) their stamps, strictly increasing
+    notes : removals, for reports
     """
 
     rows: NDArray[np.int64]
@@ -43,7 +43,7 @@ class Order:
 
 
 def order_of(stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64]) -> Order:
-    """Return the order of samples by stamps (n,), as they arrived; log times (n,) stand in for missing stamps."""
+    """Return the order of samples with stamps (n,) in order of arrival; log times (n,) replace missing stamps."""
     rows = np.arange(len(stamps_ns))
     notes = []
     if len(log_ns):
@@ -77,18 +77,18 @@ def order_of(stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64]) -> Order:
 
 
 def in_order(samples: Samples) -> Samples:
-    """Return the samples that are numbers, by growing stamps.
+    """Return the samples with finite values, in order of increasing stamps.
 
     Raises
     ------
     RecordingError
-        Where fewer than two are left.
+        If fewer than two remain.
 
     """
     found = len(samples)
     if not found:
         raise RecordingError(f"{samples.place} holds no message; name another topic")
-    # a comparison with what is no number is false
+    # comparisons with NaN are false
     good = np.asarray((np.abs(samples.xyz) < _FAR_M).all(axis=1))
     if not good.any():
         raise RecordingError(f"{samples.place}: none of its {found} positions is a number; name another source")
@@ -109,12 +109,12 @@ def in_order(samples: Samples) -> Samples:
 
 
 def _set_back(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where stretches start that lie more than a second before what came just before them."""
+    """Return the start indices of stretches that begin more than a second before the preceding stamps."""
     if len(stamps) < 2 * _NEIGHBOURS:
         return np.zeros(0, dtype=np.int64)
     window = np.lib.stride_tricks.sliding_window_view(stamps, _NEIGHBOURS)
     before, after = np.median(window[:-_NEIGHBOURS], axis=1), window[_NEIGHBOURS:].max(axis=1)
-    # float64 medians of nanoseconds are off by 256 ns: nothing against a second
+    # float64 medians of nanoseconds are off by up to 256 ns, which is negligible here
     behind = after < before - _BACK_NS
     places: NDArray[np.int64] = np.flatnonzero(behind) + _NEIGHBOURS
     return places[stamps[places] < stamps[places - 1] - _BACK_NS]

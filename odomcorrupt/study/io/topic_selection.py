@@ -1,4 +1,4 @@
-"""Which channels of a bag are meant: asked for by name, or the only ones it can be."""
+"""Selection of a bag's channels for odometry and truth: by name, or the only ones that fit."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ POSES = (
     TRANSFORM,
 )
 POSITIONS = ("geometry_msgs/msg/PointStamped", "sensor_msgs/msg/NavSatFix")
-"""Message types that say where, but not which way."""
+"""Message types with positions but no headings."""
 EDGES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", TRANSFORM)
-"""Message types of which an edge can be read."""
+"""Message types that contain TF edges."""
 FLAGS: dict[Role, str] = {"odometry": "--odom", "truth": "--truth"}
 
 
 def near(asked: str, there: Iterable[str]) -> str:
-    """Return what there is instead of a name, near misses first, as the middle of a sentence."""
+    """Return a list of available names for an error message, closest matches first."""
     names = sorted(set(there))
     folded = {plain(name).lower(): name for name in names}
     close = [folded[n] for n in difflib.get_close_matches(plain(asked).lower(), folded, n=2)]
@@ -45,12 +45,12 @@ def near(asked: str, there: Iterable[str]) -> str:
 
 
 def named(channels: Iterable[Channel], address: Address, place: str, role: Role) -> list[Channel]:
-    """Return the channels of the topic asked for, several where it had several publishers.
+    """Return the channels of a named topic, one for each publisher.
 
     Raises
     ------
     TopicError
-        Where there is none, or its type holds no such thing.
+        If there is no such topic, or its type does not fit the role.
 
     """
     all_channels = list(channels)
@@ -73,18 +73,18 @@ def named(channels: Iterable[Channel], address: Address, place: str, role: Role)
 
 
 def has_truth(channels: Iterable[Channel]) -> bool:
-    """Whether any topic besides one odometry could be a truth."""
+    """Return whether any topic besides one odometry could be a truth."""
     topics = {c.topic: c.msgtype for c in channels if c.msgtype in (*POSES, *POSITIONS)}
     return len(topics) > (ODOMETRY in topics.values())
 
 
 def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Iterable[str]) -> list[Channel]:
-    """Return the channels of the only topic that can be meant.
+    """Return the channels of the only topic that fits the role.
 
     Raises
     ------
     TopicError
-        Where none can, or several; the message lists them.
+        If no topic fits, or several do; the message lists them.
 
     """
     taken = set(not_these)
@@ -92,7 +92,7 @@ def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Itera
     types = (ODOMETRY,) if role == "odometry" else _types(role)
     fitting = {c.topic for c in free if c.msgtype in types}
     if len(fitting) > 1:
-        # a truth is no odometry, and of several truths the one that says so is meant
+        # Of several candidates, those whose names mark them as truth are for the truth, the others for the odometry.
         said = {topic for topic in fitting if says_truth(topic) is (role == "truth")}
         fitting = said or fitting
     if len(fitting) == 1:

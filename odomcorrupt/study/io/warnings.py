@@ -1,4 +1,4 @@
-"""What looks odd about odometry and truth, but may be meant: it is said, not refused."""
+"""Warnings about odometry and truth that look odd but may be intended."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.feedback import Feedback
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["check_identity", "filter_signs", "heading_signs", "without_constant_heading", "without_course"]
+__all__ = ["check_identity", "filter_warnings", "heading_warnings", "without_constant_heading", "without_course"]
 
 _FUSED = re.compile(r"filter|fused|ekf|ukf|amcl|slam|locali[sz]ation|global")
 _WORLD = frozenset({"map", "world", "earth", "utm"})
-_SAME = 1e-6
-_SAME_M = 2e-3
+_SAME = 1e-6  # m and rad; steps that differ by less are equal
+_SAME_M = 2e-3  # m and rad; paths that differ by less are the same
 _MOVES = 1e-4
-_FEW = 10
-_SHRINKS = 0.7
-_CORRECTIONS = 5
-_STRIDE_S, _BACKS_M, _BACKINGS = 0.5, 0.05, 6
-"""Backing up shows in steps so long in time and way, and so many of them have to."""
+_MIN_STEPS = 10
+_SHRINKS = 0.7  # ratio of successive variances
+_MIN_CORRECTIONS = 5
+_STRIDE_S, _MIN_BACK_M, _MIN_BACKINGS = 0.5, 0.05, 6
+"""Interval, least length and least number of steps that count as backing up."""
 _MOSTLY, _NEARLY_ALL = 0.6, 0.9
-"""Parts of the steps back, and of those ahead, that go where such headings point; of another drive, half do."""
+"""Fractions of steps back and ahead along the heading that identify courses; an unrelated drive has one half."""
 
 
 def check_identity(odometry: Samples, truth: Samples) -> list[str]:
-    """Refuse a truth that says what the odometry says, and notice one that mostly does.
+    """Refuse a truth that is the odometry itself, and warn of one that mostly repeats it.
 
     Raises
     ------
     RecordingError
-        Where all steps of the truth are steps of the odometry.
+        If all steps of the truth equal those of the odometry.
 
     """
     if not truth.headed:
         return []
     step, own = _steps(odometry, truth)
     moving = np.abs(own).max(axis=1) > _MOVES
-    if moving.sum() < _FEW:
+    if moving.sum() < _MIN_STEPS:
         return []
     same = np.abs(step - own).max(axis=1)[moving] < _SAME
     share = float(same.mean())
@@ -61,13 +61,13 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     return []
 
 
-def heading_signs(odometry: Samples, truth: Samples) -> list[str]:
-    """Notice headings of a truth that were made from the odometry: positions may be true, headings repeat it."""
+def heading_warnings(odometry: Samples, truth: Samples) -> list[str]:
+    """Return a warning if the truth's headings repeat the odometry's turns while its positions do not."""
     if not truth.headed:
         return []
     step, own = _steps(odometry, truth)
     turning = np.abs(own[:, 2]) > _MOVES
-    if turning.sum() < _FEW:
+    if turning.sum() < _MIN_STEPS:
         return []
     same = np.abs(step[:, 2] - own[:, 2])[turning] < _SAME
     if same.mean() > 0.5 and np.abs(step[:, :2] - own[:, :2]).max(axis=1)[turning].mean() > _SAME:
@@ -77,7 +77,7 @@ def heading_signs(odometry: Samples, truth: Samples) -> list[str]:
 
 
 def without_constant_heading(odometry: Samples, truth: Samples) -> Samples:
-    """Return the truth as positions alone where its headings never change although the odometry turns."""
+    """Return the truth without headings if they never change although the odometry turns."""
     if not truth.headed or np.ptp(truth.yaw_rad) > _SAME or np.ptp(np.unwrap(odometry.yaw_rad)) < 0.5:
         return truth
     return truth.without_headings().noted(
@@ -86,20 +86,19 @@ def without_constant_heading(odometry: Samples, truth: Samples) -> Samples:
 
 
 def without_course(odometry: Samples, truth: Samples) -> Samples:
-    """Return the truth as positions alone where its headings are the direction in which its positions move.
+    """Return the truth without headings if these are the direction of travel.
 
-    A receiver with one antenna gives the course over ground for a heading: backing up, it points to where the robot
-    goes, and at rest anywhere.
+    A receiver with one antenna reports its course over ground: reversed when backing up, and arbitrary at rest.
     """
-    if not truth.headed or truth.relative or truth.span_s < _FEW * _STRIDE_S:
+    if not truth.headed or truth.relative or truth.span_s < _MIN_STEPS * _STRIDE_S:
         return truth
     t_s = truth.seconds_since(int(truth.stamps_ns[0]))
     rows = np.unique(np.searchsorted(t_s, np.arange(0.0, t_s[-1], _STRIDE_S)))
     step, own = _steps(odometry, truth.only(rows))
-    straight = np.abs(own[:, 0]) > np.maximum(_BACKS_M, 2.0 * np.abs(own[:, 1]))
+    straight = np.abs(own[:, 0]) > np.maximum(_MIN_BACK_M, 2.0 * np.abs(own[:, 1]))
     ahead, back = straight & (own[:, 0] > 0.0), straight & (own[:, 0] < 0.0)
     forwards = step[:, 0] > 0.5 * np.abs(own[:, 0])
-    if min(back.sum(), ahead.sum()) < _BACKINGS or not (
+    if min(back.sum(), ahead.sum()) < _MIN_BACKINGS or not (
         np.mean(forwards[back]) > _MOSTLY and np.mean(forwards[ahead]) > _NEARLY_ALL
     ):
         return truth
@@ -108,8 +107,8 @@ def without_course(odometry: Samples, truth: Samples) -> Samples:
     )
 
 
-def filter_signs(odometry: Samples, truth: Samples, feedback: Feedback) -> list[str]:
-    """Notice odometry that corrects itself by other sensors: its errors are then not those of a motion model."""
+def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> list[str]:
+    """Return a warning if the odometry appears to be corrected by other sensors, as no motion model describes."""
     signs = []
     last = odometry.frame.rsplit("/", 1)[-1]
     if last in _WORLD:
@@ -141,23 +140,23 @@ def filter_signs(odometry: Samples, truth: Samples, feedback: Feedback) -> list[
 
 
 def _shrinks(variance: Array) -> int:
-    """Count the times at which a growing variance falls back for good by a good part."""
-    if len(variance) < _FEW:
+    """Return how often the reported variance drops to less than 70 % from one sample to the next."""
+    if len(variance) < _MIN_STEPS:
         return 0
     falls = variance[1:] < _SHRINKS * variance[:-1]
     return int(falls.sum())
 
 
 def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
-    """Count the sudden steps of the odometry that bring it closer to the truth, where nearly all of them do."""
+    """Return the number of sudden steps of the odometry if more than 80 % of them reduce its error; otherwise 0."""
     t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     own = truth.seconds_since(int(odometry.stamps_ns[0]))
     inside = (t_s >= own[0]) & (t_s <= own[-1])
     t_s, xy = t_s[inside], odometry.xyz[inside, :2]
-    if len(t_s) < _FEW:
+    if len(t_s) < _MIN_STEPS:
         return 0
     real = np.stack([np.interp(t_s, own, truth.xyz[:, i]) for i in (0, 1)], axis=1)
-    # the turn and shift that lay the odometry onto the truth best
+    # Align the odometry with the truth.
     p, q = (x[:, 0] + 1j * x[:, 1] for x in (xy, real))
     p, q = p - p.mean(), q - q.mean()
     turn = np.exp(1j * np.angle(np.vdot(p, q)))
@@ -165,17 +164,17 @@ def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
     velocity = np.diff(p) / np.diff(t_s)
     sudden = np.abs(velocity[1:-1] - (velocity[:-2] + velocity[2:]) / 2.0) * np.diff(t_s)[1:-1]
     size = max(0.02, 20.0 * float(np.median(sudden)))
-    # a jump shows in the steps beside it too, half as large
+    # A jump also appears in the adjacent steps, half as large.
     beside = np.maximum(np.concatenate(([0.0], sudden[:-1])), np.concatenate((sudden[1:], [0.0])))
     at = np.flatnonzero((sudden > size) & (sudden > beside)) + 1
-    if len(at) < _CORRECTIONS:
+    if len(at) < _MIN_CORRECTIONS:
         return 0
     closer = error[at + 1] < error[at]
     return len(at) if closer.mean() > 0.8 else 0
 
 
 def _apart(odometry: Samples, truth: Samples) -> float:
-    """Return how far (m or rad) the two are ever apart, laid on each other at their first common time."""
+    """Return the largest difference (m or rad) of the two paths, aligned at their first common time."""
     real, path = _common(odometry, truth)
     difference = between(real[:1], real) - between(path[:1], path)
     difference[:, 2] = wrap(difference[:, 2])
@@ -183,7 +182,7 @@ def _apart(odometry: Samples, truth: Samples) -> float:
 
 
 def _steps(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
-    """Return the steps (k, 3) of the truth between its samples, and those of the odometry between the same times."""
+    """Return the steps (k, 3) of the truth between its samples, and of the odometry between the same times."""
     real, path = _common(odometry, truth)
     step, own = between(real[:-1], real[1:]), between(path[:-1], path[1:])
     step[:, 2], own[:, 2] = wrap(step[:, 2]), wrap(own[:, 2])
@@ -191,7 +190,7 @@ def _steps(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
 
 
 def _common(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
-    """Return the poses (k, 3) of both at the truth's stamps."""
+    """Return the poses (k, 3) of truth and odometry at the truth's stamps."""
     path, real = odometry.trajectory(), truth.trajectory()
     inside = (real.stamps_ns >= path.stamps_ns[0]) & (real.stamps_ns <= path.stamps_ns[-1])
     origin = int(odometry.stamps_ns[0])

@@ -1,8 +1,7 @@
-"""Wheel angles of JointState: what the odometry was made of, with its nominal wheel radius and track.
+"""Wheel angles from JointState, and the nominal wheel radius and track with which the odometry integrates them.
 
-Where odometry is nothing but wheel angles summed up, its increments are linear in theirs: travel = (r/2)(right + left),
-turn = (r/b)(right - left). A regression gives r and b as the robot's driver has them, which are then known and no
-guess; what it leaves shows whether the heading really comes from the wheels.
+Increments of pure wheel odometry are linear in the wheel angles: travel = (r/2)(right + left), turn = (r/b)(right -
+left). Regression gives the driver's r and b; its residual shows whether the heading comes from the wheels.
 """
 
 from __future__ import annotations
@@ -31,22 +30,22 @@ if TYPE_CHECKING:
 __all__ = ["WheelAngles", "Wheels", "find_joints", "odometry_of_wheels", "read_wheels", "wheels_of"]
 
 JOINTS = "sensor_msgs/msg/JointState"
-_FEWEST = 50
+_MIN_SAMPLES = 50
 _SPACING_S = 0.2
 _LAGS_S = np.arange(-0.2, 0.2001, 0.02)
-_FITS = 0.03
-_RADII_M, _TRACKS_M = (5e-3, 2.0), (0.02, 10.0)
-_LATTICE = 0.95
+_MAX_RESIDUAL = 0.03  # largest relative residual of the regression
+_RADII_M, _TRACKS_M = (5e-3, 2.0), (0.02, 10.0)  # plausible ranges
+_MIN_REGULARITY = 0.95  # least mean cosine of steps that are multiples of a count
 _STILL_RAD = 1e-9
-_MOST_STEPS = 200.0
-_FEWEST_COUNTS = 3
-_ROUNDED_RAD = 1e-5
-_LAG_SAID_S = 0.01
+_MAX_COUNTS = 200.0  # larger steps, in counts, do not determine the count
+_MIN_COUNTS = 3
+_ROUNDED_RAD = 1e-5  # smaller differences of steps are rounding
+_REPORTED_LAG_S = 0.01  # shorter lags are not reported
 
 
 @dataclass(frozen=True, slots=True)
 class WheelAngles:
-    """Angles of a left and a right wheel as recorded: stamps (n,) that grow, and angles (n, 2), rad."""
+    """Recorded angles of the left and right wheel: increasing stamps (n,), and angles (n, 2), rad."""
 
     place: str
     joints: tuple[str, str]
@@ -56,13 +55,13 @@ class WheelAngles:
 
 @dataclass(frozen=True, slots=True)
 class Wheels:
-    """What the odometry makes of its wheels.
+    """Nominal wheel geometry of the odometry.
 
-    radius_m, track_m : nominal, as the driver has them
-    heading : whether turns are those of the wheels, to within 3 %
-    tick_rad : angle of an encoder's count, None where the angles lie on no lattice
-    lag_s : by how much the odometry's stamps are behind the wheels'
-    notes : what was found, in words
+    radius_m, track_m : values used by the driver
+    heading : whether the turns agree with the wheels', to within 3 %
+    tick_rad : angle per encoder count, None if the angles show no counts
+    lag_s : time by which the odometry's stamps are behind the wheels'
+    notes : findings, for reports
     """
 
     radius_m: float
@@ -74,7 +73,7 @@ class Wheels:
 
 
 def find_joints(names: Iterable[str]) -> tuple[str, str] | None:
-    """Return the joints that are by name the left and the right wheel; None where they are not one each."""
+    """Return the joints named as left and right wheel; None unless there is exactly one of each."""
     wheels = [name for name in names if re.search(r"wheel|drive", name, re.IGNORECASE)]
     sides = [[n for n in wheels if re.search(rf"(^|[^a-z]){s}($|[^a-z])|{w}", n, re.IGNORECASE)]
              for s, w in (("l", "left"), ("r", "right"))]  # fmt: skip
@@ -82,14 +81,14 @@ def find_joints(names: Iterable[str]) -> tuple[str, str] | None:
 
 
 def read_wheels(path: Path, place: str, joints: tuple[str, str] | None) -> WheelAngles | None:
-    """Read the angles of two wheels; None where no joints are named and none are wheels by their names.
+    """Return the angles of two wheels; None if no joints are named and none are wheels by name.
 
     Raises
     ------
     TopicError
-        Where joints that are named are not there.
+        If the named joints do not exist.
     RecordingError
-        Where they are named and hold too few angles.
+        If the named joints have too few angles.
 
     """
     parts: list[tuple[NDArray[np.int64], Array]] = []
@@ -117,7 +116,7 @@ def read_wheels(path: Path, place: str, joints: tuple[str, str] | None) -> Wheel
     good = np.isfinite(angle).all(axis=1)
     _, index = np.unique(stamps[good], return_index=True)
     stamps, angle = stamps[good][index], angle[good][index]
-    if len(stamps) < _FEWEST:
+    if len(stamps) < _MIN_SAMPLES:
         if joints is None:
             return None
         raise RecordingError(
@@ -127,12 +126,12 @@ def read_wheels(path: Path, place: str, joints: tuple[str, str] | None) -> Wheel
 
 
 def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
-    """Return the nominal radius and track by which the odometry sums up its wheels.
+    """Return the nominal radius and track with which the odometry integrates its wheel angles.
 
     Raises
     ------
     RecordingError
-        Where its travel is not that of these wheels.
+        If the odometry's travel does not match these wheels.
 
     """
     origin = int(odometry.stamps_ns[0])
@@ -155,12 +154,12 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
     names = " and ".join(angles.joints)
     radius = 2.0 * float(slope[0])
     track = radius / float(slope[1]) if abs(slope[1]) > 1e-6 else float("inf")
-    if miss[0] > _FITS or not _RADII_M[0] < radius < _RADII_M[1]:
+    if miss[0] > _MAX_RESIDUAL or not _RADII_M[0] < radius < _RADII_M[1]:
         raise RecordingError(
             f"{angles.place}: {odometry.name} does not travel as {names} turn ({miss[0]:.0%} off, radius {radius:.3f} "
             "m); name its wheels with --joints LEFT RIGHT, or leave it out"
         )
-    heading = bool(miss[1] < _FITS and _TRACKS_M[0] < track < _TRACKS_M[1])
+    heading = bool(miss[1] < _MAX_RESIDUAL and _TRACKS_M[0] < track < _TRACKS_M[1])
     tick = _tick(angles.angle)
     notes = [f"{names}: wheels of {radius:.3g} m by the odometry's own sums"]
     if heading:
@@ -174,10 +173,10 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
             f"{names}: angles come in counts of {tick:.4g} rad ({2 * np.pi / tick:.0f} a turn, "
             f"{1e3 * tick * radius:.2g} mm)"
         )
-    lost = _lost(angles.angle)
+    lost = _late_counts(angles.angle)
     if lost:
         notes.append(f"{names}: {lost} times a wheel stood for one message and made up for it in the next: late counts")
-    if abs(lag_s) > _LAG_SAID_S:
+    if abs(lag_s) > _REPORTED_LAG_S:
         notes.append(
             f"odometry is stamped {abs(lag_s):.2f} s {'after' if lag_s > 0.0 else 'before'} the wheels' angles"
         )
@@ -185,12 +184,12 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
 
 
 def odometry_of_wheels(angles: WheelAngles, wheels: Wheels, odometry: Samples) -> Samples:
-    """Return the odometry that the wheels' angles sum to, at their stamps, in the frame of the one that was recorded.
+    """Return the odometry integrated from the wheel angles, at their stamps, in the frame of the recorded odometry.
 
     Raises
     ------
     RecordingError
-        Where the recorded odometry takes its turns from elsewhere, so that the wheels' would be another robot's.
+        If the recorded odometry's turns come from another source, so that the results would not apply to it.
 
     """
     if not wheels.heading:
@@ -221,7 +220,7 @@ def odometry_of_wheels(angles: WheelAngles, wheels: Wheels, odometry: Samples) -
 
 
 def _unwrapped(angle: Array) -> Array:
-    """Return angles (n, 2) that go on where a driver wraps them at a turn; others come back as they are."""
+    """Return angles (n, 2) unwrapped if the driver wraps them every turn; otherwise unchanged."""
     if np.ptp(angle) > 2.0 * np.pi + 0.1:
         return angle
     out: Array = np.unwrap(angle, axis=0)
@@ -229,29 +228,29 @@ def _unwrapped(angle: Array) -> Array:
 
 
 def _tick(angle: Array) -> float | None:
-    """Return the angle of an encoder's count: the largest that all steps are multiples of, None where none is seen."""
+    """Return the angle per encoder count: the largest of which all steps are multiples, or None."""
     steps = np.abs(np.diff(angle, axis=0)).ravel()
     steps = steps[steps > _STILL_RAD]
-    if len(steps) < _FEWEST:
+    if len(steps) < _MIN_SAMPLES:
         return None
-    # neighbours among the different steps are a count apart
+    # Neighbours among the distinct steps differ by one count.
     values = np.unique(np.round(steps, 7))
     gaps = np.diff(values)[np.diff(values) > _ROUNDED_RAD]
-    if len(gaps) < _FEWEST_COUNTS:
+    if len(gaps) < _MIN_COUNTS:
         return None
     tick = float(np.median(gaps))
     for _ in range(3):
         count = np.round(steps / tick)
-        small = (count < _MOST_STEPS) & (count > 0)
+        small = (count < _MAX_COUNTS) & (count > 0)
         if not small.any():
             return None
         tick = float(np.sum(steps[small] * count[small]) / np.sum(count[small] ** 2))
     regular = float(np.mean(np.cos(2.0 * np.pi * steps[small] / tick)))
-    return tick if regular > _LATTICE and len(np.unique(count[small])) > _FEWEST_COUNTS else None
+    return tick if regular > _MIN_REGULARITY and len(np.unique(count[small])) > _MIN_COUNTS else None
 
 
-def _lost(angle: Array) -> int:
-    """Return how often a wheel stands for one message between two in which it moves, the second twice as far."""
+def _late_counts(angle: Array) -> int:
+    """Return how often a wheel stops for one message between two with motion, the second about twice the first."""
     step = np.diff(angle, axis=0)
     before, here, after = np.abs(step[:-2]), np.abs(step[1:-1]), np.abs(step[2:])
     return int(

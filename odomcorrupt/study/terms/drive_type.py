@@ -80,6 +80,7 @@ class DriveType:
     gyro : whether the heading may be a gyro's; a steered robot's is not where the odometry does not turn at rest
     heading_source : what a gyro in the bag shows the heading to come from: "wheels", "gyro", or ""
     travel : whether a truth measured travel, and not headings alone
+    antenna : whether truths are positions alone of a point that may be anywhere on the robot
     """
 
     name: str
@@ -88,6 +89,7 @@ class DriveType:
     stated: bool = False
     heading_source: str = ""
     travel: bool = True
+    antenna: bool = False
 
     @property
     def known(self) -> bool:
@@ -113,7 +115,10 @@ class DriveType:
 def drive_type_of(recordings: Sequence[Recording]) -> DriveType:
     """Return the drive type of the robot in recordings: as the first that names one says, or guessed from all."""
     return replace(
-        _stated_or_guessed(recordings), heading_source=heading_source_of(recordings), travel=sees_travel(recordings)
+        _stated_or_guessed(recordings),
+        heading_source=heading_source_of(recordings),
+        travel=sees_travel(recordings),
+        antenna=mountings(recordings) == MOUNTING[:1],
     )
 
 
@@ -197,8 +202,10 @@ def _leads(kind: type[Effect], drive: DriveType) -> bool:
     """Tell whether an effect is tested itself, and is not named as another reading of one that is."""
     if not drive.admits(kind):
         return False
-    # a lever arm has a second number, so what a steered robot's has one of is tested beside it
-    return kind.twin_of is None or (drive.steered and kind.drives is not None) or is_settled(kind, drive.heading_source)
+    # a lever arm has a second number, so what a steered robot's has one of is tested beside it; not of an antenna,
+    # which is likelier off the axle than the base frame is
+    of_steered = drive.steered and kind.drives is not None and not drive.antenna
+    return kind.twin_of is None or of_steered or is_settled(kind, drive.heading_source)
 
 
 def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[str, ...]:

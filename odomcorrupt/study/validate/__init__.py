@@ -1,1 +1,1 @@
-"""Validation: whether a model explains recordings, where it does not, and held-out errors."""
+"""Validation of models: goodness of fit, lack of fit, and held-out errors."""

@@ -1,7 +1,7 @@
-"""Whether the measures of a comparison agree that one model is better than another.
+"""Agreement of a comparison's measures on whether one model is better than another.
 
-One measure alone misleads: on a drive the position error after 10 s fell to 95 % while the log likelihood fell by 24
-nats per metre and the trajectory error doubled.
+A single measure can mislead: on one drive the position error after 10 s fell to 95 % while the log likelihood fell by
+24 nats per metre and the trajectory error doubled.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ __all__ = ["Agreement", "Measure", "agreement_of"]
 Change = Literal["better", "worse", "same"]
 
 _ERROR_SHARE = 0.02
-"""A position error after 10 s that changes by less is the same: windows overlap few, but they are many."""
+"""Smaller relative changes of the position error after 10 s count as none (many windows, small scatter)."""
 _TRAJECTORY_SHARE = 0.1
-"""The same of the absolute trajectory error, which is one number of a whole drive and scatters more."""
+"""The same for the absolute trajectory error, which is one number per drive and scatters more."""
 _SIGMAS = 2.0
-"""Standard errors by which a log likelihood must change."""
+"""Standard errors by which a log likelihood must change to count as different."""
 
 
 class Measure(NamedTuple):
-    """One measure of two models: its values, metres or nats per metre, and what the change means."""
+    """One measure of two models: its values, metres or nats per metre, and whether the change is an improvement."""
 
     name: str
     before: float
@@ -34,9 +34,9 @@ class Measure(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """All measures of two models, and what they say together.
+    """All measures of two models, and their joint verdict.
 
-    verdict : better or worse where some say so and none contradicts; same; or mixed
+    verdict : better or worse if some measures agree on it and none contradicts; otherwise same or mixed
     """
 
     measures: tuple[Measure, ...]
@@ -44,7 +44,7 @@ class Agreement(NamedTuple):
 
 
 def agreement_of(comparison: Comparison) -> Agreement:
-    """Return how the last model of a comparison does beside the first one, by every measure there is.
+    """Return the change from the first to the last model of a comparison, by every measure available.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Whether a model predicts its errors: NEES with bounds that hold for fits, coverage and CRPS, by length of path."""
+"""Calibration of predicted errors by path length: NEES with bounds valid for fitted models, coverage, and CRPS."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ __all__ = ["CURVE_M", "HORIZONS_M", "Horizon", "horizon_of"]
 
 HORIZONS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 CURVE_M = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, 70.0, 100.0)
-_FEWEST = 3
-"""Fewer windows than this say nothing."""
+_MIN_WINDOWS = 3
+"""Fewest windows for a statement."""
 _DRAWS = 20_000
 _SEED = 1_950_128
-_NO_WEIGHT = 1e-3
-"""A share of a chi-square that is nothing beside the others."""
+_MIN_WEIGHT = 1e-3
+"""Chi-square components with smaller weights are neglected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Horizon:
-    """Errors over one length of path, windows not overlapping; odometry minus truth.
+    """Odometry errors (odometry minus truth) over non-overlapping windows of one path length.
 
-    measured, expected : (3,) root mean square along, across (m) and yaw (rad); NaN yaw where the truth has no headings
+    measured, expected : (3,) root mean square along, across (m) and yaw (rad); NaN yaw if the truth has no headings
     bias : (3,) mean error
-    excess_p : (3,) probability that chance makes so much more (or less) than expected of a channel
+    excess_p : (3,) two-sided p-value of each channel's measured mean square under the model
     position_measured, position_expected : root mean square of the position error, m
-    nees : mean normalised squared error per degree of freedom, 1 where the model is right
-    nees_bounds : where 95 % of such means lie by chance; the model's own standard errors widen them, and beside a
-        localisation the lower one is 0
-    nees_p : probability of a mean as far out
-    coverage_50, coverage_90 : (3,) part of the errors inside the model's 50 and 90 % intervals
+    nees : mean normalised squared error per degree of freedom; its expectation is 1 for a correct model
+    nees_bounds : 95 % interval of such means by chance, widened by the model's standard errors; beside a localisation
+        the lower bound is 0
+    nees_p : two-sided p-value of `nees`
+    coverage_50, coverage_90 : (3,) fraction of the errors inside the model's 50 and 90 % intervals
     crps : (3,) mean continuous ranked probability score, m and rad
     """
 
@@ -61,8 +61,8 @@ class Horizon:
 
 
 def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Horizon | None:
-    """Return what windows of one length say, taken from several pieces; None where there are too few."""
-    if sum(len(errors) for errors, _ in parts) < _FEWEST:
+    """Return the calibration over windows of one path length, pooled over pieces; None if there are too few windows."""
+    if sum(len(errors) for errors, _ in parts) < _MIN_WINDOWS:
         return None
     count = min(errors.error.shape[1] for errors, _ in parts)
     both = WindowErrors(
@@ -74,8 +74,8 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
     low, high = np.quantile(means, [0.025, 0.975])
     below = int(np.searchsorted(means, nees, side="right"))
     above = len(means) - int(np.searchsorted(means, nees, side="left"))
-    if any(doubt.truth.any() for _, doubt in parts):
-        # beside a localisation a robot's noise is no more than bounded: errors that are smaller contradict nothing
+    if any(uncertainty.truth.any() for _, uncertainty in parts):
+        # Beside a localisation the robot's noise is only bounded above: smaller errors do not contradict the model.
         low, below = 0.0, len(means)
     tail = min(below, above)
     position = np.hypot(both.measured[0], both.measured[1]), np.hypot(both.expected[0], both.expected[1])
@@ -90,7 +90,7 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
         position_expected=float(position[1]),
         nees=nees,
         nees_bounds=(float(low), float(high)),
-        # the observation counts as one of the draws: valid, and never zero
+        # Count the observation as one of the draws: the p-value is then valid and never zero.
         nees_p=min(1.0, 2.0 * (tail + 1.0) / (len(means) + 1.0)),
         coverage_50=_three(both.coverage(0.5)),
         coverage_90=_three(both.coverage(0.9)),
@@ -99,23 +99,23 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
 
 
 def _chance_means(parts: Sequence[tuple[WindowErrors, ParameterUncertainty]], count: int) -> Array:
-    """Return draws of the mean NEES per degree of freedom under the model, its parameters as uncertain as it says."""
+    """Return draws of the mean NEES per degree of freedom under the model and its parameter uncertainty."""
     rng = np.random.default_rng(_SEED)
     total = np.zeros(_DRAWS)
     freedom = sum(len(errors) for errors, _ in parts) * count
-    for errors, doubt in parts:
-        total += _squares(errors, doubt, rng, len(errors) * count, float(doubt.truth.mean()))
+    for errors, uncertainty in parts:
+        total += _squares(errors, uncertainty, rng, len(errors) * count, float(uncertainty.truth.mean()))
     return total / freedom
 
 
 def _squares(
-    errors: WindowErrors, doubt: ParameterUncertainty, rng: np.random.Generator, freedom: int, spread: float
+    errors: WindowErrors, uncertainty: ParameterUncertainty, rng: np.random.Generator, freedom: int, spread: float
 ) -> Array:
     """Return draws of the sum of normalised squares of one part under the model.
 
-    freedom : how many squares there are; spread : relative standard deviation of what the truth makes of them
+    freedom : number of squares; spread : their relative standard deviation from errors of the truth
     """
-    scale, offset = doubt.draw(rng, _DRAWS, spread)
+    scale, offset = uncertainty.draw(rng, _DRAWS, spread)
     if errors.shared is None:
         drawn: Array = scale * rng.noncentral_chisquare(freedom, freedom * offset)
         return drawn
@@ -123,26 +123,27 @@ def _squares(
 
 
 def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
-    """Return draws of the sum of all normalised squares of windows that have errors in common."""
+    """Return draws of the sum of all normalised squares of windows with shared errors."""
     total = np.zeros(_DRAWS)
     for weight in errors.spectrum:
-        if weight > _NO_WEIGHT:
+        if weight > _MIN_WEIGHT:
             total += weight * rng.chisquare(1, _DRAWS)
     return total
 
 
 def _excess(errors: WindowErrors, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Array:
-    """Return, per channel, the two-sided probability of the sum of squares, parameters as uncertain as they are."""
+    """Return the two-sided p-value of each channel's sum of squares, including the parameters' uncertainty."""
     square = np.sum((errors.error / errors.deviation) ** 2, axis=0)
-    if any(part.shared is not None or not doubt.certain for part, doubt in parts):
+    if any(part.shared is not None or not uncertainty.certain for part, uncertainty in parts):
         rng = np.random.default_rng(_SEED)
         above = np.zeros(len(square))
         for i, own in enumerate(square):
             drawn = sum(
-                _squares(part.channel(i), doubt, rng, len(part), float(doubt.truth[i])) for part, doubt in parts
+                _squares(part.channel(i), uncertainty, rng, len(part), float(uncertainty.truth[i]))
+                for part, uncertainty in parts
             )
             above[i] = (np.sum(drawn >= own) + 1.0) / (_DRAWS + 1.0)
-        below = 1.0 if any(doubt.truth.any() for _, doubt in parts) else 1.0 - above + 1.0 / _DRAWS
+        below = 1.0 if any(uncertainty.truth.any() for _, uncertainty in parts) else 1.0 - above + 1.0 / _DRAWS
         return np.minimum(1.0, 2.0 * np.minimum(above, below))
     tail: Array = np.minimum(chi2.sf(square, len(errors)), chi2.cdf(square, len(errors)))
     return np.minimum(1.0, 2.0 * tail)

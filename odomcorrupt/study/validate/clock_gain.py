@@ -1,4 +1,4 @@
-"""What setting the clocks right does to the drift."""
+"""Reduction of the drift by clock correction."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["ClockGain", "clock_gain"]
 
 @dataclass(frozen=True, slots=True)
 class ClockGain:
-    """Position errors, metres, as the odometry came and with its clocks right; NaN where a drive is too short."""
+    """Position errors, metres, without and with clock correction; NaN if a drive is too short."""
 
     after_10m: tuple[float, float]
     after_50m: tuple[float, float]
@@ -28,7 +28,7 @@ class ClockGain:
 
 
 def clock_gain(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> ClockGain:
-    """Return the drift before and after, over windows that do not overlap and start at the truth."""
+    """Return the drift without and with clock correction, over non-overlapping windows that start at the truth."""
     before = [aligned(r, Clock()) for r in recordings]
     after = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
 

@@ -1,9 +1,9 @@
-"""Compare models with measurements: what they expect, what was measured, where they fail, which one is best.
+"""Comparison of models on recordings: predicted and measured errors, lack of fit, and likelihood.
 
-A model is judged on recordings it was not fitted on. Where a recording was fitted, it is cut in two and the model is
-fitted again on one half and judged on the other, both ways (and every model beside it is judged on the same halves).
-Stretches that resets cut out of one run are halved together.
-Clocks belong to a recording, not to a robot: they are estimated on each one, the same for every model.
+Models are evaluated on recordings that they were not fitted to. A recording that a model was fitted to is split in two:
+the model is refitted on one half and evaluated on the other, both ways, and all other models are evaluated on the same
+halves. Stretches between resets of one run are split together. Clocks belong to a recording, not to a robot: they are
+estimated on each one, the same for every model.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
 from odomcorrupt.study.io.headings import with_headings, with_recomputed_headings
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
-from odomcorrupt.study.validate.cross_validation import cutting_of
+from odomcorrupt.study.validate.cross_validation import split_of
 from odomcorrupt.study.validate.evaluation import Evaluation, evaluate_stretch, horizons_of
 from odomcorrupt.study.validate.goodness_of_fit import Verdict, pits_of, verdict_of, whiteness_of
 from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
@@ -44,24 +44,24 @@ __all__ = ["Comparison", "JudgedOn", "Judgement", "clocks_beside", "compare"]
 
 JudgedOn = Literal["recordings", "halves", "fitted data"]
 
-_CLOSER = 0.97
-"""A clock that was found with a model applied has to leave this part of the 10 s error, to be taken."""
+_MAX_ERROR_RATIO = 0.97
+"""A clock estimated with a model applied is accepted only if it reduces the 10 s error at least to this ratio."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
-    """One model against the recordings.
+    """Evaluation of one model on the recordings.
 
-    judged_on : "recordings" that it was not fitted on; "halves": refitted on one half and judged on the other;
-        "fitted data" where those are too short to be halved
+    judged_on : "recordings" that it was not fitted to; "halves": refitted on one half and evaluated on the other;
+        "fitted data" if those are too short to be split
     ten_second_error_m : root mean square position error after 10 s
-    nats : log likelihood per metre driven, with its error, and what it gains over the first model
-    horizons : for the table; curve : more of them, for the picture
+    nats : log likelihood per metre driven with its standard error, and its gain over the first model
+    horizons : for the table; curve : more of them, for the plot
     pits, whiteness : of the whitened innovations, by channel
-    failures : the plainest first; the drifts that they add up to before them
+    failures : drift failures first, then the others by significance
     trajectory : ATE and RPE
-    notes : what this judgement leaves out, in words
-    pieces : the stretches it was judged on, for pictures
+    notes : restrictions of this evaluation, for reports
+    pieces : the evaluated stretches, for plots
     """
 
     name: str
@@ -86,7 +86,7 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """Models side by side, and the odometry as it came and with its clock set right, as 10 s errors in metres."""
+    """Evaluations of several models, and 10 s errors (metres) of the raw and the clock-corrected odometry."""
 
     recordings: tuple[str, ...]
     clocks: Clocks
@@ -97,49 +97,47 @@ class Comparison:
 
     @property
     def judged_on(self) -> JudgedOn:
-        """What the models were judged on: the fitted data or their halves, where any of them was fitted on them."""
+        """Data of the evaluation: the fitted data or their halves if any model was fitted to them."""
         return next((j.judged_on for j in self.judgements if j.judged_on != "recordings"), "recordings")
 
 
 def compare(
     recordings: Sequence[Recording], models: Mapping[str, MotionModel], *, clocks: Clocks | None = None
 ) -> Comparison:
-    """Judge models (by name) on recordings; clocks as `find_clocks` has them, where that was done already."""
+    """Return the evaluation of models (by name) on recordings; `clocks` are those of `find_clocks`, if available."""
     approach = choose_approach(recordings)
     recordings = with_correlation_lengths(recordings, approach)
     found = clocks_beside(recordings, approach, list(models.values())[-1], clocks)
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
     fitted = {name for model in models.values() for name in _fitted_on(model)}
-    cutting = cutting_of(on_time, fitted, approach.spacing_s)
-    runs = cutting.pieces(on_time)
+    split = split_of(on_time, fitted, approach.spacing_s)
+    runs = split.pieces(on_time)
     judged = {name: _evaluated(model, runs, approach) for name, model in models.items()}
     first = next(iter(judged.values()))
-    # a truth of positions alone is given headings, for it takes a pose to start from
-    as_it_came = [piece for run in cutting.pieces([aligned(r, Clock()) for r in recordings]) for piece in run.all]
+    # A truth of positions only gets headings, because windows start at a pose.
+    raw = [piece for run in split.pieces([aligned(r, Clock()) for r in recordings]) for piece in run.all]
     clock_right = [piece for run in runs for piece in run.all]
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
-        raw_error_m=_ten_seconds(as_it_came),
+        raw_error_m=_ten_seconds(raw),
         clock_error_m=_ten_seconds(clock_right),
         clock_trajectory=trajectory_error(clock_right),
-        judgements=tuple(
-            _judgement(name, models[name], pieces, first, cutting.notes) for name, pieces in judged.items()
-        ),
+        judgements=tuple(_judgement(name, models[name], pieces, first, split.notes) for name, pieces in judged.items()),
     )
 
 
 def clocks_beside(
     recordings: Sequence[Recording], approach: Approach, model: MotionModel, plain: Clocks | None = None
 ) -> Clocks:
-    """Return the clocks of recordings as they come, or none, or those with a model applied: the closest.
+    """Return the clocks estimated from the raw odometry or with a model applied, or zero clocks: the least 10 s error.
 
-    Errors as large as a strong effect's mask a clock, or imitate one: it is estimated again from the model's residuals.
+    A strong effect can mask or imitate a clock offset, so clocks are also estimated from the model's residuals.
     """
     plain, effects = plain or find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
     if not any(effect.kind != "noise" for effect in effects):
         return plain
-    applied = find_clocks([_taken_out(recording, effects) for recording in recordings], approach)
+    applied = find_clocks([_without_effects(recording, effects) for recording in recordings], approach)
 
     def error_m(clocks: Sequence[Clock]) -> float:
         on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
@@ -149,15 +147,15 @@ def clocks_beside(
     n = len(recordings)
     none = replace(plain, clocks=(Clock(),) * n, free=((False, False),) * n, errors=((0.0, 0.0),) * n)
     for other in (none, applied):
-        if error_m(other.clocks) < _CLOSER * error_m(found.clocks):
+        if error_m(other.clocks) < _MAX_ERROR_RATIO * error_m(found.clocks):
             found = other
     return found
 
 
-def _taken_out(recording: Recording, effects: Sequence[Effect]) -> Recording:
-    """Return a recording without what effects do to it, its truth as it came.
+def _without_effects(recording: Recording, effects: Sequence[Effect]) -> Recording:
+    """Return a recording with effects removed from the odometry and its truth unchanged.
 
-    An effect that depends on the heading in the world needs one, where the truth has positions alone.
+    Effects that depend on the heading in the world need headings, which a truth of positions lacks.
     """
     left = undo(with_headings(recording), effects)
     return replace(left, truth=recording.truth, heading_error_rad=recording.heading_error_rad)
@@ -169,7 +167,7 @@ def _fitted_on(model: MotionModel) -> list[str]:
 
 
 def _evaluated(model: MotionModel, runs: Sequence[Pieces], approach: Approach) -> list[Evaluation]:
-    """Return a model on all that it is judged on; the halves of a run that it was fitted on by a fit of the other."""
+    """Return a model's evaluations; runs that it was fitted to are evaluated half by half, refitted on the other."""
     found = []
     for run in runs:
         known = not run.names.isdisjoint(_fitted_on(model))
@@ -190,7 +188,7 @@ def _judgement(
     axes = min((piece.recording.axes for piece in pieces), key=len)
     chains = [chain[:, : len(axes)] for piece in pieces for chain in piece.chains()]
     pits, whiteness = pits_of(chains, axes), whiteness_of(chains, axes)
-    # from pose to pose nearly all is the localisation's own error, of which only an approximate law is known
+    # Over single intervals the errors are mostly the localisation's, whose law is only approximate.
     localised = any(piece.recording.localised for piece in pieces)
     return Judgement(
         name=name,
@@ -202,7 +200,7 @@ def _judgement(
         pits=pits,
         whiteness=whiteness,
         verdict=verdict_of(horizons, *(({}, {}) if localised else (pits, whiteness))),
-        failures=(*drift_failures(horizons), *_patterns(pieces)),
+        failures=(*drift_failures(horizons), *_all_failures(pieces)),
         trajectory=trajectory_error([piece.left for piece in pieces]),
         notes=(*notes, *_notes(model, pieces)),
         pieces=tuple(pieces),
@@ -216,8 +214,8 @@ def _judged_on(model: MotionModel, pieces: Sequence[Evaluation]) -> JudgedOn:
     return "fitted data" if any(piece.recording.name in fitted for piece in pieces) else "recordings"
 
 
-def _patterns(pieces: Sequence[Evaluation]) -> list[Failure]:
-    """Return failures of all pieces, each with its recording where there are several."""
+def _all_failures(pieces: Sequence[Evaluation]) -> list[Failure]:
+    """Return the failures of all pieces, with the recording's name if there are several."""
     found = []
     for piece in pieces:
         name = piece.recording.name if len(pieces) > 1 else ""
@@ -256,7 +254,7 @@ def _truth_words(piece: Evaluation) -> str:
 
 
 def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approach) -> MotionModel:
-    """Return the model with its numbers estimated on these recordings alone, its effects the same."""
+    """Return the model with its parameters estimated on these recordings only and the same set of effects."""
     effects = (*model.effects, *model.setup.effects)
     recordings = [restore_lost(recording, effects) for recording in recordings]
     again = fit(recordings, effects, approach=replace(approach, law_name=model.noise.law_name))

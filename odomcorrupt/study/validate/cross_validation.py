@@ -1,6 +1,6 @@
-"""Cut what a model was fitted on in two, so that it can be fitted again on one half and judged on the other.
+"""Splitting of fitted recordings in two halves for cross-validation: fit on one half, evaluate on the other.
 
-What resets cut into stretches is still one run: it has one middle, and each half may be of several stretches.
+Stretches between resets still belong to one run: the run has one middle, and each half may have several stretches.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Cutting", "Pieces", "cutting_of"]
+__all__ = ["Pieces", "Split", "split_of"]
 
-_LEAST_SHARE = 0.25
-"""A half that has less of the distance than this (the robot rested, or crept) shows too little of a model."""
+_MIN_FRACTION = 0.25
+"""Least fraction of the distance in a half; with less (the robot rested or crept) a half is not informative."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pieces:
-    """What of a run is judged: each half is one stretch or several; the second is empty where the run is not cut.
+    """Evaluated parts of a run: each half has one or more stretches; the second is empty if the run is not split.
 
-    names : of the recordings that the run came in
+    names : names of the run's recordings
     """
 
     names: frozenset[str]
@@ -47,20 +47,20 @@ class Pieces:
 
 @dataclass(frozen=True, slots=True)
 class _Middle:
-    """The truth's stamp that begins the second half, and what is to be said of it, if anything."""
+    """Stamp of the truth at which the second half begins, and a note, if any."""
 
     stamp_ns: int
     note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Cutting:
-    """How recordings are cut, independent of their clocks.
+class Split:
+    """Split of recordings, independent of their clocks.
 
-    middles : of each run, None where it is judged as a whole
-    kept : the runs that are long enough to be judged
-    spacing_s : of the nodes
-    notes : what was done that is not usual, in words
+    middles : of each run, None if it is evaluated as a whole
+    kept : indices of the runs that are long enough
+    spacing_s : length of the intervals
+    notes : exceptions, for reports
     """
 
     middles: tuple[_Middle | None, ...]
@@ -69,15 +69,15 @@ class Cutting:
     notes: tuple[str, ...]
 
     def pieces(self, recordings: Sequence[Recording]) -> list[Pieces]:
-        """Return what is judged of each run."""
+        """Return the evaluated parts of each run."""
         runs = _runs(recordings)
         return [_pieces(runs[i], self.middles[i], self.spacing_s) for i in self.kept]
 
 
-def cutting_of(recordings: Sequence[Recording], fitted: Collection[str], spacing_s: float) -> Cutting:
-    """Return how to cut recordings, clocks set right: those whose names are among the fitted ones in halves.
+def split_of(recordings: Sequence[Recording], fitted: Collection[str], spacing_s: float) -> Split:
+    """Return how to split recordings (clocks corrected): those named in `fitted` in halves, the others not at all.
 
-    Where none of them is long enough, they are judged as a whole, on what the model was fitted to.
+    If no run is long enough, all are evaluated as a whole, on the data that the model was fitted to.
     """
     runs = _runs(recordings)
     middles = tuple(_middle(run) if any(r.name in fitted for r in run) else None for run in runs)
@@ -97,12 +97,12 @@ def cutting_of(recordings: Sequence[Recording], fitted: Collection[str], spacing
             ". Errors and likelihood are those on the fitted data, which every model explains best: record longer, or "
             "judge on another recording"
         )
-        return Cutting((None,) * len(runs), tuple(range(len(runs))), spacing_s, tuple(notes))
-    return Cutting(middles, tuple(kept), spacing_s, tuple(notes))
+        return Split((None,) * len(runs), tuple(range(len(runs))), spacing_s, tuple(notes))
+    return Split(middles, tuple(kept), spacing_s, tuple(notes))
 
 
 def _runs(recordings: Sequence[Recording]) -> list[list[Recording]]:
-    """Return the recordings by the clock that they share: stretches of one run together."""
+    """Return the recordings grouped by shared clock, so that stretches of one run are together."""
     runs: dict[int, list[Recording]] = {}
     for leader, recording in zip(clock_leaders(recordings), recordings, strict=True):
         runs.setdefault(leader, []).append(recording)
@@ -110,23 +110,23 @@ def _runs(recordings: Sequence[Recording]) -> list[list[Recording]]:
 
 
 def _middle(run: Sequence[Recording]) -> _Middle:
-    """Return the middle of a run's truth while there is odometry; of its distance, where a half would hardly move."""
-    stamps, way_m = _way(run)
+    """Return the middle of a run in time, or in distance if one of its halves would hardly move."""
+    stamps, distance_m = _distance(run)
     if not len(stamps):
         raise RecordingError(f"{run[0].name}: odometry and truth have no time in common; check the two clocks")
     middle = len(stamps) // 2
-    share = way_m[middle] / max(way_m[-1], 1e-9)
-    if way_m[-1] <= 0.0 or _LEAST_SHARE <= share <= 1.0 - _LEAST_SHARE:
+    share = distance_m[middle] / max(distance_m[-1], 1e-9)
+    if distance_m[-1] <= 0.0 or _MIN_FRACTION <= share <= 1.0 - _MIN_FRACTION:
         return _Middle(int(stamps[middle]))
-    by_way = int(np.searchsorted(way_m, way_m[-1] / 2.0))
-    at_s = float(stamps[by_way] - stamps[0]) * 1e-9
-    still = "first" if share < _LEAST_SHARE else "second"
+    by_distance = int(np.searchsorted(distance_m, distance_m[-1] / 2.0))
+    at_s = float(stamps[by_distance] - stamps[0]) * 1e-9
+    still = "first" if share < _MIN_FRACTION else "second"
     note = f"{run[0].name}: hardly moves in the {still} half of its time: cut at half of its way, after {at_s:.0f} s"
-    return _Middle(int(stamps[by_way]), note)
+    return _Middle(int(stamps[by_distance]), note)
 
 
 def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) -> Pieces:
-    """Cut a run at its middle, if it has one; stretches with too few nodes `spacing_s` apart are left out."""
+    """Return a run split at its middle, if it has one, without stretches of too few intervals of `spacing_s`."""
     names = frozenset(recording.name for recording in run)
     if middle is None:
         return Pieces(names, tuple(run))
@@ -143,17 +143,17 @@ def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) 
     return Pieces(names, first, second)
 
 
-def _way(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
-    """Return the truth's stamps (n,) while there is odometry, in order, and the distance until then (n,), m."""
+def _distance(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
+    """Return the truth's stamps (n,) in the time of the odometry, sorted, and the distance travelled (n,), m."""
     stamps, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for recording in run:
         odometry, truth = recording.odometry, recording.truth
         travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1))))
         own_s, truth_s = recording.odometry_s, truth.seconds_since(recording.origin_ns)
         inside = (truth_s >= own_s[0]) & (truth_s <= own_s[-1])
-        way_m = np.interp(truth_s[inside], own_s, travelled)
+        distance_m = np.interp(truth_s[inside], own_s, travelled)
         stamps.append(truth.stamps_ns[inside])
-        gone.append(np.diff(way_m, prepend=way_m[:1]))
+        gone.append(np.diff(distance_m, prepend=distance_m[:1]))
     every = np.concatenate(stamps)
     order = np.argsort(every, kind="stable")
     return every[order], np.cumsum(np.concatenate(gone)[order])

@@ -1,7 +1,7 @@
-"""Rates of error: by how much odometry errs per metre in some part of a drive, and what chance would make.
+"""Error rates: odometry error per metre in parts of a drive, with the standard deviation that the model predicts.
 
-Everything here is odometry minus truth: a positive rate along means that the odometry ends too far ahead, across too
-far left, yaw that it turns too far left.
+All errors are odometry minus truth: a positive rate along means that the odometry ends too far ahead, across too far to
+the left, and yaw that it turns too far to the left.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ __all__ = ["CHANNELS", "NodeMotion", "Rates", "joint_rates", "node_motion", "uni
 
 CHANNELS = ("along", "across", "yaw")
 MOVING = 0.02
-"""Slower than this, m/s, is at rest."""
+"""Speed below which the robot counts as at rest, m/s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeMotion:
     """Motion over each of K intervals, (K,) each.
 
-    t_s : its end, since the recording's origin, seconds
-    metres, seconds : how far and how long it went
+    t_s : time of its end since the recording's origin, seconds
+    metres, seconds : distance travelled and duration
     v, omega, a : mean forward speed m/s, yaw rate rad/s, forward acceleration m/s^2
-    x, y, heading : the truth where it begins, m and rad
-    distance : travelled until its end since the run began, m
+    x, y, heading : truth at its start, m and rad
+    distance : travelled from the start of the run to its end, m
     """
 
     t_s: Array
@@ -49,7 +49,7 @@ class NodeMotion:
 
 
 def node_motion(problem: Problem) -> NodeMotion:
-    """Return the motion of every interval, from the smooth motion that drives the regressors."""
+    """Return the motion over every interval, from the smoothed motion of the regressors."""
     nodes, motions = problem.nodes, problem.motions
     dt = np.concatenate([m.dt_s for m in motions])
     columns = [dt] + [
@@ -81,7 +81,7 @@ def node_motion(problem: Problem) -> NodeMotion:
 
 
 def unit_columns(problem: Problem, *, per_second: bool = False) -> Array:
-    """Return (K, 3, 3): what a rate of one per metre (or second) in each channel does to the residuals.
+    """Return the residuals (K, 3, 3) caused by an error rate of one per metre (or second) in each channel.
 
     Multiplied by a mask over the intervals, a column is that rate in a part of the drive.
     """
@@ -97,10 +97,10 @@ def unit_columns(problem: Problem, *, per_second: bool = False) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Rates of one channel in B parts of a drive, estimated together.
+    """Jointly estimated rates of one channel in B parts of a drive.
 
-    estimate : (B,) m/m or rad/m, odometry minus truth; NaN where a part is too small
-    allowed : (B,) standard deviation that the model's noise alone gives the estimate
+    estimate : (B,) m/m or rad/m, odometry minus truth; NaN if a part has no intervals
+    allowed : (B,) standard deviation of the estimate from the model's noise alone
     """
 
     estimate: Array
@@ -108,14 +108,14 @@ class Rates:
 
 
 def joint_rates(whitener: Whitener, innovations: Array, unit: Array, part: NDArray[np.int64], count: int) -> Rates:
-    """Return rates of one channel for parts of a drive that do not overlap.
+    """Return error rates of one channel in disjoint parts of a drive.
 
     Parameters
     ----------
     whitener, innovations : of the residuals; innovations (3 K,)
     unit : (K, 3) column of the channel, from `unit_columns`
-    part : (K,) index of the part each interval belongs to, -1 for none
-    count : how many parts there are
+    part : (K,) index of each interval's part, -1 for none
+    count : number of parts
 
     """
     masks = part[:, None] == np.arange(count)

@@ -1,4 +1,4 @@
-"""A stretch of a recording under a model: residuals, what the model expects of them, and their likelihood."""
+"""Evaluation of a model on a stretch of a recording: residuals, their predicted covariance, and their likelihood."""
 
 from __future__ import annotations
 
@@ -34,28 +34,28 @@ if TYPE_CHECKING:
 
 __all__ = ["Evaluation", "evaluate_stretch", "horizons_of"]
 
-_OTHER_NATS_PER_NODE = 0.3
-"""A truth is another one where its own noise explains so much more of each interval: as noise half as large again
-does where it is most of the residual."""
-_SHOWN, _ROBUST_ROUNDS = 5.0, 6
-"""How many times the noise that its own samples show a truth's noise may be; a filter of its tracker hides some."""
+_MIN_NATS_PER_NODE = 0.3
+"""A recording's truth gets its own noise if that explains this much more per interval; noise half as large again does
+so if it is most of the residual."""
+_MAX_NOISE_RATIO, _ROBUST_ROUNDS = 5.0, 6
+"""Bound of a truth's noise relative to that of its samples (a tracker's filter hides some); rounds of the estimate."""
 _LEAST_SQUARE = 1e-12
 _HALF = float(np.sqrt(2.0))
-"""Standard errors of a fit to half of a drive are larger by this."""
+"""Factor of the standard errors of a fit to half of a drive."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """One stretch of a recording under one model.
+    """Evaluation of one model on one stretch of a recording.
 
-    recording : with its clock set right
-    left : what the model leaves of it, its effects taken out of the odometry
-    truth : noise of the truth, as far as the windows' ends feel it
-    q : (K, 3, 3) covariance that the model's noise puts on the residuals
+    recording : with corrected clock
+    left : the recording with the model's effects removed from the odometry
+    truth : noise of the truth, as it affects the ends of windows
+    q : (K, 3, 3) covariance of the residuals from the model's noise
     innovations : (3 K,) whitened residuals
-    node_nats : (K,) log likelihood of each interval given the ones before
-    node_metres : (K,) odometry's travel as it came, the same for all models
-    refitted : whether the model was fitted again, to the other half of the drive
+    node_nats : (K,) log likelihood of each interval given the preceding ones
+    node_metres : (K,) travel of the raw odometry, the same for all models
+    refitted : whether the model was refitted on the other half of the drive
     """
 
     recording: Recording
@@ -72,19 +72,19 @@ class Evaluation:
 
     @property
     def headed(self) -> bool:
-        """Whether the truth has headings of its own."""
+        """Whether the truth measured headings."""
         return self.recording.headed
 
     @property
     def covariance(self) -> Array:
-        """What the model expects (K, 3, 3) of each residual by itself."""
+        """Predicted marginal covariance (K, 3, 3) of each residual."""
         return interval_covariance(self.problem.nodes, self.q, self.truth)
 
     @property
     def sized_nats(self) -> Array:
-        """Log likelihood (K,) of each interval, the noise of each measured axis as large as it is in this stretch.
+        """Log likelihood (K,) of each interval with the noise of each measured axis rescaled to this stretch.
 
-        How large noise is differs between drives; what is to be judged may be the motion alone.
+        The level of noise differs between drives; this score compares the models of the motion only.
         """
         square = self.innovations.reshape(-1, 3)[:, self.recording.axes] ** 2
         size = np.maximum(square.mean(axis=0), _LEAST_SQUARE)
@@ -92,12 +92,12 @@ class Evaluation:
         return nats
 
     def chains(self) -> list[Array]:
-        """Return the innovations as unbroken chains (m, c), c the axes that the truth measured."""
+        """Return the innovations as uninterrupted chains (m, c), with c the axes measured by the truth."""
         rows = self.innovations.reshape(-1, 3)[:, self.recording.axes]
         return np.split(rows, np.flatnonzero(~self.problem.nodes.linked)[1:])
 
     def windows(self, distance_m: float) -> tuple[WindowErrors, ParameterUncertainty] | None:
-        """Return the errors after a length of path, and how uncertain the model is of them; None without positions."""
+        """Return errors after a path length with the model's uncertainty of them; None without measured positions."""
         if not self.recording.positioned:
             return None
         windows = distance_windows(self.left, distance_m)
@@ -105,7 +105,7 @@ class Evaluation:
             return None
         errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
         count = errors.error.shape[1]
-        more = random_covariance(_noisy(self.model), windows, self.problem.motions[0])[:, :count, :count]
+        more = random_covariance(_random_effects(self.model), windows, self.problem.motions[0])[:, :count, :count]
         shared = window_roots(self.left, windows)
         shared = None if shared is None else shared[:, :count]
         errors = replace(errors, covariance=errors.covariance + more, shared=shared)
@@ -117,7 +117,7 @@ class Evaluation:
 def evaluate_stretch(
     recording: Recording, model: MotionModel, approach: Approach, *, refitted: bool = False
 ) -> Evaluation:
-    """Take the model's effects out of a recording (its clock right) and whiten what is left by the model's noise."""
+    """Return the evaluation of a model on a recording with corrected clock."""
     effects = (*model.effects, *model.setup.effects)
     problem = pose_problem([recording], effects, approach=approach)
     nodes = problem.nodes
@@ -131,10 +131,10 @@ def evaluate_stretch(
     white = widened(band, problem, random)
     innovations = white.whiten(nodes.residual)
     own = np.log(white.factor[0]) + 0.5 * innovations**2 + 0.5 * np.log(2.0 * np.pi)
-    # a random coefficient acts over all of a run and belongs to no single interval
+    # A random coefficient acts over the whole run: spread its contribution over all intervals.
     own += (white.log_det - band.log_det) / own.size
     left = with_recomputed_headings(undo(recording, effects))
-    as_it_came = pose_problem([recording], approach=approach).nodes if effects else nodes
+    raw = pose_problem([recording], approach=approach).nodes if effects else nodes
     return Evaluation(
         recording=recording,
         left=left,
@@ -142,16 +142,16 @@ def evaluate_stretch(
         truth=truth if headed else replace(truth, yaw_rad=float(left.heading_error_rad or 0.0)),
         problem=problem,
         whitener=white,
-        q=q + random_covariance(_noisy(model), nodes, problem.motions[0]),
+        q=q + random_covariance(_random_effects(model), nodes, problem.motions[0]),
         innovations=innovations,
         node_nats=-own.reshape(-1, 3).sum(axis=1),
-        node_metres=as_it_came.distance_m,
+        node_metres=raw.distance_m,
         refitted=refitted,
     )
 
 
 def horizons_of(pieces: Sequence[Evaluation], distances_m: Sequence[float]) -> tuple[Horizon, ...]:
-    """Return calibration by length of path, for lengths of which there are enough windows."""
+    """Return the calibration by path length, for lengths with enough windows."""
     found = []
     for distance in distances_m:
         parts = [w for piece in pieces if (w := piece.windows(distance)) is not None]
@@ -161,39 +161,39 @@ def horizons_of(pieces: Sequence[Evaluation], distances_m: Sequence[float]) -> t
     return tuple(found)
 
 
-def _noisy(model: MotionModel) -> list[Effect]:
-    """Return what is still random when the odometry is put right where it shows what was lost."""
+def _random_effects(model: MotionModel) -> list[Effect]:
+    """Return the random effects that remain after the odometry is restored."""
     return [effect for effect in model.effects if effect.kind == "noise" and not effect.restorable]
 
 
 def _own_truth(nodes: Intervals, q: Array, stated: TruthNoise, recording: Recording) -> TruthNoise:
-    """Return the noise of a recording's truth where it plainly is another than a model states of its own recordings.
+    """Return the noise of a recording's truth if it clearly differs from the noise stated in the model.
 
-    The noise of a truth is no property of the robot: a model may be fitted to motion capture and judged on AMCL. But it
-    is no excuse for the robot's own errors either: it is estimated and judged without the few intervals that stand out,
-    and a truth that shows its noise in every sample has not many times as much between samples.
+    Noise of a truth is no property of the robot: a model may be fitted to motion capture and evaluated on AMCL. It must
+    not absorb the robot's errors either. It is therefore estimated without the few outlying intervals, and bounded by
+    the noise that the truth's own samples show.
     """
     own, usual = _robust_truth(nodes, q, recording)
-    most = _most_noise(recording, stated)
+    most = _max_noise(recording, stated)
     own = TruthNoise(*(min(one, bound) for one, bound in zip(_numbers(own), _numbers(most), strict=True)))
 
     def nats(truth: TruthNoise) -> float:
         white = whitener(nodes, usual, truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD))
         return white.log_likelihood(white.whiten(nodes.residual))
 
-    return own if nats(own) - nats(stated) > _OTHER_NATS_PER_NODE * len(nodes) else stated
+    return own if nats(own) - nats(stated) > _MIN_NATS_PER_NODE * len(nodes) else stated
 
 
-def _most_noise(recording: Recording, stated: TruthNoise) -> TruthNoise:
-    """Return the most that a truth's noise may be taken for, from what its samples show; no bound where they do not.
+def _max_noise(recording: Recording, stated: TruthNoise) -> TruthNoise:
+    """Return an upper bound of a truth's noise from its own samples; infinite if they do not show it.
 
-    Errors of a localisation, of matched scans and of motions by odometry of another kind are alike from sample to
-    sample, and a drive may be on worse terms with its satellites than the one before.
+    Errors of a localisation, of matched scans and of other odometry are correlated from sample to sample. Satellite
+    reception may differ between drives, so the bound is at least the stated noise.
     """
     truth = recording.truth
     if recording.localised or truth.covariance is not None or not recording.headed:
         return TruthNoise(np.inf, np.inf, np.inf)
-    x, y, yaw = (_SHOWN * truth_noise(truth)).tolist()
+    x, y, yaw = (_MAX_NOISE_RATIO * truth_noise(truth)).tolist()
     xy = float(np.hypot(x, y)) / _HALF
     return TruthNoise(max(xy, stated.xy_m), max(yaw, stated.yaw_rad), max(xy, stated.random_walk))
 
@@ -203,15 +203,15 @@ def _numbers(truth: TruthNoise) -> tuple[float, float, float]:
 
 
 def _truth_noise(nodes: Intervals, q: Array, recording: Recording) -> TruthNoise:
-    """Return the truth's noise, for a model that was written by hand and states none."""
+    """Return the truth's noise for a model file that states none."""
     return _robust_truth(nodes, q, recording)[0]
 
 
 def _robust_truth(nodes: Intervals, q: Array, recording: Recording) -> tuple[TruthNoise, Array]:
-    """Return the truth's noise of largest likelihood, and the odometry's covariances (K, 3, 3) that go with it.
+    """Return the maximum-likelihood noise of the truth, and the odometry's covariances (K, 3, 3) used with it.
 
-    Those of intervals that stand out are wider, as in a fit: a slip of some degrees is no noise of the truth. What is
-    usual is taken from the medians, which slips do not move.
+    Outlying intervals get wider covariances, as in a fit, because a slip of some degrees is no noise of the truth. The
+    starting values come from medians, which slips do not affect.
     """
     spread = (1.4826 * np.median(np.abs(nodes.residual), axis=0)) ** 2
     both = np.maximum(spread - np.median(np.einsum("kii->ki", q), axis=0), 0.1 * spread) / 2.0
@@ -229,11 +229,11 @@ def _robust_truth(nodes: Intervals, q: Array, recording: Recording) -> tuple[Tru
             break
         own = np.eye(3) * FLOOR + interval_covariance(nodes, usual, truth)
         usual = usual + np.where(worse, np.maximum(square / 3.0 - 1.0, 0.0), 0.0)[:, None, None] * own
-    return _likeliest_truth(nodes, usual, start, headed=recording.headed), usual
+    return _most_likely_truth(nodes, usual, start, headed=recording.headed), usual
 
 
-def _likeliest_truth(nodes: Intervals, q: Array, start: Array, *, headed: bool) -> TruthNoise:
-    """Return the truth's noise of largest likelihood beside the odometry's (K, 3, 3)."""
+def _most_likely_truth(nodes: Intervals, q: Array, start: Array, *, headed: bool) -> TruthNoise:
+    """Return the maximum-likelihood noise of the truth, given the odometry's covariances (K, 3, 3)."""
 
     def cost(free: Array) -> float:
         try:

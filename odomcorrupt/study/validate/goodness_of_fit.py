@@ -1,10 +1,10 @@
 """Goodness of fit of a model: sizes of errors, distribution and whiteness of innovations, one level for all tests.
 
-Probability integral transform (PIT): under the right model the place of every innovation in its predicted distribution
-is uniform. What is drawn is the empirical distribution of these places less the uniform one, in a band that 95 % of
-right models stay inside of everywhere at once (Säilynoja, Bürkner & Vehtari, Statistics and Computing 32:32, 2022: the
-pointwise level is found by simulation). Whiteness: innovations of a right model do not depend on the ones before them;
-Ljung & Box 1978, Biometrika 65, 297-303, per channel.
+Probability integral transform (PIT): under a correct model the quantiles of the innovations in their predicted
+distributions are uniform. Plotted is their empirical distribution minus the uniform one, with a band that contains the
+whole curve for 95 % of correct models (Säilynoja, Bürkner & Vehtari, Statistics and Computing 32:32, 2022; the
+pointwise level is found by simulation). Whiteness: innovations of a correct model are independent of earlier ones
+(Ljung & Box 1978, Biometrika 65, 297-303, per channel).
 """
 
 from __future__ import annotations
@@ -45,23 +45,23 @@ __all__ = [
 ]
 
 REJECTION_LEVEL = 0.05
-"""Probability of rejecting a right model, all looks together."""
+"""Probability of rejecting a correct model by any of the tests."""
 PRACTICAL_FACTOR = 1.25
-"""Errors within this factor of the predicted ones: a model that is right about sizes. Noise of one robot differs by as
-much from one floor to another."""
+"""Ratio of measured to predicted errors within which a model counts as calibrated. The noise of one robot differs by
+as much between floors."""
 PRACTICAL_PER_M = DECISIONS.practical.per_m
-"""Errors that differ from the predicted ones by less, m per metre of path, do not matter whatever their factor."""
+"""Differences between measured and predicted errors below this, m per metre of path, are irrelevant at any ratio."""
 PIT_LEVEL = 0.95
 _GRID = 50
 _SIMULATIONS = 4000
 _SEED = 20_220_325
-"""The simulation is part of the method: the same data give the same band."""
+"""Fixed, so that the same data give the same band."""
 LAGS = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One test of fit: its question, and its p-value."""
+    """One test of fit: the tested property, and its p-value."""
 
     question: str
     p: float
@@ -69,10 +69,10 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """All looks, the worst first; rejected where one is worse than the level divided by their number (Bonferroni).
+    """All tests, the smallest p-value first; rejected if one is below the level divided by their number (Bonferroni).
 
-    misfit : how many times larger than predicted the errors are where they are farthest from it beyond chance, below 1
-        where they are smaller; 1 where all are as predicted
+    misfit : ratio of measured to predicted errors over the path length that deviates most beyond chance; below 1 if
+        the errors are smaller; 1 if none deviates
     """
 
     level: float
@@ -81,13 +81,13 @@ class Verdict:
 
     @property
     def threshold(self) -> float:
-        """What a single look must fall below."""
+        """Level of a single test."""
         return self.level / max(len(self.checks), 1)
 
     @property
     def against(self) -> tuple[Check, ...]:
-        """The looks that reject the model."""
-        return tuple(look for look in self.checks if look.p < self.threshold)
+        """The tests that reject the model."""
+        return tuple(check for check in self.checks if check.p < self.threshold)
 
     @property
     def rejected(self) -> bool:
@@ -96,48 +96,48 @@ class Verdict:
 
     @property
     def fails(self) -> bool:
-        """Whether it is rejected, and errors are larger or smaller than predicted by a factor that matters.
+        """Whether the model is rejected and its predicted errors are wrong by a relevant factor.
 
-        With enough data every model is rejected for something; one that predicts all sizes is of use.
+        With enough data every model is rejected by some test; one that predicts all sizes is still useful.
         """
         return self.rejected and not 1.0 / PRACTICAL_FACTOR <= self.misfit <= PRACTICAL_FACTOR
 
 
 def pits_of(chains: Sequence[Array], axes: Sequence[int] = (0, 1, 2)) -> dict[str, Pit]:
-    """Return the PIT of every channel of chains of innovations (m, c), whose columns are these axes."""
+    """Return the PIT of every channel of chains of innovations (m, c), whose columns are the given axes."""
     rows = np.concatenate(chains)
     return {CHANNELS[axes[c]]: pit_of(rows[:, c]) for c in range(rows.shape[1])}
 
 
 def whiteness_of(chains: Sequence[Array], axes: Sequence[int] = (0, 1, 2)) -> dict[str, Whiteness]:
-    """Return the whiteness of every channel of chains, whose columns are these axes."""
+    """Return the whiteness of every channel of chains of innovations, whose columns are the given axes."""
     return {CHANNELS[axes[c]]: ljung_box([chain[:, c] for chain in chains]) for c in range(chains[0].shape[1])}
 
 
 def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: Mapping[str, Whiteness]) -> Verdict:
-    """Weigh all looks."""
+    """Return the joint verdict of all tests."""
     beyond = [h.nees for h in horizons if not h.nees_bounds[0] <= h.nees <= h.nees_bounds[1] and _is_seen(h)]
     misfit = float(np.sqrt(max(beyond, key=lambda nees: abs(np.log(max(nees, 1e-300)))))) if beyond else 1.0
-    looks = [Check(f"size of errors over {h.distance_m:g} m of path (NEES)", h.nees_p) for h in horizons]
-    looks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
-    looks += [Check(f"memory of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()]
-    return Verdict(REJECTION_LEVEL, tuple(sorted(looks, key=lambda look: look.p)), misfit)
+    checks = [Check(f"size of errors over {h.distance_m:g} m of path (NEES)", h.nees_p) for h in horizons]
+    checks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
+    checks += [Check(f"memory of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()]
+    return Verdict(REJECTION_LEVEL, tuple(sorted(checks, key=lambda check: check.p)), misfit)
 
 
 def _is_seen(h: Horizon) -> bool:
-    """Tell whether measured and predicted errors differ by a length that matters, where positions were measured."""
+    """Return whether measured and predicted position errors differ by a relevant length, or none were measured."""
     apart_m2 = abs(h.position_measured**2 - h.position_expected**2)
     return not apart_m2 < (PRACTICAL_PER_M * h.distance_m) ** 2
 
 
 @dataclass(frozen=True, slots=True)
 class Pit:
-    """Places of one channel's n innovations.
+    """Quantiles of one channel's n innovations in their predicted distribution.
 
-    at : (g,) the places looked at, inside (0, 1)
-    difference : (g,) part of the innovations below that place, less the place itself
-    low, high : (g,) the simultaneous band of the difference
-    p : probability that a right model leaves the uniform as far as this one, anywhere
+    at : (g,) levels inside (0, 1)
+    difference : (g,) fraction of the quantiles below each level, minus the level
+    low, high : (g,) simultaneous band of the difference
+    p : probability of a deviation at least as large, at any level, under a correct model
     """
 
     at: Array
@@ -148,18 +148,18 @@ class Pit:
 
     @property
     def inside(self) -> bool:
-        """Whether the difference stays in its band everywhere."""
+        """Whether the difference is inside its band at every level."""
         return bool(np.all((self.difference >= self.low) & (self.difference <= self.high)))
 
 
 def pit_of(innovations: Array) -> Pit:
-    """Return where standardised innovations (n,) fell in a standard normal."""
+    """Return the PIT of standardised innovations (n,) in a standard normal distribution."""
     at = np.arange(1, _GRID) / _GRID
     count = len(innovations)
     below = np.searchsorted(np.sort(norm.cdf(innovations)), at, side="right")
     simulated = _least_tails(count)
     observed = _tail(np.asarray(below, dtype=np.int64)[None], at, count)[0]
-    # with the observation itself counted, p is valid and never zero
+    # Counting the observation itself makes the p-value valid and never zero.
     p = float((1 + np.sum(simulated <= observed)) / (1 + len(simulated)))
     tail = float(np.quantile(simulated, 1.0 - PIT_LEVEL)) / 2.0
     low, high = binom.ppf(tail, count, at) / count - at, binom.isf(tail, count, at) / count - at
@@ -168,14 +168,14 @@ def pit_of(innovations: Array) -> Pit:
 
 @lru_cache(maxsize=64)
 def _least_tails(count: int) -> Array:
-    """Return, per simulated right model, how unlikely its most unlikely point is by itself."""
+    """Return the smallest pointwise p-value of each simulated correct model."""
     rng = np.random.default_rng(_SEED)
     below = np.cumsum(rng.multinomial(count, np.full(_GRID, 1.0 / _GRID), size=_SIMULATIONS), axis=1)[:, :-1]
     return _tail(below, np.arange(1, _GRID) / _GRID, count)
 
 
 def _tail(below: NDArray[np.int64], at: Array, count: int) -> Array:
-    """Return the smallest two-sided pointwise probability (s,) of counts (s, g)."""
+    """Return the smallest two-sided pointwise p-value (s,) of counts (s, g)."""
     either = np.minimum(binom.cdf(below, count, at), binom.sf(below - 1, count, at))
     least: Array = 2.0 * np.min(either, axis=1)
     return least
@@ -186,7 +186,7 @@ class Whiteness:
     """Autocorrelation of one channel.
 
     correlation : (lags,) at lags 1, 2, ... intervals
-    statistic : Ljung and Box's Q, chi-square with as many degrees as lags where innovations are white
+    statistic : Q of Ljung and Box, chi-square distributed with as many degrees of freedom as lags for white innovations
     """
 
     correlation: Array
@@ -195,7 +195,7 @@ class Whiteness:
 
 
 def ljung_box(chains: Sequence[Array], lags: int = LAGS) -> Whiteness:
-    """Test innovations (n,) of unbroken chains; no pair is made across a break."""
+    """Return the Ljung-Box test of innovations (n,) in chains; no pair spans two chains."""
     count = sum(len(chain) for chain in chains)
     mean = sum(float(chain.sum()) for chain in chains) / max(count, 1)
     centred = [chain - mean for chain in chains]

@@ -1,10 +1,10 @@
-"""Whether each part of a learned model holds on data that it was not fitted on; what does plainly worse is dropped.
+"""Held-out tests of each part of a learned model; parts that make predictions clearly worse are dropped.
 
-So is what is hardly likely, unless the error grows without it, and a law over the time of one recording, which says
-what happened then and nothing of another drive. Every effect, law and random gain of the model is taken out in turn,
-the rest refitted, and both judged on the same windows and intervals of held-out data: other recordings of the robot, or
-else the two halves of the fitted ones, each judged by a fit of the other. Differences are paired, so that what is hard
-for both counts for neither.
+Also dropped are parts of low confidence, unless the error grows without them, and a dependence on the time of a single
+recording, which cannot apply to another drive. Each effect, dependence and random gain is removed in turn, the others
+are refitted, and both models are evaluated on the same windows and intervals of held-out data: other recordings of the
+robot, or the two halves of the fitted ones, each evaluated by a fit to the other. Differences are paired, so that
+difficult data count against neither.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned, clock_leaders
 from odomcorrupt.study.select.confidence import confidence, evidence_of, noise_evidence
 from odomcorrupt.study.validate.compare import clocks_beside
-from odomcorrupt.study.validate.cross_validation import cutting_of
+from odomcorrupt.study.validate.cross_validation import split_of
 from odomcorrupt.study.validate.evaluation import evaluate_stretch
 from odomcorrupt.study.validate.log_score import block_differences
 
@@ -38,25 +38,25 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.evaluation import Evaluation
 
-__all__ = ["HeldOut", "keep_what_holds"]
+__all__ = ["HeldOut", "drop_unsupported_parts"]
 
-_PLAIN = 2.0
-"""Standard errors beyond which a paired difference is no chance."""
-_WORSE = {"factor": 1.02, "plain": 1.15, "errors": _PLAIN}
-"""When a 10 s error is plainly larger than another one, see `Drift.worse_than`."""
-_FEWEST_BLOCKS = 6
-"""Blocks of 15 s that it takes to say of a likelihood that it is plainly worse."""
+_SIGNIFICANT = 2.0
+"""Standard errors beyond which a paired difference counts as significant."""
+_WORSE = {"factor": 1.02, "plain": 1.15, "errors": _SIGNIFICANT}
+"""Thresholds at which a 10 s error counts as larger, see `Drift.worse_than`."""
+_MIN_BLOCKS = 6
+"""Fewest blocks of 15 s for a significance test of the likelihood."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """What held-out data say of one part of a model.
+    """Held-out test of one part of a model.
 
-    nats, error : log likelihood that the part gains on them, and its standard error from blocks of the drive
-    ten_second_error_m : without it, and with it
-    drift_nats : log likelihood that the errors of its 10 s windows gain
-    harm : why it is not in the model, in words; "" where it is
-    needed : whether the 10 s error is plainly larger without it
+    nats, error : gain of held-out log likelihood from the part, and its standard error from blocks of the drive
+    ten_second_error_m : without the part, and with it
+    drift_nats : gain of log likelihood of the errors over 10 s windows
+    failure : reason why the part was dropped; "" if it was kept
+    needed : whether the 10 s error is clearly larger without it
     """
 
     name: str
@@ -64,36 +64,36 @@ class HeldOut:
     error: float
     ten_second_error_m: tuple[float, float]
     drift_nats: float
-    harm: str
+    failure: str
     needed: bool
 
     @property
     def remark(self) -> str:
-        """Why the part is not in the model, in a sentence."""
-        return f"{self.name} was found, but is not in the model: {self.harm}"
+        """A sentence on why the part was dropped."""
+        return f"{self.name} was found, but is not in the model: {self.failure}"
 
 
-def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple[Learned, tuple[HeldOut, ...]]:
-    """Return what was learned without the parts that held-out data speak plainly against, and what they say of each.
+def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -> tuple[Learned, tuple[HeldOut, ...]]:
+    """Return the learned model without parts that fail on held-out data, and the test of each part.
 
     Parameters
     ----------
-    learned : from the search
-    others : recordings of the same robot that were not searched, if there are any
+    learned : result of the selection
+    others : recordings of the same robot not used in the selection, if any
 
     """
     fitted, said = learned.fit, list[HeldOut]()
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
-    once = {law.name for law in learned.laws if law.regressor == "time"} if len(_runs(fitted)) == 1 else set()
+    timed = {law.name for law in learned.laws if law.regressor == "time"} if len(_runs(fitted)) == 1 else set()
     while parts := [(part,) for part in _parts(fitted)]:
-        # all parts together, too: each may make good what another one spoils, and all of them be worse than none
+        # Also test all parts jointly: each may compensate another's error while all of them are worse than none.
         together = [tuple(part for (part,) in parts)] if len(parts) > 1 else []
         found = _test(fitted, [*parts, *together], others, clocks)
-        found = [(own, _needs_support(one, supported=bool(others)) if one.name in once else one) for own, one in found]
-        worst = max((one for one in found if one[1].harm), key=lambda one: -one[1].nats, default=None)
+        found = [(own, _needs_support(one, supported=bool(others)) if one.name in timed else one) for own, one in found]
+        worst = max((one for one in found if one[1].failure), key=lambda one: -one[1].nats, default=None)
         if worst is None:
             each = [(own, one) for own, one in found if len(own) == 1]
-            # single intervals or the drift of seconds: either may show what the other hardly does
+            # A part may show in single intervals or in the drift over seconds: take the larger gain.
             gained = {one.name: (max(one.nats, one.drift_nats), one.error) for _, one in each}
             learned = replace(learned, held_out=gained)
             worst = _least_confident(each, replace(learned, fit=fitted))
@@ -118,16 +118,18 @@ def _runs(fitted: Fit) -> set[int]:
 
 
 def _needs_support(one: HeldOut, *, supported: bool) -> HeldOut:
-    """Return the verdict on a law over the time of one recording, which another one has to support."""
-    if one.harm or (supported and one.nats > _PLAIN * one.error):
+    """Return the test of a dependence on the time of one recording, dropped unless another recording supports it."""
+    if one.failure or (supported and one.nats > _SIGNIFICANT * one.error):
         return one
-    return replace(one, harm="it says when this one drive went wrong; a second one would show whether it happens again")
+    return replace(
+        one, failure="it says when this one drive went wrong; a second one would show whether it happens again"
+    )
 
 
 def _least_confident(
     found: Sequence[tuple[tuple[Effect, ...], HeldOut]], learned: Learned
 ) -> tuple[tuple[Effect, ...], HeldOut] | None:
-    """Return the named part that is least likely right, if it hardly is and the error does not grow without it."""
+    """Return the part of lowest confidence if that is below the threshold and the error does not grow without it."""
     evidence = {step.added: evidence_of(step, learned) for step in learned.steps if step.added is not None}
     evidence |= {gain.effect.name: noise_evidence(gain, learned) for gain in learned.noise}
     sure = [
@@ -139,7 +141,7 @@ def _least_confident(
     if one is None or least >= learned.decisions.least_confidence:
         return None
     return parts, replace(
-        one, harm=f"other causes are likelier by far (confidence {least:.2f}), and the error does not grow"
+        one, failure=f"other causes are likelier by far (confidence {least:.2f}), and the error does not grow"
     )
 
 
@@ -158,7 +160,7 @@ def _others(effects: Sequence[Effect], parts: Sequence[Effect]) -> list[Effect]:
 def _test(
     fitted: Fit, groups: Sequence[tuple[Effect, ...]], others: Sequence[Recording], clocks: Sequence[Clock]
 ) -> list[tuple[tuple[Effect, ...], HeldOut]]:
-    """Return what held-out data say of each group of parts; nothing where there are too few of them."""
+    """Return the held-out test of each group of parts; an empty list if the data are too few for a fit."""
     folds = _folds(fitted, others, clocks)
     try:
         whole = [judged for fold in folds for judged in fold.judged(fitted, ())]
@@ -172,13 +174,13 @@ def _test(
 
 @dataclass(frozen=True, slots=True)
 class _Fold:
-    """Recordings to fit on, their clocks right (none: the fit of all stands as it is), and those to judge on."""
+    """Recordings with corrected clocks to fit on (empty: keep the fit to all data), and recordings to evaluate on."""
 
     train: tuple[Recording, ...]
     test: tuple[Recording, ...]
 
     def judged(self, fitted: Fit, parts: Sequence[Effect]) -> list[Evaluation]:
-        """Return the model without some parts, judged on this fold."""
+        """Return the evaluations on this fold of the model without some parts."""
         if self.train:
             own = fit(
                 self.train,
@@ -199,8 +201,8 @@ def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) ->
         return [_Fold((), tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True)))]
     problem = fitted.problem
     on_time = [aligned(r, c) for r, c in zip(problem.recordings, problem.clocks, strict=True)]
-    cutting = cutting_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
-    pieces = [run for run in cutting.pieces(on_time) if run.second]
+    split = split_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
+    pieces = [run for run in split.pieces(on_time) if run.second]
     if not pieces:  # too short to be halved
         return []
     first = tuple(r for run in pieces for r in run.first)
@@ -210,26 +212,26 @@ def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) ->
 
 def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequence[Evaluation]) -> HeldOut:
     with_it, base = (Drift(tuple(phased_misses([piece.left for piece in pieces]))) for pieces in (whole, without))
-    # noise is judged by its size, too; what moves the odometry is not, whichever size noise has on another day
+    # A random part is tested with its noise level; other parts are not, because the level differs between days.
     gains = block_differences(whole, without, sized=not any(part.name in CORRELATED_NOISE for part in parts))
     nats = float(gains.sum())
     error = float(np.std(gains, ddof=1) * np.sqrt(len(gains))) if len(gains) > 1 else float("inf")
     farther = with_it.worse_than(base, **_WORSE)
-    unlikelier = len(gains) >= _FEWEST_BLOCKS and nats < -_PLAIN * error
+    unlikelier = len(gains) >= _MIN_BLOCKS and nats < -_SIGNIFICANT * error
     closer = base.worse_than(with_it, **_WORSE)
-    harm = ""
+    failure = ""
     if farther:
-        harm = (
+        failure = (
             f"on held-out data the 10 s error is {1e3 * with_it.rmse:.1f} mm with it, {1e3 * base.rmse:.1f} mm without"
         )
     elif unlikelier and not closer:
-        harm = f"on held-out data the model is {-nats:.0f} nats less likely with it"
+        failure = f"on held-out data the model is {-nats:.0f} nats less likely with it"
     return HeldOut(
         name=" with ".join(part.name for part in parts),
         nats=nats,
         error=error,
         ten_second_error_m=(base.rmse, with_it.rmse),
         drift_nats=with_it.nats_over(base),
-        harm=harm,
+        failure=failure,
         needed=closer,
     )

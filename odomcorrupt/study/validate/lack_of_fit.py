@@ -1,7 +1,7 @@
-"""Where a model fails, as findings that a person understands: in which motion, when, where, at what length of path.
+"""Lack of fit of a model, localised: in which motion, at which time or place, after which path length.
 
-All patterns (kinds of motion, stretches of time, discs of the truth's plane) compete: the plainest is taken, its error
-is taken out, and the rest is searched again, so one cause is not reported ten times. Signs: odometry minus truth.
+All patterns (kinds of motion, stretches of time, discs in the truth's plane) compete. The most significant one is taken
+and its error projected out before the next search, so that one cause is reported once. Signs: odometry minus truth.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ if TYPE_CHECKING:
 
 __all__ = ["Failure", "drift_failures", "failures", "sudden_failures"]
 
-LEVEL = 0.01
-_MOST = 6
-_MOST_SUDDEN = 3
-_WORTH_SAYING = float(np.log(1.2))
-"""Smaller factors between measured and expected are not worth a sentence, however sure they are."""
-_LEFT = 0.3
-"""A pattern that keeps less than this part of its length beside the ones found already says nothing new."""
+LEVEL = 0.01  # significance level after correction for multiple tests
+_MAX_FAILURES = 6
+_MAX_SUDDEN = 3
+_MIN_LOG_RATIO = float(np.log(1.2))
+"""Smaller factors between measured and expected errors are not reported, however significant."""
+_MIN_NORM = 0.3
+"""A pattern that keeps a smaller part of its norm after projection is redundant with those already found."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """A part of a drive in which odometry errs beyond what the model expects; numbers are odometry minus truth.
+    """A part of a drive in which the odometry error exceeds the model's prediction; values are odometry minus truth.
 
-    kind : "motion", "time", "place" (a rate of error), "moment" (a sudden error) or "drift" (too much after some path)
+    kind : "motion", "time", "place" (an error rate), "moment" (a sudden error) or "drift" (error after a path length)
     channel : "along", "across" or "yaw"
-    where : the part of the drive in words: "in left turns"
-    per : what a rate is of: "m" driven, "s" at rest; "" for a size
+    where : description of the part of the drive: "in left turns"
+    per : unit of a rate: "m" driven, "s" at rest; "" for a size
     measured : the rate (m or rad per `per`), or the size (m or rad)
-    expected : what the model expects at most: two standard deviations of a rate or of a moment; of a drift its RMS
-    amount : metres (seconds at rest) it was seen over; windows of a drift; 1 of a moment
-    log_p : natural logarithm of the probability of something as plain anywhere by chance, all tries counted
-    besides : whether a rate comes on top of rates of the same channel that were found before it
-    recording : which one it was seen in
+    expected : upper limit by the model: two standard deviations of a rate or moment; RMS of a drift
+    amount : metres (seconds at rest) in this part; windows of a drift; 1 for a moment
+    log_p : natural logarithm of the p-value, corrected for multiple tests
+    besides : whether a rate adds to rates of the same channel found before
+    recording : name of the recording
     span_s, place : (start, end) in seconds since the recording began; (x, y, radius) in the truth's frame, m
     """
 
@@ -68,13 +68,13 @@ class Failure:
 def failures(
     problem: Problem, whitener: Whitener, innovations: Array, *, headed: bool = True, name: str = ""
 ) -> list[Failure]:
-    """Return the parts of a drive in which the error grows as the model does not expect, the plainest first.
+    """Return the parts of a drive with unexpected error rates, the most significant first.
 
     Parameters
     ----------
-    problem, whitener : a single recording under a model
+    problem, whitener : of a single recording under a model
     innovations : (3 K,) standardised
-    name : the recording's
+    name : name of the recording
 
     """
     motion = node_motion(problem)
@@ -85,14 +85,14 @@ def failures(
     columns = whitener.whiten(raw)
     r = innovations.copy()
     own = np.linalg.norm(columns, axis=0)
-    # nothing is claimed where errors are larger everywhere: that is said by the noise, not by a pattern
+    # Inflate if errors are larger everywhere: this is a misfit of the noise, not of a pattern.
     inflation = np.sqrt(max(1.0, float(r @ r) / len(r)))
     family = {kind: 3 * sum(p.kind == kind for p in patterns) for kind in ("motion", "time", "place")}
     cost = np.array([np.log(3.0 * family[p.kind]) for p, _ in tries])
     found: list[Failure] = []
-    while len(found) < _MOST:
+    while len(found) < _MAX_FAILURES:
         length = np.linalg.norm(columns, axis=0)
-        usable = length > np.maximum(_LEFT * own, 1e-12)
+        usable = length > np.maximum(_MIN_NORM * own, 1e-12)
         z = np.where(usable, columns.T @ r / np.where(usable, length, 1.0), 0.0) / inflation
         log_p = norm.logsf(np.abs(z)) + np.log(2.0) + cost
         best = int(np.argmin(log_p))
@@ -127,9 +127,9 @@ def _rate_failure(pattern: Pattern, channel: str, rate: float, expected: float, 
 def sudden_failures(
     problem: Problem, covariance: Array, innovations: Array, *, headed: bool = True, name: str = ""
 ) -> list[Failure]:
-    """Return the moments (intervals between two nodes) whose error no chance makes, the worst first.
+    """Return the moments (intervals) with an error too large for chance, the largest first.
 
-    covariance : (K, 3, 3) what the model expects of each residual by itself
+    covariance : (K, 3, 3) predicted marginal covariance of each residual
     """
     count = 3 if headed else 2
     square = np.sum(innovations.reshape(-1, 3)[:, :count] ** 2, axis=1)
@@ -137,7 +137,7 @@ def sudden_failures(
     deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     nodes = problem.nodes
     found = []
-    for k in np.argsort(square)[::-1][:_MOST_SUDDEN]:
+    for k in np.argsort(square)[::-1][:_MAX_SUDDEN]:
         if log_p[k] > np.log(LEVEL):
             break
         ratio = (np.abs(nodes.residual[k]) / deviation[k])[:count]
@@ -163,14 +163,14 @@ def sudden_failures(
 
 
 def drift_failures(horizons: Sequence[Horizon]) -> list[Failure]:
-    """Return, per channel, the longest path after which errors are larger or smaller than the model expects."""
+    """Return, per channel, the longest path after which errors differ from the model's prediction."""
     found = []
-    looks = 3 * len(horizons)
+    tests = 3 * len(horizons)
     for c, channel in enumerate(CHANNELS):
         for h in reversed(horizons):
             ratio = h.measured[c] / h.expected[c]
-            if h.excess_p[c] * looks < LEVEL and abs(np.log(ratio)) > _WORTH_SAYING:
-                log_p = float(np.log(max(h.excess_p[c] * looks, 1e-300)))
+            if h.excess_p[c] * tests < LEVEL and abs(np.log(ratio)) > _MIN_LOG_RATIO:
+                log_p = float(np.log(max(h.excess_p[c] * tests, 1e-300)))
                 found.append(
                     Failure(
                         kind="drift",
@@ -184,5 +184,5 @@ def drift_failures(horizons: Sequence[Horizon]) -> list[Failure]:
                     )
                 )
                 break
-    # the channel that is off by the largest factor first
+    # Sort channels by the factor between measured and expected errors.
     return sorted(found, key=lambda f: abs(np.log(f.measured / f.expected)), reverse=True)

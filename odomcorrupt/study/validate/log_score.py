@@ -18,12 +18,12 @@ __all__ = ["LogScore", "block_differences", "log_score_of"]
 _Summed = Literal["node_nats", "sized_nats", "node_metres"]
 
 BLOCK_S = 15.0
-"""Errors of a robot remember for seconds; blocks this long hardly know of each other."""
+"""Errors of a robot are correlated over seconds; blocks of this length, seconds, are nearly independent."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogScore:
-    """Log likelihood per metre, and its gain over the first model on the very same blocks; standard errors of both."""
+    """Log likelihood per metre, and its gain over the first model on the same blocks, with standard errors."""
 
     per_m: float
     error: float
@@ -33,7 +33,7 @@ class LogScore:
 
 
 def log_score_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> LogScore:
-    """Return nats per metre of pieces, and the paired difference to those of the first model."""
+    """Return the nats per metre of evaluated pieces, and their paired difference from those of the first model."""
     own, base = _blocks(pieces, pieces), _blocks(first, pieces)
     metres = _blocks(pieces, pieces, "node_metres")
     ratio, error = _ratio(own, metres)
@@ -42,9 +42,9 @@ def log_score_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> L
 
 
 def block_differences(pieces: Sequence[Evaluation], others: Sequence[Evaluation], *, sized: bool) -> Array:
-    """Return by how much (b,) nats pieces are likelier than others of the same recordings, in blocks of time.
+    """Return the difference (b,) in log likelihood, nats, of evaluations of the same recordings, in blocks of time.
 
-    sized : the noise as large as it is in each recording, see `Evaluation.sized_nats`
+    sized : whether to rescale the noise to each recording, see `Evaluation.sized_nats`
     """
     what: _Summed = "sized_nats" if sized else "node_nats"
     difference: Array = _blocks(pieces, pieces, what) - _blocks(others, pieces, what)
@@ -52,7 +52,7 @@ def block_differences(pieces: Sequence[Evaluation], others: Sequence[Evaluation]
 
 
 def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], what: _Summed = "node_nats") -> Array:
-    """Return sums over blocks of time (b,): of log likelihood or of metres."""
+    """Return sums (b,) of log likelihood or metres over blocks of time."""
     sums = []
     for piece, like in zip(pieces, cut_by, strict=True):
         end_s = like.problem.nodes.end_s
@@ -63,7 +63,7 @@ def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], what: _S
 
 
 def _ratio(values: Array, metres: Array) -> tuple[float, float]:
-    """Return the sum over metres and its standard error: the ratio estimator over b blocks (Cochran, 1977, ch. 6)."""
+    """Return sum over metres and its standard error by the ratio estimator over b blocks (Cochran, 1977, ch. 6)."""
     total, count = float(metres.sum()), len(metres)
     if total <= 0.0:
         return float("nan"), float("nan")

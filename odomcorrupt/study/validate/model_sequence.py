@@ -1,4 +1,4 @@
-"""Model sequence: the model before each inclusion and the final one, evaluated on data that they were not fitted on."""
+"""Model sequence: the models before each inclusion and the final one, evaluated on held-out data."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ __all__ = ["sequence_comparison"]
 def sequence_comparison(
     learned: Learned, recordings: Sequence[Recording], first: str = "without effects"
 ) -> Comparison:
-    """Return the comparison of the model before each addition and of the final one, each named by what it adds.
+    """Return the comparison of the model before each inclusion and of the final one, named by the added term.
 
-    recordings : what to judge on; those of the search are cut in halves, one fitted and the other judged
-    first : what the model is called that the search began with
+    recordings : evaluation data; recordings used in the selection are split in halves, one fitted and one evaluated
+    first : name of the initial model
     """
     steps = learned.steps
-    # what was included and dropped again is no step
-    before = [look.before for look in (*learned.rounds[:1], *steps[1:])] if steps else []
+    # Terms that were included and dropped again are not steps.
+    before = [step.before for step in (*learned.rounds[:1], *steps[1:])] if steps else []
     fits = [*before, learned.fit]
-    names = [first, *(f"+ {look.name}" for look in steps)]
+    names = [first, *(f"+ {step.name}" for step in steps)]
     return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})

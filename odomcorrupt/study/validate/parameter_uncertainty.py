@@ -1,8 +1,8 @@
-"""How a model's own standard errors, and a truth that is roughly known, widen what chance may make of its NEES.
+"""Effect on the NEES of a model's standard errors and of approximate noise models of the truth.
 
-A model that was fitted to ten minutes of driving knows its coefficients to some per cent. A test that took them for
-exact would reject a right model for that alone. So it is with errors of a localisation, whose laws are approximate:
-errors over a metre are nearly all its own, and say nothing of the robot.
+A model fitted to ten minutes of driving has coefficients accurate to some per cent; a test that took them as exact
+would reject a correct model. The error models of a localisation are approximate, too: over a metre, errors are nearly
+all the localisation's and contain no information on the robot.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 __all__ = ["LOCALISED", "ParameterUncertainty", "uncertainty_of"]
 
 LOCALISED = 0.25
-"""Relative standard deviation of the variance of a localisation's errors over windows of one length, beside their fit:
-of nine right models, beside simulated AMCLs, the NEES over 1 to 5 m scattered by 0.3, where chance alone makes 0.15."""
-_LEAST = 0.05
-"""A variance cannot be drawn below this part of what the model says."""
+"""Relative standard deviation of the variance of a localisation's errors over windows of one length, in addition to
+its fit: the NEES over 1 to 5 m of nine correct models beside simulated AMCLs scattered by 0.3; chance explains 0.15."""
+_MIN_VARIANCE = 0.05
+"""Lower limit of a drawn variance, relative to the model's."""
 
 
 class Drawn(NamedTuple):
@@ -40,11 +40,11 @@ class Drawn(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ParameterUncertainty:
-    """What one standard error of each number does to windows.
+    """Sensitivity of window errors to one standard error of each parameter.
 
     scale : (p,) relative change of the mean NEES per standard error of each coefficient
-    gram : (q, q) mean normalised square and product, per degree of freedom, of what the effects' errors do
-    truth : (c,) relative standard deviation of each channel's square for what is not known of the truth's errors
+    gram : (q, q) mean normalised products, per degree of freedom, of the effects' errors per standard error
+    truth : (c,) relative standard deviation of each channel's square from the truth's approximate noise model
     """
 
     scale: Array
@@ -53,28 +53,28 @@ class ParameterUncertainty:
 
     @property
     def certain(self) -> bool:
-        """Whether every number is taken at its word."""
+        """Whether all parameters count as exact."""
         return not (len(self.scale) or self.gram.any() or self.truth.any())
 
     def draw(self, rng: np.random.Generator, draws: int, spread: float) -> Drawn:
-        """Return what numbers within their errors would do; spread is that of the truth, relative."""
+        """Return draws of the NEES's scale and offset within the parameters' errors; spread as in `drawn_truth`."""
         scale = 1.0 + rng.standard_normal((draws, len(self.scale))) @ self.scale
         scale *= self.drawn_truth(rng, draws, spread)
         by = rng.standard_normal((draws, len(self.gram)))
-        return Drawn(np.maximum(scale, _LEAST), np.maximum(np.einsum("di,ij,dj->d", by, self.gram, by), 0.0))
+        return Drawn(np.maximum(scale, _MIN_VARIANCE), np.maximum(np.einsum("di,ij,dj->d", by, self.gram, by), 0.0))
 
     @staticmethod
     def drawn_truth(rng: np.random.Generator, draws: int, spread: float) -> Array:
-        """Return factors (draws,) on a square, log-normal of this relative standard deviation; 1 where it is 0."""
+        """Return log-normal factors (draws,) on a square with relative standard deviation `spread`; 1 for 0."""
         return np.exp(spread * rng.standard_normal(draws)) if spread > 0.0 else np.ones(draws)
 
 
 def uncertainty_of(
     model: MotionModel, windows: Intervals, errors: WindowErrors, problem: Problem, *, inflate: float
 ) -> ParameterUncertainty:
-    """Return how uncertain the model is about these windows; a model without standard errors is taken at its word.
+    """Return the model's uncertainty on these windows; a model without standard errors counts as exact.
 
-    inflate : factor on the standard errors, for a model that was refitted on less than it says
+    inflate : factor on the standard errors, for a model refitted on fewer data
     """
     count = errors.error.shape[1]
     k, law = model.noise.coefficients, model.noise.law
@@ -97,7 +97,7 @@ def uncertainty_of(
 
 
 def _truth_spread(model: MotionModel, windows: Intervals, errors: WindowErrors, problem: Problem) -> Array:
-    """Return the relative standard deviation (c,) of squares that a roughly known truth makes: by its share in them."""
+    """Return the relative standard deviation (c,) of squares from the truth's noise, by its share of the covariance."""
     count = errors.error.shape[1]
     if not any(r.localised for r in problem.recordings):
         return np.zeros(count)
@@ -108,7 +108,7 @@ def _truth_spread(model: MotionModel, windows: Intervals, errors: WindowErrors, 
 
 
 def _effect_errors(model: MotionModel, problem: Problem, inflate: float) -> Array:
-    """Return (n, 3, q): what one standard error of each of the effects' parameters does at the windows' ends."""
+    """Return the errors (n, 3, q) at the windows' ends for one standard error of each parameter of the effects."""
     columns = [np.zeros((len(problem.nodes), 3, 0))]
     for effect in problem.effects:
         own = problem.columns(effect)

@@ -1,7 +1,7 @@
-"""Would this model have made this odometry: many corrupted runs of the truth's path, beside the measured odometry.
+"""Predictive check: corrupted runs along the truth's path, compared with the measured odometry.
 
-The truth's path is made smooth (its noise would count as motion), corrupted by the very code that corrupts bags, and
-the error which that makes is added to the truth as it was measured. Runs and measurement both start at the truth.
+The truth's path is smoothed (its noise would count as motion) and corrupted by the same code as bags. The resulting
+error is added to the measured truth. Runs and measured odometry both start at the truth.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
 
 __all__ = ["Replay", "overlapping", "replay", "smooth_truth"]
 
-_POSES = 1500
-"""Poses kept of each path, for pictures and for judging."""
-_LEAST_RUNS = 20
+_MAX_POSES = 1500
+"""Poses kept of each path, for plots and statistics."""
+_MIN_RUNS = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """m poses along one stretch of a recording, in the truth's frame.
+    """Corrupted runs and measured odometry at m poses of one stretch of a recording, in the truth's frame.
 
-    distance_m : (m,) travelled by the truth until there
-    truth_xyt, measured_xyt : (m, 3) truth, and the odometry started at the truth's first pose
+    distance_m : (m,) travelled by the truth
+    truth_xyt, measured_xyt : (m, 3) truth, and the odometry aligned with the truth's first pose
     runs_xyt : (r, m, 3) corrupted runs
     """
 
@@ -49,10 +49,10 @@ class Replay:
     runs_xyt: Array
 
     def inside(self, at: NDArray[np.int64], part: float = 0.9) -> NDArray[np.bool_]:
-        """Return, for some of the poses, whether the measured one lies in the region that should hold `part` of them.
+        """Return for selected poses whether the measured pose is inside the prediction region of probability `part`.
 
-        The region is the ellipsoid of the runs about their mean, x, y and heading together, as wide as a prediction
-        from so many runs has to be (Hotelling's T squared).
+        The region is the ellipsoid of the runs about their mean, in x, y and heading jointly, with the size of a
+        prediction region for this number of runs (Hotelling's T squared).
         """
         count = len(self.runs_xyt)
         off = between(self.truth_xyt[at], self.runs_xyt[:, at])
@@ -70,14 +70,14 @@ class Replay:
 
 
 def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
-    """Corrupt the truth of a stretch with its model; what belongs to the measurement is taken out of the odometry."""
-    if runs < _LEAST_RUNS:
-        raise ValueError(f"runs: {runs}; give {_LEAST_RUNS} or more: fewer do not determine the covariance of the runs")
+    """Return corrupted runs along a stretch's truth, beside its odometry with the measurement's effects removed."""
+    if runs < _MIN_RUNS:
+        raise ValueError(f"runs: {runs}; give {_MIN_RUNS} or more: fewer do not determine the covariance of the runs")
     model = piece.model
     measured = overlapping(undo(piece.recording, model.setup.effects))
     smooth, truth = smooth_truth(measured)
     stamps = measured.odometry.stamps_ns
-    kept = np.unique(np.linspace(0, len(stamps) - 1, min(_POSES, len(stamps))).astype(np.int64))
+    kept = np.unique(np.linspace(0, len(stamps) - 1, min(_MAX_POSES, len(stamps))).astype(np.int64))
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(smooth[:, :2], axis=0), axis=1))))
     starts = stream(seed, 0, "replay").standard_normal((runs, 3)) * np.array(
         [piece.truth.xy_m, piece.truth.xy_m, piece.truth.yaw_rad]
@@ -86,7 +86,7 @@ def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     for run in range(runs):
         error = NoisyPath(model, seed, run, covariance=False).feed(stamps, smooth).error_xyt
         poses[run] = truth[kept] + error[kept]
-        # nobody knows the true start: the truth's own noise turns and shifts the whole run
+        # The true start is uncertain: the truth's noise turns and shifts the whole run.
         first = truth[0]
         poses[run] = compose(compose(compose(first, starts[run]), inverse(first)), poses[run])
     own = compose(truth[0], between(measured.odometry.xyt[0], measured.odometry.xyt[kept]))
@@ -94,14 +94,14 @@ def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
 
 
 def overlapping(recording: Recording) -> Recording:
-    """Return the recording with the odometry cut to where there is truth."""
+    """Return the recording with the odometry restricted to the time of the truth."""
     odometry, truth = recording.odometry, recording.truth
     inside = (odometry.stamps_ns >= truth.stamps_ns[0]) & (odometry.stamps_ns <= truth.stamps_ns[-1])
     return replace(recording, odometry=Trajectory(odometry.stamps_ns[inside], odometry.xyt[inside]))
 
 
 def smooth_truth(recording: Recording) -> tuple[Array, Array]:
-    """Return the truth at the odometry's stamps, smooth (n, 3) and as measured (n, 3)."""
+    """Return the truth at the odometry's stamps, smoothed (n, 3) and as measured (n, 3)."""
     truth = recording.truth.at(recording.odometry_s, recording.origin_ns)
     m = driving_motion(recording, "truth")
     sideways = m.vy * m.dt_s

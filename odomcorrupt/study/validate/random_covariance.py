@@ -1,4 +1,4 @@
-"""What random effects that remember themselves add to the error that a model expects over a window."""
+"""Covariance of window errors from correlated random effects."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ __all__ = ["random_covariance"]
 
 
 def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Motion) -> Array:
-    """Return the covariance (K, 3, 3) that random gains put on each window of one run.
+    """Return the covariance (K, 3, 3) from random gains on each window of one run.
 
-    A gain g is a Markov number, Cov(g_i, g_j) = Var(g_i) times what is kept from i to j, so that with c_i the effect
-    of step i at the window's end the sum over all pairs takes one pass backwards.
+    A gain g is a Markov process: Cov(g_i, g_j) is Var(g_i) times the product of the factors kept from i to j. With c_i
+    the effect of step i at the window's end, the sum over all pairs therefore takes one backward pass.
     """
     total = np.zeros((len(windows), 3, 3))
     for effect in random:

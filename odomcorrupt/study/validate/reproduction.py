@@ -1,12 +1,12 @@
-"""Whether a model drifts about as much as the recordings it was learned from, what a fit left out included.
+"""Reproduction of the recorded drift by a learned model, including the errors that its fit excluded.
 
-A robust fit sets slips apart, and the noise that it estimates is that of the rest. As a description of the rest it is
-right; a simulation that is corrupted with it never slips. So the model corrupts the truth's path, noise like the
-truth's is added, and the error after 10 s is held against the measured one (a posterior predictive check: Gelman, Meng
-& Stern 1996, Statistica Sinica 6), with the part of it that the outliers carry.
+A robust fit excludes slips, and its noise describes the remaining data; a simulation corrupted with it never slips.
+Here the model corrupts the truth's path, noise like the truth's is added, and the error after 10 s is compared with the
+measured one (a posterior predictive check: Gelman, Meng & Stern 1996, Statistica Sinica 6), together with the share of
+it from outliers.
 
-After 10 s most of the measured error may be the truth's own. Noise adds up from there on, and errors of a truth do not:
-over a quarter of the drive it shows whether these were taken for noise.
+After 10 s most of the measured error may be the truth's own. Odometry noise accumulates further and errors of a truth
+do not, so the error over a quarter of the drive shows whether truth errors were mistaken for noise.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ __all__ = ["LongDrift", "Reproduction", "reproduction_of"]
 
 _RUNS = 10
 _FACTOR = 2.0
-"""Errors that differ by more are not about the same, unless single runs of the model differ as much."""
-_MOSTLY = 0.5
-"""Part of the squared error that outliers carry at least where they are its main cause."""
-_LONG, _LEAST_S = 0.25, 30.0
-"""Part of the drive over which noise shows beside the truth's own errors, and the shortest that is long for it."""
+"""Factor beyond which errors differ, unless single runs of the model differ as much."""
+_MAIN_CAUSE = 0.5
+"""Fraction of the squared error above which outliers are its main cause."""
+_LONG, _MIN_LONG_S = 0.25, 30.0
+"""Fraction of the drive for the long-term error, and its shortest duration, seconds."""
 
 
 class LongDrift(NamedTuple):
-    """Position errors (m, RMS) after a long time, as `Reproduction` has them after 10 s: recorded, drawn, the least."""
+    """Position errors (m, RMS) after a long time, as in `Reproduction`: measured, of all runs, and of the best run."""
 
     after_s: float
     measured_m: float
@@ -58,20 +58,20 @@ class LongDrift(NamedTuple):
 
     @property
     def too_large(self) -> bool:
-        """Whether the model drifts plainly more than the recordings."""
+        """Whether the model drifts clearly more than the recordings."""
         return self.drawn_m > _FACTOR * self.measured_m and self.measured_m < self.least_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reproduction:
-    """Position errors after 10 s (m, RMS): of the recorded odometry, and of what a model makes of the same drives.
+    """Position errors after 10 s (m, RMS) of the recorded odometry, and of a model on the same drives.
 
-    measured_m : of the odometry, its clock right, without excursions of the truth alone
+    measured_m : of the odometry with corrected clock, without excursions of the truth
     drawn_m, least_m, most_m : of corrupted runs with noise like the truth's: all of them, the best, the worst
-    outliers : how many lasting stretches the fit left out, or weighed less
-    outlier_s : how long they last together, s
-    outlier_share : part of the squared measured error that they carry
-    long : the errors after a quarter of the drive; None where it is too short
+    outliers : number of lasting stretches that the fit excluded or down-weighted
+    outlier_s : their total duration, s
+    outlier_share : their fraction of the squared measured error
+    long : errors after a quarter of the drive; None if that is too short
     """
 
     measured_m: float
@@ -85,12 +85,12 @@ class Reproduction:
 
     @property
     def too_small(self) -> bool:
-        """Whether the model drifts plainly less than the recordings."""
+        """Whether the model drifts clearly less than the recordings."""
         return self.measured_m > _FACTOR * self.drawn_m and self.measured_m > self.most_m
 
     @property
     def too_large(self) -> bool:
-        """Whether the model drifts plainly more than the recordings, at once or in the long run."""
+        """Whether the model drifts clearly more than the recordings, after 10 s or in the long run."""
         at_once = LongDrift(WINDOW_S, self.measured_m, self.drawn_m, self.least_m)
         return at_once.too_large or (self.long is not None and self.long.too_large)
 
@@ -101,18 +101,18 @@ class Reproduction:
 
     @property
     def by_outliers(self) -> bool:
-        """Whether stretches that the fit left out carry most of the error."""
-        return self.outlier_share > _MOSTLY
+        """Whether stretches excluded from the fit cause most of the error."""
+        return self.outlier_share > _MAIN_CAUSE
 
 
 def reproduction_of(fit: Fit, model: MotionModel, *, runs: int = _RUNS) -> Reproduction:
-    """Return the 10 s errors of the fitted recordings beside those of a model that corrupts the same drives.
+    """Return the 10 s errors of the fitted recordings and of a model that corrupts the same drives.
 
     Parameters
     ----------
     fit : to the recordings, with its outliers
-    model : what is to be corrupted with, as it is written
-    runs : corrupted runs of each drive
+    model : the model for corruption, as written to a file
+    runs : number of corrupted runs of each drive
 
     """
     problem, left_out = fit.problem, events(fit)
@@ -144,7 +144,7 @@ def reproduction_of(fit: Fit, model: MotionModel, *, runs: int = _RUNS) -> Repro
 
 def _long_drift(measured: Sequence[Recording], drawn: Sequence[Sequence[Recording]]) -> LongDrift | None:
     after_s = _LONG * max(float(one.odometry_s[-1] - one.odometry_s[0]) for one in measured)
-    if after_s < _LEAST_S or not drawn:
+    if after_s < _MIN_LONG_S or not drawn:
         return None
     each = [_mean_square(one, after_s) for one in drawn]
     squares = (_mean_square(measured, after_s), float(np.mean(each)), min(each))
@@ -157,7 +157,7 @@ def _mean_square(recordings: Sequence[Recording], after_s: float = WINDOW_S) -> 
 
 
 def _replaced(recording: Recording, stretches: Sequence[Event]) -> Recording:
-    """Return a recording whose odometry moves as the truth does in some stretches, and as it did between them."""
+    """Return a recording whose odometry moves like the truth in some stretches and is unchanged elsewhere."""
     if not stretches:
         return recording
     t_s = recording.odometry_s
@@ -174,7 +174,7 @@ def _replaced(recording: Recording, stretches: Sequence[Event]) -> Recording:
 
 
 def _corrupted(recording: Recording, model: MotionModel, truth: TruthNoise, runs: int) -> list[Recording]:
-    """Return runs of a model along the truth of a recording, each with a truth that is as noisy; none if it cannot."""
+    """Return corrupted runs along a recording's truth, each with a noisy truth; none if the model cannot corrupt it."""
     smooth, _ = smooth_truth(recording)
     stamps, origin = recording.odometry.stamps_ns, recording.origin_ns
     truth_s = recording.truth.seconds_since(origin)
@@ -201,7 +201,7 @@ def _corrupted(recording: Recording, model: MotionModel, truth: TruthNoise, runs
 
 
 def _noise(truth: TruthNoise, t_s: Array, run: int, *, headed: bool) -> Array:
-    """Return noise (n, 3) like a truth's at times (n,): white, and a random walk of the position."""
+    """Return noise (n, 3) like a truth's at times (n,): white noise, and a random walk of the position."""
     rng = stream(0, run, "reproduction")
     level = [truth.xy_m, truth.xy_m, truth.yaw_rad if headed else 0.0]
     white = rng.standard_normal((len(t_s), 3)) * level

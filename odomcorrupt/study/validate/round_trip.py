@@ -1,8 +1,8 @@
-"""Proof that a fitted model can be used: its file is read back, it corrects the fitted odometry, and it corrupts.
+"""Verification that a fitted model is usable: its file can be read, and it corrects and corrupts the fitted drives.
 
-A law that was fitted to moderate motion may take all of a faster motion away, a parameter may lie beyond its bounds:
-such a model would be written and then refused by the commands that read it. What fails is put in a form that has an
-inverse, or where there is none left out of the model; either is said, in the model's file too.
+A dependence fitted to moderate motion may exceed a faster motion, or a parameter may be out of bounds. `correct` and
+`corrupt` would refuse such a model. A failing part is changed to a form with an inverse, or dropped if there is none;
+either is reported, also in the model file.
 """
 
 from __future__ import annotations
@@ -42,33 +42,33 @@ if TYPE_CHECKING:
 __all__ = ["RUNS", "RoundTrip", "bound_notes", "verified_model"]
 
 RUNS = 20
-"""Corrupted runs that have to succeed, where a model draws random effects; without them every run is the same."""
+"""Corrupted runs that must succeed for a model with random effects; without these all runs are equal."""
 _STRETCH_S = 300.0
-"""Length of each run but the first, seconds: what is drawn is seen in a few minutes, what depends on time, place and
-distance in the first run, of all there is."""
+"""Length of each run but the first, seconds. Random effects show in a few minutes; dependence on time, place and
+distance shows in the first run, over all data."""
 _SHORT_S = 1.0
 _LIMITS = (0.5, 0.3, 0.15)
-"""Parts of a motion within which a law is held, the first that has an inverse."""
+"""Fractions of a motion to which a dependence is limited; the first one with an inverse is used."""
 _PART = re.compile(r"^(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* \((.*)\)$")
-"""A law as the search writes it: a part of the motion that it adds to."""
-_HARM = 1.03
-"""Factor by which a correction may make the error of the fitted data larger."""
-_BROKEN = 1.25
-"""Factor by which `correct` may leave more on the fitted data than the fit, before a law is replaced."""
-_KEPT = 0.4
-"""Part of what a fit gains, in mean squares, that `correct` has to gain with what reads accelerations or places."""
-_LEAST_SHARE = 0.05
-"""Part of a law that its mean is at least, where the mean takes its place."""
+"""A dependence as the selection writes it: a fraction of a motion, added to a channel."""
+_MAX_WORSE = 1.03
+"""Largest factor by which `correct` may increase the error of the fitted data."""
+_MAX_RATIO = 1.25
+"""Ratio of the 10 s error after `correct` to that of the fit from which a dependence is replaced."""
+_MIN_GAIN = 0.4
+"""Least fraction of a fit's gain, in mean squares, required of `correct` if effects read accelerations or places."""
+_MIN_MEAN = 0.05
+"""Least ratio of a dependence's mean to itself for a replacement by the mean."""
 _AT_BOUND = 1e-6
-_OTHER_ERROR = 0.05
-"""Part by which two errors have to differ for the reason to be said."""
-_MANY_TIMES = 1.5
-"""A robot that turns so many times as far as its odometry says, or so many times less, has a wrong nominal value."""
+_MIN_DIFFERENCE = 0.05
+"""Least relative difference of two errors whose reason is reported."""
+_MAX_NOMINAL = 1.5
+"""Ratio of the true turn to the odometry's, or its inverse, from which a nominal value is reported as wrong."""
 
 
 @dataclass(frozen=True, slots=True)
 class RoundTrip:
-    """A model that can be read, corrected and corrupted with, and what had to be changed for it, in sentences."""
+    """A model that can be read back, correct and corrupt, and descriptions of the changes this needed."""
 
     model: MotionModel
     changes: tuple[str, ...] = ()
@@ -76,7 +76,7 @@ class RoundTrip:
 
 @dataclass(frozen=True, slots=True)
 class _Drive:
-    """One fitted recording, its clock set right: times (n,) s, measured poses and the truth made smooth (n, 3)."""
+    """One fitted recording with corrected clock: times (n,) s, measured poses and smoothed truth (n, 3)."""
 
     recording: Recording
     stamps_ns: NDArray[np.int64]
@@ -86,27 +86,27 @@ class _Drive:
 
 
 def verified_model(model: MotionModel, recordings: Sequence[Recording], *, runs: int = RUNS) -> RoundTrip:
-    """Return the model as it can be used, and what was changed.
+    """Return the model in a usable form, and the changes made.
 
     Parameters
     ----------
-    model : as it was fitted
+    model : as fitted
     recordings : those that it was fitted to; clocks come from the model's set-up
-    runs : corrupted runs, see `RUNS`; the first is of all recordings, the others are of a few minutes each
+    runs : corrupted runs, see `RUNS`; the first covers all recordings, each other one a few minutes
 
     """
     drives = [_drive(model, recording) for recording in recordings]
     changes: list[str] = []
     model = _within_bounds(model, changes)
     while True:
-        failure = _failure(model, drives, runs) or _harm(model, drives)
+        failure = _failure(model, drives, runs) or _worse(model, drives)
         if not failure:
             break
-        mended = next((m for m in _mended(model) if not (_failure(m[0], drives, runs) or _harm(m[0], drives))), None)
-        # where no single change helps, the last one that was added goes, and it is tried again
-        model, change = mended or _without(model, _weakest(model))
+        repair = next((m for m in _repairs(model) if not (_failure(m[0], drives, runs) or _worse(m[0], drives))), None)
+        # If no single change helps, drop the weakest effect and try again.
+        model, change = repair or _without(model, _weakest(model))
         changes.append(f"{change}: {failure}")
-    model, notes = _as_delivered(model, drives, runs)
+    model, notes = _correctable(model, drives, runs)
     said = (*changes, *notes, *bound_notes(model), *_setup_note(model, recordings))
     if said:
         model = replace(model, source=dict(model.source) | {"remarks": list(said)})
@@ -114,7 +114,7 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording], *, runs:
 
 
 def bound_notes(model: MotionModel) -> tuple[str, ...]:
-    """Return a sentence for each parameter on its bound, and for a nominal value that is wrong by a large factor."""
+    """Return a sentence for each parameter at its bound, and for nominal values wrong by a large factor."""
     notes = []
     for effect in (*model.effects, *model.setup.effects):
         for p in amplitudes(effect):
@@ -127,7 +127,7 @@ def bound_notes(model: MotionModel) -> tuple[str, ...]:
                 )
         if effect.name == "wheelbase":
             factor = 1.0 / (1.0 + getattr(effect, "e", 0.0))
-            if not 1.0 / _MANY_TIMES < factor < _MANY_TIMES:
+            if not 1.0 / _MAX_NOMINAL < factor < _MAX_NOMINAL:
                 notes.append(
                     f"the robot turns {factor:.2g} times as far as its odometry says: its nominal track or gear ratio "
                     f"is wrong by a factor of {factor:.2g}, unless its wheels skid as it turns"
@@ -136,9 +136,9 @@ def bound_notes(model: MotionModel) -> tuple[str, ...]:
 
 
 def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str]:
-    """Return why `correct` leaves another error than the fit, where the set-up makes a difference."""
+    """Return why the errors of `correct` and of the fit differ, if the set-up makes them differ."""
     names = [effect.name for effect in model.setup.effects]
-    # where a laser sits is the laser's own, and nothing to take out of the odometry
+    # The laser's mounting belongs to the truth; it is not corrected in the odometry.
     if not names or all(r.matched for r in recordings):
         return []
     on_time = [aligned(r, _clock(model, r)) for r in recordings]
@@ -146,7 +146,7 @@ def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str
         phased_rmse([with_recomputed_headings(undo(r, effects)) for r in on_time])
         for effects in (model.effects, (*model.effects, *model.setup.effects))
     )
-    if not abs(robot - both) > _OTHER_ERROR * both:
+    if not abs(robot - both) > _MIN_DIFFERENCE * both:
         return []
     said = (
         f"`correct` with this model leaves {robot * 1e3:.1f} mm after 10 s on the fitted data, the fit "
@@ -189,7 +189,7 @@ def _within_bounds(model: MotionModel, changes: list[str]) -> MotionModel:
 
 
 def _failure(model: MotionModel, drives: Sequence[_Drive], runs: int) -> str:
-    """Return why a model cannot be used on these drives, or nothing."""
+    """Return the reason why a model cannot be used on these drives; "" if it can."""
     try:
         model = parse_model(format_model(model))
     except (ModelError, EffectError) as error:
@@ -207,14 +207,14 @@ def _failure(model: MotionModel, drives: Sequence[_Drive], runs: int) -> str:
             try:
                 moved = NoisyPath(model, 0, run).feed(drive.stamps_ns[rows], drive.true_xyt[rows]).error_xyt
             except OdomCorruptError:
-                return "no odometry obeys it on the fitted drive"
+                return "no odometry satisfies it on the fitted drive"
             if not np.isfinite(moved).all():
                 return "the fitted drive corrupted with it is not finite"
     return ""
 
 
 def _driven(drives: Sequence[_Drive], run: int, runs: int) -> Iterator[tuple[_Drive, slice]]:
-    """Yield what one of several runs drives, and which rows of it: the first all, the others `_STRETCH_S` in turn."""
+    """Yield drives with row ranges for a run: everything in the first run, `_STRETCH_S` in turn in the others."""
     if run == 0:
         yield from ((drive, slice(None)) for drive in drives)
         return
@@ -228,43 +228,43 @@ def _driven(drives: Sequence[_Drive], run: int, runs: int) -> Iterator[tuple[_Dr
             return
 
 
-def _harm(model: MotionModel, drives: Sequence[_Drive]) -> str:
-    """Return by how much `correct` with a model makes the fitted data worse though the fit did not, or nothing.
+def _worse(model: MotionModel, drives: Sequence[_Drive]) -> str:
+    """Return a message if `correct` increases the error of the fitted data though the fit did not; otherwise "".
 
-    What a fit reads of motion that is smooth on both sides, a correction reads of the motion as it comes.
+    The fit uses motion smoothed from both sides; the correction uses the raw motion.
     """
     if not any(effect.reads_truth for effect in model.effects):
         return ""
     left_m, plain_m = (_corrected_error(effects, model, drives) for effects in (model.effects, ()))
-    if not left_m > _HARM * plain_m or not left_m > _HARM * _fitted_error(model, drives):
+    if not left_m > _MAX_WORSE * plain_m or not left_m > _MAX_WORSE * _fitted_error(model, drives):
         return ""
     return f"`correct` with it leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, {plain_m * 1e3:.1f} without"
 
 
-def _as_delivered(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tuple[MotionModel, list[str]]:
-    """Return the model of which `correct` leaves least, where it leaves plainly more than the fit, and a sentence.
+def _correctable(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tuple[MotionModel, list[str]]:
+    """Return the model with the least error after `correct` if that clearly exceeds the fit's error, and a sentence.
 
-    A fit reads accelerations of smooth motion, a correction those from each pose to the next: where stamps jitter, a
-    law that switches at one flickers, and does less than its mean would.
+    The fit uses accelerations of smoothed motion, the correction those between successive poses. If stamps jitter, a
+    dependence that switches with the acceleration flickers and corrects less than its mean would.
     """
     reading = [effect for effect in model.effects if effect.reads_truth and effect.kind != "noise"]
     if not reading:
         return model, []
     left_m, fitted_m = _corrected_error(model.effects, model, drives), _fitted_error(model, drives)
-    if not left_m > (1.0 + _OTHER_ERROR) * fitted_m:
+    if not left_m > (1.0 + _MIN_DIFFERENCE) * fitted_m:
         return model, []
     errors = f"leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, the fit {fitted_m * 1e3:.1f} mm"
     plain_m = _corrected_error([e for e in model.effects if e not in reading], model, drives)
-    # what little of its gain is left was fitted to these data: others have none of it
-    hardly = left_m**2 > _KEPT * fitted_m**2 + (1.0 - _KEPT) * plain_m**2
-    if hardly or left_m > _BROKEN * fitted_m:
+    # A small remaining gain is specific to these data and does not transfer.
+    little = left_m**2 > _MIN_GAIN * fitted_m**2 + (1.0 - _MIN_GAIN) * plain_m**2
+    if little or left_m > _MAX_RATIO * fitted_m:
         means = [_mean_of(model, law, drives) for law in reading if isinstance(law, UserEffect)]
         others = [*(m for m in means if m is not None), *(_without(model, effect) for effect in reversed(reading))]
         usable = [one for one in others if not _failure(one[0], drives, runs)]
         errors_m = [_corrected_error(other.effects, other, drives) for other, _ in usable]
-        if errors_m and (hardly or min(errors_m) < left_m):
+        if errors_m and (little or min(errors_m) < left_m):
             other, change = usable[int(np.argmin(errors_m))]
-            other, more = _as_delivered(other, drives, runs)
+            other, more = _correctable(other, drives, runs)
             return other, [f"{change}, which leaves {min(errors_m) * 1e3:.1f} mm: `correct` with it {errors}", *more]
     names = " and ".join(effect.name for effect in reading)
     why = "reads accelerations or places, and from one pose to the next these are rougher than the fit's smooth ones"
@@ -272,7 +272,7 @@ def _as_delivered(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tu
 
 
 def _mean_of(model: MotionModel, law: UserEffect, drives: Sequence[_Drive]) -> tuple[MotionModel, str] | None:
-    """Return the model with the mean of a law in its place, and what was changed; None where that is about zero."""
+    """Return the model with a dependence replaced by its mean, and the change; None if the mean is about zero."""
     match = _PART.match(law.expression.text)
     values = {p.name: float(getattr(law, p.name)) for p in parameters(law)}
     if match is None or set(values) != {"k"}:
@@ -282,7 +282,7 @@ def _mean_of(model: MotionModel, law: UserEffect, drives: Sequence[_Drive]) -> t
     motions = [MotionSmoother([drive.recording], "odometry").recorded for drive in drives]
     moved = [np.concatenate([error_of(one, m) * m.dt_s[:, None] for m in motions]) for one in (law, even)]
     share = float(np.sum(moved[0] * moved[1]) / max(np.sum(moved[1] ** 2), 1e-300))
-    if not abs(share) > _LEAST_SHARE:
+    if not abs(share) > _MIN_MEAN:
         return None
     mean = user_effect(law.name, even.expression.text, {"k": share * values["k"]}, {}, words)
     errors = dict(model.standard_errors)
@@ -294,20 +294,20 @@ def _mean_of(model: MotionModel, law: UserEffect, drives: Sequence[_Drive]) -> t
 
 
 def _fitted_error(model: MotionModel, drives: Sequence[_Drive]) -> float:
-    """Return the error (m) after 10 s on the fitted data that the fit leaves."""
+    """Return the position error (m) after 10 s of the fit on its data."""
     effects = (*model.effects, *model.setup.effects)
     return phased_rmse([with_recomputed_headings(undo(d.recording, effects)) for d in drives])
 
 
 def _correction(effects: Sequence[Effect], drive: _Drive) -> Array:
-    """Return corrected minus measured poses (n, 3), as `correct` finds them; places are in the truth's frame."""
+    """Return corrected minus measured poses (n, 3), computed as by `correct`; places are in the truth's frame."""
     frame = compose(drive.true_xyt[0], inverse(drive.measured_xyt[0]))
     track_m = drive.recording.track_m
     return undo_effects(effects, drive.t_s, drive.measured_xyt, track_m, frame_xyt=frame).error_xyt
 
 
 def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequence[_Drive]) -> float:
-    """Return the error (m) after 10 s on the fitted data that `correct` leaves, the model's set-up taken out."""
+    """Return the position error (m) after 10 s of `correct` on the fitted data, with the model's set-up removed."""
     runs = []
     for drive in drives:
         odometry = Trajectory(drive.stamps_ns, drive.measured_xyt + _correction(effects, drive))
@@ -315,8 +315,8 @@ def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequ
     return phased_rmse(runs)
 
 
-def _mended(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
-    """Yield models with one kind of change, the slightest first, and what was changed."""
+def _repairs(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
+    """Yield models with one kind of change, the slightest first, and a description of the change."""
     laws = [effect for effect in model.effects if isinstance(effect, UserEffect)]
     for limit in _LIMITS:
         limited = {law.name: _limited(law, limit) for law in laws}
@@ -330,7 +330,7 @@ def _mended(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
 
 
 def _limited(law: UserEffect, limit: float) -> UserEffect | None:
-    """Return a law that is held within a part of the motion it adds to; None where it is no part of it."""
+    """Return a dependence limited to a fraction of the motion it adds to; None if it has no such form."""
     match = _PART.match(law.expression.text)
     if match is None or (match[1] == "yaw") != (match[2] == "omega"):
         return None
@@ -353,6 +353,6 @@ def _random(model: MotionModel) -> list[Effect]:
 
 
 def _weakest(model: MotionModel) -> Effect:
-    """Return what goes first where no single change helps: laws before random effects, the last added first."""
+    """Return the effect to drop if no single change helps: dependences before random effects, the latest first."""
     laws = [effect for effect in model.effects if isinstance(effect, UserEffect)]
     return [*model.effects, *_random(model), *laws][-1]

@@ -1,4 +1,4 @@
-"""Parts of a drive in which an error may grow: kinds of motion, stretches of time, discs of the truth's plane."""
+"""Parts of a drive in which an error may grow: kinds of motion, stretches of time, discs in the truth's plane."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 __all__ = ["Pattern", "all_patterns"]
 
 _SHARES = (4, 8, 16)
-"""Stretches of time are these parts of a run, and discs these parts of the place's width."""
-_LEAST, _MOST = 0.02, 0.6
-"""Parts of all metres that a pattern must hold, and that a stretch or disc may hold at most."""
-_TURN_PER_M = 0.1
-_SPEEDING = 0.1
+"""Divisors of a run's duration for stretches of time, and of the width of the place for radii of discs."""
+_MIN_SHARE, _MAX_SHARE = 0.02, 0.6
+"""Least fraction of the drive in a pattern, and largest fraction in a stretch of time or disc."""
+_TURN_PER_M = 0.1  # least curvature of a turn, rad/m
+_MIN_ACCELERATION = 0.1  # least acceleration, m/s^2
 
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
     """A part of a drive.
 
-    mask : (K,) 1 for intervals that belong to it
-    per : "m" where a rate is of metres, "s" of seconds
-    amount : metres or seconds of it
+    mask : (K,) 1 for intervals in this part
+    per : "m" for rates per metre, "s" per second
+    amount : metres or seconds in this part
     """
 
     kind: Literal["motion", "time", "place"]
@@ -44,13 +44,13 @@ class Pattern:
 
 
 def all_patterns(motion: NodeMotion) -> list[Pattern]:
-    """Return every part of a drive that holds enough of it."""
+    """Return the parts of a drive that contain enough of it."""
     total = float(motion.metres.sum())
     wanted = [*_kinds_of_motion(motion), *_stretches(motion), *_discs(motion)]
     kept = []
     for pattern in wanted:
         share = pattern.amount / (total if pattern.per == "m" else float(motion.seconds.sum()))
-        if share >= _LEAST and (pattern.kind == "motion" or share <= _MOST):
+        if share >= _MIN_SHARE and (pattern.kind == "motion" or share <= _MAX_SHARE):
             kept.append(pattern)
     return kept
 
@@ -70,8 +70,8 @@ def _kinds_of_motion(m: NodeMotion) -> list[Pattern]:
         "in reverse": m.v < -MOVING,
         "at the faster speeds": moving & (speed > fast),
         "at the slower speeds": moving & (speed <= fast),
-        "while speeding up": moving & (speeding > _SPEEDING),
-        "while braking": moving & (speeding < -_SPEEDING),
+        "while speeding up": moving & (speeding > _MIN_ACCELERATION),
+        "while braking": moving & (speeding < -_MIN_ACCELERATION),
     }
     found = [_pattern("motion", where, mask, m.metres) for where, mask in kinds.items()]
     spot = ~moving & (np.abs(m.omega) > 0.1)
@@ -103,7 +103,7 @@ def _stretches(m: NodeMotion) -> list[Pattern]:
     found = []
     for share in _SHARES:
         length = (end - start) / share
-        # half over half, so that whatever happens lies well inside one of them
+        # overlap by half, so that every event is well inside one of them
         for first in start + length / 2.0 * np.arange(2 * share - 1):
             mask = (m.t_s > first) & (m.t_s <= first + length)
             span = (float(first), float(first + length))

@@ -1,8 +1,8 @@
-"""ATE and RPE, the two numbers of the SLAM world, between poses at the same stamps.
+"""ATE and RPE, the usual measures for SLAM, between poses at the same stamps.
 
 Definitions: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012; alignment: Umeyama, PAMI
-13(4), 1991, without scale. The numbers are those of the tool evo (its defaults, in the plane). An alignment hides what
-it can turn away: read them beside errors that start at the truth pose, not in their place.
+13(4), 1991, without scale. The values equal those of the tool evo (its defaults, in the plane). Alignment hides errors
+that a rotation can absorb: read these values together with errors that start at the truth pose.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ RPE_M = 1.0
 
 
 def aligned_rigidly(reference_xyt: Array, estimate_xyt: Array) -> Array:
-    """Return the estimate (n, 3) turned and shifted so that its positions lie closest to the reference's (n, 3)."""
+    """Return the estimate (n, 3) aligned rigidly with the reference (n, 3) by least squares of the positions."""
     p, q = reference_xyt[:, :2], estimate_xyt[:, :2]
     centre_p, centre_q = p.mean(axis=0), q.mean(axis=0)
     dp, dq = p - centre_p, q - centre_q
-    # in the plane the best rotation has a closed form: no singular values, no mirror images
+    # in the plane the best rotation has a closed form, without a singular value decomposition
     turn = np.arctan2(np.sum(dq[:, 0] * dp[:, 1] - dq[:, 1] * dp[:, 0]), np.sum(dq * dp))
     c, s = np.cos(turn), np.sin(turn)
     shift = centre_p - np.array([c * centre_q[0] - s * centre_q[1], s * centre_q[0] + c * centre_q[1]])
@@ -48,7 +48,7 @@ def aligned_rigidly(reference_xyt: Array, estimate_xyt: Array) -> Array:
 
 
 def aligned_at_origin(reference_xyt: Array, estimate_xyt: Array) -> Array:
-    """Return the estimate (n, 3) moved rigidly so that its first pose is the reference's."""
+    """Return the estimate (n, 3) moved rigidly so that its first pose equals the reference's."""
     return compose(reference_xyt[0], between(estimate_xyt[0], estimate_xyt))
 
 
@@ -60,14 +60,14 @@ def absolute_errors(reference_xyt: Array, estimate_xyt: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class RelativeErrors:
-    """Errors of m motions: translation_m (m,) metres, rotation_rad (m,) radians, both without sign."""
+    """Unsigned errors of m motions: translation_m (m,) metres, rotation_rad (m,) radians."""
 
     translation_m: Array
     rotation_rad: Array
 
 
 def relative_errors(reference_xyt: Array, estimate_xyt: Array, delta_m: float) -> RelativeErrors:
-    """Return errors of motions one after the other, each `delta_m` long on the estimate's path."""
+    """Return the errors of successive motions, each `delta_m` long on the estimate's path."""
     ends = _cuts(estimate_xyt, delta_m)
     true = between(reference_xyt[ends[:-1]], reference_xyt[ends[1:]])
     error = between(true, between(estimate_xyt[ends[:-1]], estimate_xyt[ends[1:]]))
@@ -75,7 +75,7 @@ def relative_errors(reference_xyt: Array, estimate_xyt: Array, delta_m: float) -
 
 
 def _cuts(xyt: Array, delta_m: float) -> NDArray[np.int64]:
-    """Return the index of the first pose, and of each that lies at least `delta_m` of path behind the one before."""
+    """Return the indices of the first pose and of each pose at least `delta_m` of path after the previous one."""
     cuts, gone = [0], 0.0
     for i, step in enumerate(np.linalg.norm(np.diff(xyt[:, :2], axis=0), axis=1).tolist(), start=1):
         gone += step
@@ -87,10 +87,10 @@ def _cuts(xyt: Array, delta_m: float) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryError:
-    """Root mean squares over recordings; NaN where the truth has no headings and the number needs them.
+    """Root mean square errors over recordings; NaN if a value needs headings and the truth has none.
 
-    ate_m : after rigid alignment; ate_origin_m : with the first poses put on each other
-    rpe_m, rpe_rad : of motions `RPE_M` long
+    ate_m : after rigid alignment; ate_origin_m : with the first poses aligned
+    rpe_m, rpe_rad : of motions of length `RPE_M`
     """
 
     ate_m: float
@@ -100,7 +100,7 @@ class TrajectoryError:
 
 
 def trajectory_error(recordings: Sequence[Recording]) -> TrajectoryError:
-    """Return the errors of the odometry at the truth's stamps, each recording aligned by itself."""
+    """Return the errors of the odometry at the truth's stamps, with each recording aligned separately."""
     aligned, origin, shift, turn = [], [], [], []
     for recording in recordings:
         truth, estimate = _at_truth(recording)
@@ -114,7 +114,7 @@ def trajectory_error(recordings: Sequence[Recording]) -> TrajectoryError:
 
 
 def _at_truth(recording: Recording) -> tuple[Array, Array]:
-    """Return truth poses (n, 3) while there is odometry, and the odometry there (n, 3)."""
+    """Return the truth's poses (n, 3) in the time of the odometry, and the odometry's poses (n, 3) there."""
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     inside = (truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])
     return recording.truth.xyt[inside], recording.odometry.at(truth_s[inside], recording.origin_ns)

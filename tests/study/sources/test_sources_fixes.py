@@ -9,7 +9,8 @@ from sourcedrive import Rows, odometry, truth
 
 import odomcorrupt as oc
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.fixes import Fixes, resolved
+from odomcorrupt.study.io.fixes import Fixes, resolved, without_float_episodes
+from odomcorrupt.study.io.raw_trajectory import Samples
 
 NORTH_M, EAST_M = 111_194.0, 74_625.0
 """A degree of latitude, and of longitude at 48 degrees, by the published lengths."""
@@ -167,3 +168,14 @@ def test_a_patch_learned_on_one_origin_holds_in_a_recording_with_another(tmp_pat
         errors[name] = compared.judgements[0].ten_second_error_m / compared.clock_error_m
     assert errors["agrees"] < 0.3
     assert errors["ignored"] > 0.95
+
+
+@pytest.mark.parametrize("headed", [False, True], ids=["positions", "a localisation"])
+def test_positions_that_a_receiver_publishes_as_poses_lose_float_episodes_too(headed):
+    sigma_m = np.where(between((20, 40), (70, 81)), 0.3, 0.014)
+    yaw = np.zeros(len(TIMES)) if headed else np.full(len(TIMES), np.nan)
+    xyz, none = np.column_stack((TIMES, TIMES, TIMES)), np.zeros(0, np.int64)
+    poses = Samples("run.bag", "/gps_pose", "map", (TIMES * 1e9).astype(np.int64), xyz, yaw, none, 2.0 * sigma_m**2)
+    left = without_float_episodes(poses)
+    assert len(left) == (500 if headed else 345)
+    assert headed or "2 float episodes, 31 s, left out" in left.notes[0]

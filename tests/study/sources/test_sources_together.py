@@ -14,7 +14,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import Segment, Tracker, simulate, write_mcap
-from odomcorrupt.study.io.cross_correlation import likeness
+from odomcorrupt.study.io.cross_correlation import cross_correlation
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.same_run import check_together
 
@@ -70,8 +70,10 @@ def test_a_truth_that_is_silent_for_a_minute_is_compared_where_it_is_seen(drives
     seconds = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
     part = [i for i, s in enumerate(seconds) if s < 40.0 or 100.0 < s < 130.0 or s > 190.0]
     check(drive.odometry, replace(truth, stamps_ns=truth.stamps_ns[part], xyt=truth.xyt[part]), headed=False)
-    alike = likeness(drive.odometry, replace(truth, stamps_ns=truth.stamps_ns[part], xyt=truth.xyt[part]), 10.0)
-    assert alike.speed.max() > likeness(drive.odometry, truth, 10.0).speed.max() - 0.02
+    alike = cross_correlation(
+        drive.odometry, replace(truth, stamps_ns=truth.stamps_ns[part], xyt=truth.xyt[part]), 10.0
+    )
+    assert alike.speed.max() > cross_correlation(drive.odometry, truth, 10.0).speed.max() - 0.02
 
 
 ROUTES = {

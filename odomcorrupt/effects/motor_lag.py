@@ -1,0 +1,82 @@
+"""Lag of the motors behind the velocity commands that the odometry integrates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, parameter
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from odomcorrupt.geometry.se2 import Array
+
+
+class _Speeds(NamedTuple):
+    """State: true speeds (3,) over the last increment, m/s and rad/s (None at the start), and its end, seconds."""
+
+    twist: Array | None = None
+    last_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class MotorLag(Effect):
+    """f = true twist - u, tau d(true twist)/dt + true twist = u: all speeds lag behind the odometry's.
+
+    A clock that is ahead by tau does the same to first order. The odometry is that of commands; wheel encoders do not
+    show a lag of the motors.
+    """
+
+    name = "motor_lag"
+    layer = "record"
+    summary = "the robot follows late the velocity commands that its odometry integrates"
+    about = About(
+        equation="f = w - u, tau dw / dt + w = u: the true twist w follows the odometry's twist u",
+        typical="50 to 400 ms for motors without speed control (an estimate)",
+        source="first-order lag of a DC motor with its load; Siciliano, Sciavicco, Villani & Oriolo, Robotics, "
+        "section 5.2",
+        confused_with=("time_offset", "channel_lag", "accel_slip"),
+        drive="speed up and brake briskly, straight and turning; record both on one clock",
+    )
+
+    tau: float = parameter("s", "time constant", low=0.0, high=1.0, typical=0.1, step=0.02)
+
+    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
+        """Return the state of a robot whose first speeds are the commanded ones."""
+        return _Speeds()
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f, the true speeds minus the commanded ones; for tau < 0, needed for slopes, the opposite."""
+        commanded = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+        true = np.empty_like(commanded)
+        now = state.twist
+        for i, (u, dt_s) in enumerate(zip(commanded, motion.dt_s.tolist(), strict=True)):
+            now = u if now is None else u + self._kept(dt_s) * (now - u)
+            true[i] = now
+        return TwistError(np.sign(self.tau) * (true - commanded), state._replace(twist=now))
+
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
+        """Return the commanded increments (n, 3) that move the robot by these."""
+        reported = steps.copy()
+        before, last_s = state
+        for i, (step, now_s) in enumerate(zip(steps, t_s.tolist(), strict=True)):
+            dt_s, last_s = now_s - last_s, now_s
+            if not dt_s > 0.0:  # repeated stamp, or a reset of time
+                before = before if dt_s == 0.0 else None
+                continue
+            true = step / dt_s
+            if before is not None:
+                kept = self._kept(dt_s)
+                reported[i] = dt_s * (true - kept * before) / (1.0 - kept)
+            before = true
+        return Recorded(reported, _Speeds(before, last_s))
+
+    def _kept(self, seconds: float) -> float:
+        """Return the part of a difference in speed that remains after a time: the backward Euler step.
+
+        Its mean delay is tau for steps of any length, and its inverse is stable.
+        """
+        return abs(self.tau) / (abs(self.tau) + seconds) if seconds > 0.0 else 1.0

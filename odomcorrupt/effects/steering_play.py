@@ -1,0 +1,96 @@
+"""Play in the steering: between left and right the wheels stay where they are while the steering sensor moves on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.drive_types import STEERED
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, parameter, stacked
+from odomcorrupt.effects.steering import CREEP_MPS
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from odomcorrupt.geometry.se2 import Array
+
+_SWAY = 0.05
+"""Elastic sway before the play opens, as part of it: jitter of the curvature crosses no play."""
+
+
+class _Linkage(NamedTuple):
+    """State of the linkage.
+
+    curvature : last one that was steered, 1/m; None before the wheels rolled
+    place : where the linkage stands in its play, 1/m from the middle; of a true motion, in the elastic part of it
+    side : 1 where it pushes the wheels to the left, -1 to the right, 0 before it has moved
+    last_s : end of the last increment
+    """
+
+    curvature: float | None = None
+    place: float = 0.0
+    side: float = 0.0
+    last_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringPlay(Effect):
+    """f = (0, 0, v (true curvature - omega / v)): the true curvature is the play operator of the odometry's.
+
+    The wheels keep their angle until the linkage has crossed the play, from the middle of which it begins. Corruption
+    crosses the play at once where the clean robot begins to steer back.
+    """
+
+    name = "steering_play"
+    odd = True
+    layer = "record"
+    summary = "the steering linkage of a car or tricycle has play: its wheels follow only when it is crossed"
+    drives = STEERED
+    about = About(
+        equation="f_yaw = v k - omega; the true curvature k = omega / v held within +- play / 2 of the odometry's",
+        typical="0.5 to 3 degrees at the wheels: 0.03 to 0.2 rad/m on 0.3 m between the axles (an estimate)",
+        source="the play operator, as in Visintin 1994, Differential Models of Hysteresis; Rajamani, Vehicle Dynamics "
+        "and Control, chapter 2 (kinematic bicycle model)",
+        confused_with=("steering_lag", "steering_offset", "turn_asymmetry"),
+        drive="curves to both sides in turns, fast and slowly, and straights that begin from either side",
+    )
+
+    play: float = parameter(
+        "rad/m", "range of the odometry's curvature that moves nothing", low=0.0, high=1.0, typical=0.05, step=0.02
+    )
+
+    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
+        """Return a linkage in the middle of its play."""
+        return _Linkage()
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the turn that the play keeps from the wheels. Below zero, for slopes, the opposite of it."""
+        f, sign, half = np.zeros(len(motion)), float(np.sign(self.play)), 0.5 * abs(self.play)
+        top = half + _SWAY * abs(self.play)
+        before, place = state.curvature, state.place
+        for i, (v, omega) in enumerate(zip(motion.v.tolist(), motion.omega.tolist(), strict=True)):
+            if abs(v) < CREEP_MPS:
+                continue
+            steered = omega / v
+            place = min(max(place + steered - (steered if before is None else before), -top), top)
+            f[i], before = -sign * v * min(max(place, -half), half), steered
+        return TwistError(stacked(0.0, 0.0, f, f), state._replace(curvature=before, place=place))
+
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
+        """Return the increments (n, 3) of a linkage that steers the wheels of these."""
+        reported, top = steps.copy(), _SWAY * self.play
+        before, place, side, last_s = state
+        rows = zip(steps[:, 0].tolist(), steps[:, 2].tolist(), t_s.tolist(), strict=True)
+        for i, (ds, turn, now_s) in enumerate(rows):
+            dt_s, last_s = now_s - last_s, now_s
+            if dt_s < 0.0:  # time was reset
+                before, place, side = None, 0.0, 0.0
+            if not dt_s > 0.0 or abs(ds) < CREEP_MPS * dt_s:
+                continue
+            true = turn / ds
+            place = min(max(place + true - (true if before is None else before), -top), top)
+            side, before = float(np.sign(place)) or side, true
+            reported[i, 2] += 0.5 * self.play * side * ds
+        return Recorded(reported, _Linkage(before, place, side, last_s))
