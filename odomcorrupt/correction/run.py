@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.correction.pose_corrections import pose_corrections
 from odomcorrupt.correction.undo import ClockInverse, true_stamps, undo_effects
 from odomcorrupt.corruption.covariance import SUMS, NoiseSteps, sum_terms
 from odomcorrupt.corruption.path import PathSamples, StepGrowth, noise_variances
@@ -141,13 +142,15 @@ def corrected_samples(
     even_ns = evened(stamps_ns)
     t_ns = true_stamps(clocks, stamps_ns if even_ns is None else even_ns, first_ns)
     t_s = (t_ns - t_ns[0]) * np.float64(1e-9)
-    undone = undo_effects(model.effects, t_s, measured_xyt, model.track_m, frame_xyt=frame_xyt)
+    steps_xyt = pose_corrections(t_s, measured_xyt).error_xyt if model.setup.pose_corrections else 0.0
+    undone = undo_effects(model.effects, t_s, measured_xyt + steps_xyt, model.track_m, frame_xyt=frame_xyt)
     origin_xy = measured_xyt[0, :2].copy()
-    sums = _sums(model.noise, undone, measured_xyt + undone.error_xyt, origin_xy)
+    error_xyt = undone.error_xyt + steps_xyt
+    sums = _sums(model.noise, undone, measured_xyt + error_xyt, origin_xy)
     world = np.diff(measured_xyt[:, :2], axis=0)
     travelled_m = np.concatenate(([0.0], np.cumsum(np.where(undone.jump, 0.0, np.hypot(world[:, 0], world[:, 1])))))
     return PathSamples(
-        stamps_ns, measured_xyt, undone.error_xyt, sums, origin_xy, travelled_m,
+        stamps_ns, measured_xyt, error_xyt, sums, origin_xy, travelled_m,
         int(np.count_nonzero(undone.jump)), float(np.abs(undone.driven.dl_m).sum()),
     )  # fmt: skip
 
@@ -263,7 +266,7 @@ def correct_bag(
 
     """
     effects = split_effects(model)
-    if not effects.undone:
+    if not (effects.undone or model.setup.pose_corrections):
         silent = replace(NOISE_FREE, source=model.source)
         copied = corrupt_bag(source, target, silent, seed=0, run=0, options=options, container=container, watch=watch)
         return Corrected(model=model, effects=effects, unplaced=(), run=copied)

@@ -41,11 +41,11 @@ def brief(corrected: Corrected, target: str) -> Summary:
     corrected : result of the correction
     target : the output; "-" is a pipe
     """
-    undone, drift = corrected.effects.undone, corrected.run.drift
-    if undone:
+    drift, taken = corrected.run.drift, _taken_out(corrected)
+    if taken:
         lines = [
             Line("CORRECTED", f"the end pose moves by {size_words(drift.end_drawn_m, drift.end_drawn_rad)}", "good"),
-            Line("taken out", ", ".join(effect_words(effect) for effect in undone)),
+            Line("taken out", taken),
         ]
     else:
         lines = [Line("UNCHANGED", "the model has no effect that can be taken out: the bag was copied", "warning")]
@@ -68,11 +68,11 @@ def brief(corrected: Corrected, target: str) -> Summary:
 
 def correction_summary(corrected: Corrected) -> str:
     """Return one paragraph: effects removed, change of the odometry, effects that cannot be undone, remaining error."""
-    undone, run = corrected.effects.undone, corrected.run
-    if undone:
+    run, taken = corrected.run, _taken_out(corrected)
+    if taken:
         parts = [
             f"Corrected: {moved_words(run)}, driven by {run.odometry}{topic_words(run)} ({travel_words(run)}).",
-            f"Taken out: {', '.join(effect_words(effect) for effect in undone)}.",
+            f"Taken out: {taken}.",
             _shift(corrected),
         ]
     else:
@@ -90,15 +90,22 @@ def correction_summary(corrected: Corrected) -> str:
             f"{corrected.run.frames.odom}; if it is not, give the start of this drive in it with --start X,Y,THETA."
         )
     parts += _remains(corrected) + _misplaced(corrected)
-    given = {effect.name for effect in undone}
+    given = {effect.name for effect in corrected.effects.undone}
     aside = [effect.name for effect in corrected.model.setup.effects if effect.name not in given]
-    aside += ["clocks"] * (bool(corrected.model.setup.clocks) and not any(effect.clock for effect in undone))
+    clocked = any(effect.clock for effect in corrected.effects.undone)
+    aside += ["clocks"] * (bool(corrected.model.setup.clocks) and not clocked)
     if aside:
         parts.append(
             f"[setup] belongs to the recordings that were fitted and was not applied: {', '.join(aside)}; "
             "to take one of them out, too, give it with --effect."
         )
     return " ".join(parts + _oddities(corrected.run))
+
+
+def _taken_out(corrected: Corrected) -> str:
+    """Return what was taken out, "" for nothing."""
+    steps = ["a filter's steps towards poses"] * corrected.model.setup.pose_corrections
+    return ", ".join([*steps, *map(effect_words, corrected.effects.undone)])
 
 
 def _clock_left(corrected: Corrected) -> list[str]:

@@ -39,12 +39,14 @@ class TwistChange:
     known : (n,) whether the message has a predecessor at another stamp; others are not changed
     added : (n, 3) noisy minus clean, forward and leftward m/s, yaw rad/s, in the body at mid heading
     covariance : (n, 3, 3) of these
+    clean : (n, 3) rates of the clean poses themselves since the message before, likewise
     stationary : (n,) whether the clean pose equals that of the message before
     """
 
     known: NDArray[np.bool_]
     added: Array
     covariance: Array
+    clean: Array
     stationary: NDArray[np.bool_]
 
 
@@ -62,6 +64,7 @@ class TopicTwist:
         self._stamps_ns: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._clean, self._correction, self._sums = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 0))
         self._known, self._added, self._covariance, self._stationary = False, np.zeros(3), np.zeros((3, 3)), False
+        self._rate = np.zeros(3)
 
     def change(self, stamps_ns: NDArray[np.int64], clean_xyt: Array, at: Correction) -> TwistChange:
         """Return the changes of the twists of the next n messages.
@@ -82,7 +85,8 @@ class TopicTwist:
             if at.stretch[0] != self._stretch:
                 self._begin(int(at.stretch[0]))
             return self._within_stretch(stamps_ns, clean_xyt, at.xyt, at.sums)
-        out = TwistChange(np.zeros(n, dtype=bool), np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool))
+        none = np.zeros(n, dtype=bool)
+        out = TwistChange(none.copy(), np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3)), none)
         for start, stop in zip([0, *edges], [*edges, n], strict=True):
             if start == stop:
                 continue
@@ -91,7 +95,7 @@ class TopicTwist:
             rows = slice(int(start), int(stop))
             part = self._within_stretch(stamps_ns[rows], clean_xyt[rows], at.xyt[rows], at.sums[:, rows])
             out.known[rows], out.added[rows], out.covariance[rows] = part.known, part.added, part.covariance
-            out.stationary[rows] = part.stationary
+            out.clean[rows], out.stationary[rows] = part.clean, part.stationary
         return out
 
     def _within_stretch(
@@ -115,29 +119,30 @@ class TopicTwist:
         count = len(at_ns) - len(self._stamps_ns)
         fresh = count - len(dt_s)
         known = np.concatenate(([self._known], np.arange(count) >= fresh))
-        added = np.zeros((len(known), 3))
+        added, rate = np.zeros((len(known), 3)), np.zeros((len(known), 3))
         covariance = np.zeros((len(known), 3, 3))
         stationary = np.concatenate(([self._stationary], np.zeros(count, dtype=bool)))
-        added[0], covariance[0] = self._added, self._covariance
-        added[1 + fresh :] = _body_difference(clean, correction) / dt_s[:, None]
+        added[0], covariance[0], rate[0] = self._added, self._covariance, self._rate
+        difference, body = _body_difference(clean, correction)
+        added[1 + fresh :], rate[1 + fresh :] = difference / dt_s[:, None], body / dt_s[:, None]
         covariance[1 + fresh :] = twist_covariance(np.diff(every_sum, axis=1), dt_s)
         stationary[1 + fresh :] = np.abs(np.diff(clean, axis=0)).max(axis=1) < STILL
 
         self._stamps_ns, self._clean, self._correction = at_ns[-1:], clean[-1:], correction[-1:]
         self._sums = every_sum[:, -1:]
         self._known, self._added, self._covariance = bool(known[-1]), added[-1], covariance[-1]
-        self._stationary = bool(stationary[-1])
+        self._rate, self._stationary = rate[-1], bool(stationary[-1])
         if isinstance(ahead, slice):
-            return TwistChange(known[1:], added[1:], covariance[1:], stationary[1:])
+            return TwistChange(known[1:], added[1:], covariance[1:], rate[1:], stationary[1:])
         latest = np.zeros(len(stamps_ns), dtype=np.int64)
         latest[ahead] = np.arange(1, count + 1)
         latest = np.maximum.accumulate(latest)
         known = known[latest] & (stamps_ns != reach[:-1])
-        return TwistChange(known, added[latest], covariance[latest], stationary[latest])
+        return TwistChange(known, added[latest], covariance[latest], rate[latest], stationary[latest])
 
 
-def _body_difference(clean_xyt: Array, correction_xyt: Array) -> Array:
-    """Return noisy minus clean body increments (n - 1, 3), each at its own mid heading.
+def _body_difference(clean_xyt: Array, correction_xyt: Array) -> tuple[Array, Array]:
+    """Return noisy minus clean body increments (n - 1, 3), each at its own mid heading, and the clean ones.
 
     Only changes of the correction enter: where it is held, the difference is zero to the last bit.
     """
@@ -150,7 +155,7 @@ def _body_difference(clean_xyt: Array, correction_xyt: Array) -> Array:
     noisy_less_clean = shift + (rotate(end, swing) - end)
     clean_body = rotate(world, -middle)
     body = rotate(clean_body, -swing / 2.0) - clean_body + rotate(noisy_less_clean, -middle - swing / 2.0)
-    return np.column_stack((body, swing))
+    return np.column_stack((body, swing)), np.column_stack((clean_body, turn))
 
 
 PLANAR = np.array([0, 1, 5])
@@ -195,7 +200,9 @@ class Patcher:
     def __init__(self, model: MotionModel, *, keep_twist: bool, keep_covariance: bool) -> None:
         self.changes = Changes()
         self._clocks = tuple(e for e in model.effects if e.clock and acts(e))
+        self._steps = model.setup.pose_corrections
         self._moves = not model.noise.coefficients.silent or any(acts(e) for e in model.effects if not e.clock)
+        self._moves |= self._steps
         self._restores = any(e.restorable for e in model.effects)
         self._twist = not keep_twist
         drawn = any(has_random_part(e, model.track_m) for e in model.effects)
@@ -259,7 +266,9 @@ class Patcher:
         for target, _ in parts:
             own = back[start : start + len(target.stamps_ns)]
             start += len(own)
-            part = TwistChange(change.known[own], change.added[own], change.covariance[own], change.stationary[own])
+            part = TwistChange(
+                change.known[own], change.added[own], change.covariance[own], change.clean[own], change.stationary[own]
+            )
             self._patch_twist(block, target, part)
 
     def _patch_twist(self, block: Block, target: Target, change: TwistChange) -> None:
@@ -267,8 +276,9 @@ class Patcher:
         moved = change.known & _nonzero(added) & finite_rows(added)
         if moved.any():
             twist = gather(block, target.layout, target.item, "twist")
-            if self._restores:
-                moved &= ~(change.stationary & _has_already(twist[:, PLANAR], added))
+            if self._restores or self._steps:
+                has = _has_already(twist[:, PLANAR] - change.clean, added)
+                moved &= ~(has & (change.stationary | self._steps))
             rows = slice(None) if moved.all() else np.flatnonzero(moved)
             for column, place in enumerate(PLANAR):
                 twist[rows, place] += added[rows, column]
@@ -331,7 +341,7 @@ def _nonzero(xyt: Array) -> NDArray[np.bool_]:
 
 
 def _has_already(twist: Array, added: Array) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the twists that already contain the motion `added` (n, 3) which the pose had lost."""
+    """Return a mask (n,) of the twists, less the pose's rates, that already contain the motion `added` (n, 3)."""
     has: NDArray[np.bool_] = np.sum(twist * added, axis=1) > 0.5 * np.sum(added**2, axis=1)
     return has
 

@@ -139,10 +139,13 @@ def _user_effect(name: str, item: Mapping[str, Any], errors: dict[str, float]) -
 
 
 def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:
-    _only(table, ("drive_type", *_TRUTH, "origin", "effect", "clock"), "[setup]")
+    _only(table, ("drive_type", "pose_corrections", *_TRUTH, "origin", "effect", "clock"), "[setup]")
     drive_type = table.get("drive_type", "")
     if drive_type and drive_type not in DRIVE_TYPES:
         raise ModelError(f"setup.drive_type: {drive_type!r}; write {', '.join(DRIVE_TYPES[:-1])} or {DRIVE_TYPES[-1]}")
+    pose_corrections = table.get("pose_corrections", False)
+    if not isinstance(pose_corrections, bool):
+        raise ModelError(f"setup.pose_corrections: {pose_corrections!r}; write true or false")
     known = {field: _number(table[key], key)[0] for key, field in _TRUTH.items() if key in table}
     if any(value < 0.0 for value in known.values()):
         raise ModelError("[setup]: noise of the truth below zero")
@@ -157,7 +160,8 @@ def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:
             _number(item.get("clock_skew", 0.0), "clock_skew")[0],
         )
     truth = TruthNoise(**known) if known else None
-    return Setup(_effects(table.get("effect", []), errors), truth, clocks, _origin(_table(table, "origin")), drive_type)
+    origin = _origin(_table(table, "origin"))
+    return Setup(_effects(table.get("effect", []), errors), truth, clocks, origin, drive_type, pose_corrections)
 
 
 def _origin(table: Mapping[str, Any]) -> Origin | None:
@@ -268,6 +272,10 @@ def _setup_lines(setup: Setup, errors: Mapping[str, float]) -> list[str]:
     lines = ["", "# what belongs to the measurement, not to the robot: corruption passes it by", "[setup]"]
     if setup.drive_type:
         lines.append(f"drive_type = {_text(setup.drive_type)}")
+    if setup.pose_corrections:
+        lines.append(
+            "pose_corrections = true  # learned without its filter's steps towards poses, which `correct` takes out"
+        )
     if setup.truth is not None:
         units = {"truth_xy": "m", "truth_yaw": "rad", "truth_wander": "m per sqrt(s)"}
         lines += [f"{key} = {_figure(getattr(setup.truth, field))}  # {units[key]}" for key, field in _TRUTH.items()]

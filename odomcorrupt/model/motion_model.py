@@ -116,6 +116,8 @@ class Setup:
     drive_type : steering of the robot's wheels, see `drive_types`; "" if not given
     clocks : by recording, offset (s) and rate of the odometry's clock; informative only, every run has its own
     origin : geodetic origin of the truth's frame, for satellite fixes; places of effects are metres east and north
+    pose_corrections : whether a filter steps towards poses that it is given; the model is of the odometry between these
+        steps, and correction takes them out
     """
 
     effects: tuple[Effect, ...] = ()
@@ -123,6 +125,7 @@ class Setup:
     clocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     origin: Origin | None = None
     drive_type: str = ""
+    pose_corrections: bool = False
 
 
 @dataclass(frozen=True, slots=True)

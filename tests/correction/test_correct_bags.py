@@ -124,6 +124,19 @@ def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys)
     assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(Path(source), "/odom").xyt) > 0.1
 
 
+def test_steps_of_a_filter_are_taken_out_of_poses_and_not_of_twists(tmp_path, capsys):
+    source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    steps = [f"push:along=0.01,across={side},yaw=0.01,time={at},duration=0.02" for at, side in ((9, 0.02), (30, -0.02))]
+    assert run([str(source), str(wrong), *flags(steps), "--twist", "keep"]) == 0
+    (tmp_path / "robot.toml").write_text(f"{NOISE}\n[setup]\npose_corrections = true\n")
+    assert run(["correct", "-v", str(wrong), str(right), "--model", str(tmp_path / "robot.toml")]) == 0
+    assert "Taken out: a filter's steps towards poses." in capsys.readouterr().err
+    was, off, back = (rows_of(path, "/odom") for path in (source, wrong, right))
+    assert differ(off.xyt, was.xyt) > 0.05
+    assert differ(back.xyt, was.xyt) < 0.01
+    np.testing.assert_allclose(back.twist, was.twist, atol=0.05)
+
+
 @pytest.mark.parametrize("twist", ["model", "keep"])
 def test_lost_increments_come_back_where_the_odometry_shows_them(tmp_path, twist, capsys):
     # breaks where what is seen in the log counts as chance, or where a twist that lost nothing gets the motion twice

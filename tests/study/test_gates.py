@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from test_held_out import QUIET, drive, with_truth
 from wandering import noisy_path, recording, wander
 
@@ -18,7 +19,7 @@ from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.candidates import library_candidates, objection
-from odomcorrupt.study.select.closed_loop import of_pulls
+from odomcorrupt.study.select.closed_loop import may_be_of_lags, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.elimination import eliminate_untested
 from odomcorrupt.study.select.score import score_terms
@@ -96,6 +97,20 @@ def test_a_gain_as_small_as_what_poses_make_of_late_odometry_is_no_name():
     assert not of_pulls(fitted, effect_from_values("wheel_scale", {"e": 0.05}))
     alone = fit([replace(run, pulled_per_s=0.0)], clocks=[Clock(0.06)], approach=choose_approach([run]))
     assert not library_candidates(alone, DECISIONS)[0].refused
+
+
+@pytest.mark.parametrize("e", [0.0, 0.002])
+def test_a_gain_as_small_as_the_form_of_a_lag_makes_is_no_name(e):
+    # travel behind a filter of 100 ms and turns behind one of 40 ms, in the model a late clock and a filter of the rest
+    steps = wander(4, 480.0)
+    ways = [lfilter([1.0 - a], [1.0, -a], d) for a, d in ((np.exp(-0.2), steps.ds_m), (np.exp(-0.5), steps.dtheta_rad))]
+    said = accumulate(np.zeros(3), replace(steps, ds_m=ways[0] / (1.0 + e), dtheta_rad=ways[1]))
+    run = recording(steps, said, truth_mm=0.5, truth_rad=1e-3, seed=4)
+    lag = effect_from_values("channel_lag", {"tau": 0.06, "channel": "along"})
+    fitted = fit([run], [lag], clocks=[Clock(0.03)], free_clocks=[(True, False)], approach=choose_approach([run]))
+    (score,) = score_terms(fitted, [LibraryTerm(effect_from_values("wheel_scale", {"heading": "gyro"}))], DECISIONS)
+    assert abs(score.estimate[0]) > 2.0 * score.standard_error[0]
+    assert may_be_of_lags(fitted, score) == (e == 0.0)
 
 
 def creeping(seed, per_s=0.002):

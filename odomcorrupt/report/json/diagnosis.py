@@ -117,9 +117,15 @@ def learned_json(
 
 
 def recordings_json(recordings: Iterable[Recording]) -> list[dict[str, Any]]:
-    """Return the reader's notes on each recording, and the rate at which a filter corrects its odometry (0: none)."""
+    """Return the reader's notes on each recording, and how a filter that receives poses corrects its odometry."""
     return [
-        {"name": one.name, "odometry_pulled_per_s": one.pulled_per_s, "notes": list(one.notes)} for one in recordings
+        {
+            "name": one.name,
+            "odometry_pulled_per_s": one.pulled_per_s,
+            "odometry_pose_corrections": one.pose_corrections,
+            "notes": list(one.notes),
+        }
+        for one in recordings
     ]
 
 

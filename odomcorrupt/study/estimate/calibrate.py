@@ -158,6 +158,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
             truth=fitted.noise.truth,
             clocks={r.name: (c.offset_s, c.rate) for r, c in clocks},
             drive_type=drive.name if drive.known else "",
+            pose_corrections=any(r.pose_corrections for r in problem.recordings),
             origin=next((r.geodetic_origin for r in problem.recordings if r.geodetic_origin is not None), None),
         ),
         standard_errors=dict(zip(names, map(float, fitted.standard_errors), strict=True)),

@@ -10,21 +10,26 @@ Errors of a localisation are alike for longer than that, and come back, too: odo
 towards them, wheels never do, unless the robot drives sideways: then nothing shows it beside a localisation. And one
 slip is no filter: what fades has to fade all along the drive, so that standard errors are those of clustered data
 (Liang & Zeger 1986), a stretch of the drive being a cluster.
+
+A pose that comes once in a while moves the odometry at one message, which wheels never do. Where such steps lead
+towards the truth they are taken out: what is left is free odometry, and everything can be learned of it.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.correction.pose_corrections import pose_corrections
 from odomcorrupt.geometry.se2 import between, rotate, wrap
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["Pull", "pull_of"]
+__all__ = ["Feedback", "Pull", "feedback_of", "pull_of"]
 
 _STEP_S, _EARLIER = 1.0, (2, 5)
 """Steps are so long, and errors are taken so many of them earlier."""
@@ -49,8 +54,39 @@ class Pull(NamedTuple):
     heading: float
 
 
-def pull_of(odometry: Samples, truth: Samples) -> Pull:
+class Feedback(NamedTuple):
+    """What poses from outside do to odometry.
+
+    free : the odometry without steps towards them, the same where they do not show as steps
+    corrections : how many were taken out
+    per_s, left_per_s : how fast errors fade, and those that are left, per second
+    """
+
+    free: Samples
+    corrections: int
+    per_s: float
+    left_per_s: float
+
+
+def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
+    """Return what poses from outside do to odometry: `calm` is the same without outliers, see `pull_of`."""
+    xyt = np.column_stack((odometry.xyz[:, :2], odometry.yaw_rad))
+    found = pose_corrections(odometry.seconds_since(int(odometry.stamps_ns[0])), xyt)
+    if found.steps:
+        moved = found.error_xyt * [1.0, 1.0, 0.0]
+        free = replace(odometry, xyz=odometry.xyz + moved, yaw_rad=odometry.yaw_rad + found.error_xyt[:, 2])
+        per_s = max(pull_of(odometry, truth, free))
+        if per_s:
+            return Feedback(free, found.steps, per_s, max(pull_of(free, truth)))
+    per_s = max(pull_of(calm, truth))
+    return Feedback(odometry, 0, per_s, per_s)
+
+
+def pull_of(odometry: Samples, truth: Samples, free: Samples | None = None) -> Pull:
     """Return how odometry is pulled towards a truth with headings; both by growing stamps, on nearly one clock.
+
+    Where sudden steps were found, it is they that have to lead towards the truth: no gain or bias, no noise of the
+    truth is in them, and wheels make none. `free` is the odometry without them.
 
     Headings have no such witness as steps sideways: where the truth is a localisation, which is corrected itself, they
     count only beside positions that are pulled.
@@ -70,7 +106,11 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
     if len(picked) < _FEW:
         return nothing
     step, own = between(real_xyt[:-1], real_xyt[1:]), between(own_xyt[:-1], own_xyt[1:])
-    error = own - step
+    rest = step
+    if free is not None:
+        without = free.trajectory().at(real_s[picked], origin)
+        rest = between(without[:-1], without[1:])
+    error = own - rest
     error[:, 2] = wrap(error[:, 2])
     off = _off(own_xyt, real_xyt)
     off[:, :2] = rotate(off[:, :2], -real_xyt[:, 2])
@@ -89,7 +129,9 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
     swing = np.column_stack((own[:, :1], sides)) * own[:, 2:]
     aside = np.column_stack((moves, np.abs(moves[:, 1:]), dt_s, swing, changes, later))
     position, heading = 0.0, 0.0
-    for earlier in _EARLIER:
+    if free is not None:
+        aside = aside[:, :0]
+    for earlier in _EARLIER if free is None else (0,):
         rows = np.flatnonzero(usual)[earlier:]
         before = off[rows - earlier]
         # an error of some steps ago, as the robot has it before it now
@@ -100,7 +142,7 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
         across = _fading(sideways[rows, None], before[:, 1:2], aside[rows], dt_s[rows])
         alone = _fading(error[rows, 2:], before[:, 2:], aside[rows], dt_s[rows])
         itself = across.rate + _SURELY * max(across.usual, across.clustered) > _OWN * both.rate
-        if both.plain(span_s) and (not truth.localised if omni else itself):
+        if both.plain(span_s) and (free is not None or (not truth.localised if omni else itself)):
             position = max(position, both.rate)
         if alone.plain(span_s):
             heading = max(heading, alone.rate)

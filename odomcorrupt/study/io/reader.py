@@ -14,7 +14,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.excursions import without_excursions
-from odomcorrupt.study.io.feedback import pull_of
+from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_warnings
@@ -313,9 +313,11 @@ def recordings_of(
         check_itself(path)
     check_pair(calm, real)
     said = check_identity(calm, real) or heading_warnings(calm, real)
+    feedback = feedback_of(odometry, calm, real)
     # The reader of laser scans has checked their stamps already.
-    said += filter_warnings(calm, real) + jitter_warnings(calm, real)
+    said += filter_warnings(calm, real, feedback) + jitter_warnings(calm, real)
     said += jitter_warnings(real, calm) if truth.covariance is None else []
+    odometry = feedback.free
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_description(odometry)}, truth {_description(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
@@ -326,7 +328,8 @@ def recordings_of(
             stamp_error_s=rounded_s / math.sqrt(12.0),
             localised=truth.localised,
             of_base=is_of_base(truth, odometry),
-            pulled_per_s=max(pull_of(calm, real)),
+            pulled_per_s=feedback.left_per_s,
+            pose_corrections=feedback.corrections,
             odometry_topic=odometry.name if odometry.name.startswith("/") else "",
         )
         for r in recordings

@@ -122,6 +122,7 @@ class Recording:
         estimated yet, which counts as 0
     truth_field : model of truth errors that depend on the place, if it fits better
     pulled_per_s : decay rate of the odometry's errors towards the truth, as of a filter that receives poses, 1/s
+    pose_corrections : number of steps of such a filter that were removed from the odometry
     truth_level : noise of the truth relative to that of a study's first recording, position and heading
     odometry_topic : topic of the odometry; "" if it was no topic
     stamp_error_s : standard deviation of a clock offset hidden by rounded stamps, seconds
@@ -159,6 +160,7 @@ class Recording:
     truth_correlation_m: float | None = None
     truth_field: TruthField | None = None
     pulled_per_s: float = 0.0
+    pose_corrections: int = 0
     drive_type: str = AUTO
     odometry_topic: str = ""
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
-from odomcorrupt.study.io.feedback import pull_of
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.feedback import Feedback
     from odomcorrupt.study.io.raw_trajectory import Samples
 
 __all__ = ["check_identity", "filter_warnings", "heading_warnings", "without_constant_heading", "without_course"]
@@ -107,7 +107,7 @@ def without_course(odometry: Samples, truth: Samples) -> Samples:
     )
 
 
-def filter_warnings(odometry: Samples, truth: Samples) -> list[str]:
+def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> list[str]:
     """Return a warning if the odometry appears to be corrected by other sensors, as no motion model describes."""
     signs = []
     last = odometry.frame.rsplit("/", 1)[-1]
@@ -121,13 +121,17 @@ def filter_warnings(odometry: Samples, truth: Samples) -> list[str]:
     jumps = _jumps_to_truth(odometry, truth)
     if jumps:
         signs.append(f"it jumps towards the truth {jumps} times")
-    fading = max(pull_of(odometry, truth))
-    if fading:
-        signs.append(f"its errors fade by {1.0 - np.exp(-fading):.0%} a second, as if it were given poses")
+    if feedback.per_s:
+        signs.append(f"its errors fade by {1.0 - np.exp(-feedback.per_s):.0%} a second, as if it were given poses")
     if not signs:
         return []
     what = "a motion model describes what no other sensor has corrected"
-    if jumps or fading:
+    if feedback.corrections:
+        what = (
+            f"{feedback.corrections} sudden steps towards such poses were taken out, as `correct` does with the model; "
+            "what is learned is of the odometry between them, its filter's lags included"
+        )
+    elif jumps or feedback.per_s:
         what += (
             ": of scales, biases and noise only what outlives a correction can be seen, clocks and lags as ever; "
             "record the wheels' own odometry for the rest"

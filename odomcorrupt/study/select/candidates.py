@@ -25,6 +25,7 @@ from odomcorrupt.study.select.closed_loop import (
     acts_in_curves_only,
     hardly_turns,
     is_gain_of_turns,
+    may_be_of_lags,
     may_be_steering,
     of_pulls,
 )
@@ -209,8 +210,8 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
             why = "beyond what is physically possible" if room > 0.0 else _FORBIDDEN
             return f"{p.name} would be {value:.3g}, {why}"
-    if score.effect.name != "channel_lag" and of_pulls(fit, score.estimated):
-        return "no larger than what a filter makes that is given poses and comes late"
+    if score.effect.name != "channel_lag" and (of_pulls(fit, score.estimated) or may_be_of_lags(fit, score)):
+        return "no larger than what a filter makes that comes late, or is given poses as well"
     return _made_by_noise(fit, score, still=still)
 
 

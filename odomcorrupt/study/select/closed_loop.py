@@ -15,19 +15,31 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.geometry.motion import error_of
+from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.terms.channels import MOVES
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.score import Score
 
-__all__ = ["acts_in_curves_only", "hardly_turns", "is_gain_of_turns", "is_pulled", "may_be_steering", "of_pulls"]
+__all__ = [
+    "acts_in_curves_only",
+    "hardly_turns",
+    "is_gain_of_turns",
+    "is_pulled",
+    "may_be_of_lags",
+    "may_be_steering",
+    "of_pulls",
+]
 
 _ACTIVE = 1e-3
 _MOSTLY = 0.95
 _LATE_S, _PULLED = 0.05, 2.0
 """Odometry of a filter is late by so much even where its clock is right; and how much more than that pulls may do."""
+_LATEST_S = 0.15
+"""What is later than this is late by its clock, not by a filter of odometry (30 Hz, lags of 40 to 120 ms)."""
 _PLAIN_TURNS = 4.0
 """Information of a drive's turns per interval: on the root of their mean square, two standard errors of the noise."""
 
@@ -89,6 +101,29 @@ def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
         if error_of(acting, straight).any() or error_of(acting, spot).any():
             return False
     return True
+
+
+def may_be_of_lags(fit: Fit, score: Score) -> bool:
+    """Tell whether a term is no larger than what the form of lags makes of it, within two standard errors.
+
+    A clock that is late by t, a delay of a channel and a first-order filter differ by t^2 / 2 times the second
+    derivative of the speed. That goes against the speed itself, <v v''> = -<v'^2>, and passes for a gain of a few parts
+    in 10,000.
+    """
+    problem = fit.problem
+    lags = [effect for effect in problem.effects if effect.name == "channel_lag"]
+    if not (lags or any(recording.pose_corrections for recording in problem.recordings)):
+        return False
+    clock_s = max((abs(c.offset_s) for c in problem.clocks if abs(c.offset_s) < _LATEST_S), default=0.0)
+    rest, made = project_out(fit), np.zeros(len(score.estimate))
+    own = rest.of(fit.noise.whitener.whiten(score.term.columns(problem)))
+    for channel, column in (("along", 0), ("yaw", 2)):
+        late_s = clock_s + sum(getattr(lag, "tau", 0.0) for lag in lags if getattr(lag, "channel", "") == channel)
+        bends = np.concatenate([np.gradient(m.acceleration[:, column]) for m in problem.motions])
+        form = problem.nodes.column(bends[:, None] * np.eye(3)[column])[:, :, None]
+        other = rest.of(fit.noise.whitener.whiten(form))
+        made += 0.5 * late_s**2 * np.abs(np.linalg.lstsq(own, other, rcond=None)[0][:, 0])
+    return bool(np.all(np.abs(score.estimate) < made + 2.0 * score.standard_error))
 
 
 def is_pulled(fit: Fit) -> bool:

@@ -31,7 +31,7 @@ from odomcorrupt.study.select.candidates import (
     with_shape_refined,
 )
 from odomcorrupt.study.select.clock_rivals import late_motors, more_nats
-from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
+from odomcorrupt.study.select.closed_loop import is_pulled, may_be_of_lags, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
@@ -267,7 +267,11 @@ class _Selection:
         """Return the dependence that may come next; where no effect is left (`alone`), in place of one first."""
         decisions, design = self.decisions, CoarseDesign(self.fit.problem)
         found = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
-        found = [one for one in found if one.best is None or not of_pulls(self.fit, one.best.score.estimated)]
+        found = [
+            one for one in found
+            if one.best is None
+            or not (of_pulls(self.fit, one.best.score.estimated) or may_be_of_lags(self.fit, one.best.score))
+        ]  # fmt: skip
         self.open = [one for one in found if one.channel not in self._contradicted()]
         if alone:
             self._compare(design)

@@ -85,6 +85,20 @@ def test_errors_that_fade_are_and_what_can_be_learned_is_said(tmp_path, cause, p
     assert 0.3 * pull < pulled_per_s(recording) < 1.5 * pull
 
 
+def test_steps_towards_poses_are_taken_out_of_odometry_whose_wheels_make_none(tmp_path):
+    def wheels(steps, rng):
+        return rng.normal(0.0, [1e-4, 0.0, 2e-4], steps.shape) + steps * [0.03, 0.0, 0.02]
+
+    free = odometry(wheels, 0.0)
+    recording = run_of(tmp_path, odometry(wheels, 0.2))
+    (entry,) = recordings_json([recording])
+    assert entry["odometry_pulled_per_s"] == 0.0
+    assert entry["odometry_pose_corrections"] > 0.95 * SECONDS
+    assert "sudden steps towards such poses were taken out" in " ".join(recording.notes)
+    gained = between(recording.odometry.xyt[:-1], recording.odometry.xyt[1:]) - between(free[:-1], free[1:])
+    assert np.abs(gained.sum(axis=0)).max() < 0.01
+
+
 @pytest.mark.parametrize("pull", [0.0, 0.2])
 def test_sideways_errors_of_wheels_are_no_filters(tmp_path, pull):
     """In a room what a mecanum robot gains sideways it loses again, as if its errors faded."""
