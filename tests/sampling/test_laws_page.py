@@ -43,7 +43,7 @@ def test_formulas_of_the_conversion_table_hold(name):
 
 def test_same_numbers_differ_between_laws_as_the_page_says():
     said = re.search(
-        r"deviation of ([\d.]+) rad by\s+`linear`, ([\d.]+) rad by `quadratic` and ([\d.]+) rad by `diff", PAGE
+        r"deviation of ([\d.]+) rad\s+by\s+`linear`, ([\d.]+) rad by `quadratic` and ([\d.]+) rad by `diff", PAGE
     )
     per_message = Step(0.02, 1.0)
     for name, value in zip(("linear", "quadratic", "diffusion"), said.groups(), strict=True):

@@ -38,6 +38,7 @@ def test_what_leads_back_to_an_earlier_model_is_passed_over(monkeypatch):
         "_propose": lambda *_, **__: None,
         "_finish": lambda _: None,
         "_swap_clock": lambda _: False,
+        "_replace_leading_clock": lambda _: False,
     }.items():
         monkeypatch.setattr(stepwise._Selection, name, does)
     found = stepwise._Selection(NOTHING, [], set(), NO_CLOCK, DECISIONS).run()
@@ -62,7 +63,7 @@ def test_a_law_that_physics_contradicts_does_not_come_again_for_ever(monkeypatch
         "without_redundant": lambda fit, *_: fit,
     }.items():
         monkeypatch.setattr(stepwise, name, does)
-    for name in ("_correlated", "_finish", "_compare", "_swap_clock"):
+    for name in ("_correlated", "_finish", "_compare", "_swap_clock", "_replace_leading_clock"):
         monkeypatch.setattr(stepwise._Selection, name, lambda *_: None)
     bare.problem = law.problem = None
     found = stepwise._Selection(bare, [], set(), NO_CLOCK, DECISIONS).run()

@@ -106,7 +106,7 @@ def test_what_the_form_of_an_effect_leaves_is_no_noise_of_every_step(monkeypatch
 @pytest.mark.parametrize(("lag_nats", "sure"), [(744.0, False), (100.0, True)])
 def test_tails_that_a_strong_lag_may_leave_have_even_odds_at_most(lag_nats, sure):
     lag = SimpleNamespace(added="steering_lag", candidates=[SimpleNamespace(gain=lag_nats)])
-    learned = SimpleNamespace(held_out={}, unknown=(), steps=[lag])
+    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[lag])
     tails_found = RandomCoefficient(effect_from_values("heavy_tails", {"inverse_dof": 0.375}), 44.0)
     assert (confidence(noise_evidence(tails_found, learned)) > 0.5) == sure
 
