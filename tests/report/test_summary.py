@@ -22,7 +22,7 @@ def test_it_fits_whatever_is_in_it(count, width, words):
 
 def test_what_is_left_out_is_counted():
     lines = [Line(str(i), "finding") for i in range(20)]
-    assert Summary(tuple(lines)).text().splitlines()[-1].strip() == "and 13 more: -v shows all"
+    assert Summary(tuple(lines)).text().splitlines()[-1].strip() == "13 more lines: -v shows all"
 
 
 def test_a_long_command_can_be_pasted():

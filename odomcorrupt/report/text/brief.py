@@ -84,7 +84,7 @@ def findings_brief(
     none = "nothing that matters is missing" if negligible else "no known effect explains more than chance"
     none = f"the robot's model is complete; {apart}" if apart else none
     named = verdict != "COMPLETE" and bool(lines)
-    first = lines[0].text if named else none
+    first = ": ".join(filter(None, (lines[0].label, lines[0].text))) if named else none
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: what the fit left out as outliers"
     lines = [Line(verdict, first, tone), *lines[named:]]

@@ -133,7 +133,7 @@ def _within(blocks: Sequence[tuple[Line, list[str]]], most: int) -> list[tuple[L
         kept.append((line, parts))
         room -= len(parts)
     left = len(others) - len(kept)
-    more = Line("", f"and {left} more: -v shows all")
+    more = Line("", f"{left} more {'line' if left == 1 else 'lines'}: -v shows all")
     return [*kept, (more, [more.text]), *commands]
 
 
