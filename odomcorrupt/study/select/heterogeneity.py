@@ -1,8 +1,8 @@
-"""Heterogeneity: whether recordings of one robot agree about its parameters, or something was changed between them.
+"""Heterogeneity: test for differences between the parameters of several recordings of one robot.
 
-A tyre that was pumped, a load, a gyro that was switched on again differ between recordings and not within one; to a
-model of one robot they look like slow noise. So every recording has parameters of its own, estimated together, with
-that noise left out; standard errors are cluster-robust.
+Tyre pressure, load and the bias of a restarted gyro differ between recordings and not within one. In a common model
+they look like slow noise. The test therefore estimates separate parameters for each recording, jointly and without that
+noise; standard errors are cluster-robust.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 __all__ = ["ParameterDifference", "disagreements"]
 
 _CHANGING = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
-"""What loads, tyres, floors and a switch change between two drives."""
+"""Effects whose size loads, tyres, floors and a restart change between drives."""
 _KNOWN = 0.5
-"""Part of what is possible that an error may be, for a recording to have a say."""
+"""Largest standard error of a recording that is compared, as a fraction of the parameter's physical range."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterDifference:
     """A parameter that differs between recordings.
 
-    effect, parameter, unit : which it is
-    recordings : names of those that determine it
-    values, standard_errors : (R,) what each of them says
-    p : probability of such a disagreement of one robot
+    effect, parameter, unit : names of the effect and its parameter, and the unit
+    recordings : names of the R recordings that determine the parameter
+    values, standard_errors : (R,) estimates from each of them
+    p : probability of such a difference for an unchanged robot
     """
 
     effect: str
@@ -52,9 +52,9 @@ class ParameterDifference:
 
 
 def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
-    """Return the parameters that recordings disagree about, the plainest first; none where there is one recording.
+    """Return the parameters that differ between recordings, the most significant first; none for a single recording.
 
-    level : probability of any, where there is none
+    level : probability of any reported difference if there is none
     """
     problem = fit.problem
     leaders = np.array(clock_leaders(problem.recordings))
@@ -102,6 +102,6 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
 
 
 def _inflation(fit: Fit, pull: Array, rest: Array) -> Array:
-    """Return by how much variances (p,) are larger than the noise model says, as blocks of the drive show it."""
+    """Return the ratios (p,) of the variances estimated between blocks of the drive to those of the noise model."""
     variance, dof = between_blocks(np.repeat(block_of(fit.problem), 3), pull, rest)
     return inflation(variance, dof, shared_variance(variance, dof))
