@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = ["PoseCorrections", "pose_corrections"]
 
-_STANDS_OUT = 10.0
+_DETECTION_MEDIANS = 10.0
 """Detection threshold as a multiple of the median sideways step: 6.7 standard deviations of normal ones."""
 _LEAST_M = 2e-5
 """Least detection threshold, m: positions are written in micrometres, and single precision resolves 1e-6 at 10 m."""
 
 
-_HIDDEN = 5.0
+_VISIBLE_RATIO = 5.0
 """Least ratio of the median detected step to the threshold: of normally distributed steps one in ten is hidden then."""
 
 
@@ -60,10 +60,10 @@ def pose_corrections(t_s: Array, xyt: Array) -> PoseCorrections:
     sideways = np.zeros(len(rows))
     sideways[1:-1] = np.abs(rate[1:-1, 1] - 0.5 * (rate[:-2, 1] + rate[2:, 1])) * dt_s[rows[1:-1]]
     beside = np.maximum(np.append(0.0, sideways[:-1]), np.append(sideways[1:], 0.0))
-    least_m = max(_LEAST_M, _STANDS_OUT * float(np.median(sideways)))
+    least_m = max(_LEAST_M, _DETECTION_MEDIANS * float(np.median(sideways)))
     # a step raises the values of its two neighbours by half of its size
     sudden = (sideways > least_m) & (sideways >= beside)
-    if not sudden.any() or np.median(sideways[sudden]) < _HIDDEN * least_m:
+    if not sudden.any() or np.median(sideways[sudden]) < _VISIBLE_RATIO * least_m:
         return PoseCorrections(0, np.zeros_like(xyt))
     middle_s = 0.5 * (t_s[:-1] + t_s[1:])[rows]
     for column in range(3):

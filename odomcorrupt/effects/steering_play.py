@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-_SWAY = 0.05
+_ELASTIC = 0.05
 """Elastic range before the play opens, as a fraction of the play, so that jitter of the curvature does not cross it."""
 
 
@@ -68,7 +68,7 @@ class SteeringPlay(Effect):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the turn lost in the play; for play < 0, needed for slopes, the opposite."""
         f, sign, half = np.zeros(len(motion)), float(np.sign(self.play)), 0.5 * abs(self.play)
-        top = half + _SWAY * abs(self.play)
+        top = half + _ELASTIC * abs(self.play)
         before, place = state.curvature, state.place
         for i, (v, omega) in enumerate(zip(motion.v.tolist(), motion.omega.tolist(), strict=True)):
             if abs(v) < CREEP_MPS:
@@ -80,7 +80,7 @@ class SteeringPlay(Effect):
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the increments (n, 3) computed from the linkage that steers the wheels through these."""
-        reported, top = steps.copy(), _SWAY * self.play
+        reported, top = steps.copy(), _ELASTIC * self.play
         before, place, side, last_s = state
         rows = zip(steps[:, 0].tolist(), steps[:, 2].tolist(), t_s.tolist(), strict=True)
         for i, (ds, turn, now_s) in enumerate(rows):

@@ -63,9 +63,9 @@ __all__ = [
     "with_shape_refined",
 ]
 
-_FORBIDDEN = "of a sign that it cannot have"
+_IMPOSSIBLE_SIGN = "of a sign that it cannot have"
 """Refusal of an effect whose estimate has a physically impossible sign."""
-_SPOILS = f"makes the {WINDOW_S:g} s error larger"
+_DRIFT = f"makes the {WINDOW_S:g} s error larger"
 _STILL, _CREEP = 0.02, 0.1
 """Rates below which a robot is at rest: in m/s and rad/s, and for slow robots as a fraction of the 90 % quantile."""
 _WITHDRAWN = "gains nothing once outlier segments are weighted again, or leads back to an earlier model"
@@ -99,7 +99,7 @@ class Candidate:
         Tyres do not slip inwards, and no response precedes its cause. Effects of commanded or lost motion are excepted,
         because their opposite is possible: instead of losing counts above a speed, a drive may saturate or slip there.
         """
-        return _FORBIDDEN in self.refused and self.name not in decisions.commanded
+        return _IMPOSSIBLE_SIGN in self.refused and self.name not in decisions.commanded
 
 
 def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
@@ -126,12 +126,12 @@ def library_candidates(fit: Fit, decisions: Decisions, withdrawn: Container[str]
         for c in _candidates(fit, decisions)
     ]
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
-    excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
+    excused = [_compensated(c, decisions) if c.refused == _DRIFT and c.gain > best else c for c in candidates]
     ranked = sorted(excused, key=_rank, reverse=True)
-    return [*ranked[:1], *(_lighter(c) for c in ranked[1:])]
+    return [*ranked[:1], *(_without_problem_data(c) for c in ranked[1:])]
 
 
-def _lighter(candidate: Candidate) -> Candidate:
+def _without_problem_data(candidate: Candidate) -> Candidate:
     """Return a candidate without the data that only refits need, for candidates that are kept for reports alone."""
     if candidate.fit is None:
         return candidate
@@ -139,7 +139,7 @@ def _lighter(candidate: Candidate) -> Candidate:
     return replace(candidate, fit=replace(candidate.fit, problem=problem))
 
 
-def _excused(candidate: Candidate, decisions: Decisions) -> Candidate:
+def _compensated(candidate: Candidate, decisions: Decisions) -> Candidate:
     """Return the candidate admitted if a following candidate would undo the growth of the drift; else unchanged."""
     if candidate.fit is None:
         return candidate
@@ -208,20 +208,20 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
     for p, value, _ in own:
         room = p.high if value > 0.0 else -p.low
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
-            why = "beyond what is physically possible" if room > 0.0 else _FORBIDDEN
+            why = "beyond what is physically possible" if room > 0.0 else _IMPOSSIBLE_SIGN
             return f"{p.name} would be {value:.3g}, {why}"
     if score.effect.name != "channel_lag" and (of_pulls(fit, score.estimated) or may_be_of_lags(fit, score)):
         return "no larger than what a filter makes that comes late, or is given poses as well"
-    return _made_by_noise(fit, score, still=still)
+    return _imitated_by_noise(fit, score, still=still)
 
 
-def _made_by_noise(fit: Fit, score: Score, *, still: bool) -> str:
+def _imitated_by_noise(fit: Fit, score: Score, *, still: bool) -> str:
     """Return the kind of noise that may imitate a significant effect, as a reason for refusal; "" if there is none."""
     columns = score.term.columns(fit.problem)
     if _shows_at_rest_only(fit, score, columns):
         return "shows only while the robot stands, and moves nothing there by itself"
-    answers = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
-    steered = answers or (still and acts_in_curves_only(fit, score.effect))
+    corrections = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
+    steered = corrections or (still and acts_in_curves_only(fit, score.effect))
     return "turns no larger than the noise: it may be a driver who steers back" if steered else ""
 
 
@@ -294,11 +294,11 @@ def tried(
     if beyond:
         return Candidate(score=score, fit=with_it, gain=gain, refused=beyond)
     before, after = drift(fit), drift(with_it)
-    spoiled = _worse(after, before, decisions)
-    if spoiled and has_bias(fit.problem):
+    worse = _worse(after, before, decisions)
+    if worse and has_bias(fit.problem):
         # compare without the truth's own scale errors: a move from one wrong scale to another is no deterioration
-        spoiled = _worse(drift(with_it, truths_scaled=True), drift(fit, truths_scaled=True), decisions)
-    refused = "gains nothing when everything is fitted together" if gain <= least else _SPOILS if spoiled else ""
+        worse = _worse(drift(with_it, truths_scaled=True), drift(fit, truths_scaled=True), decisions)
+    refused = "gains nothing when everything is fitted together" if gain <= least else _DRIFT if worse else ""
     return Candidate(score=score, fit=with_it, gain=gain, rmse=(before.rmse, after.rmse), refused=refused)
 
 

@@ -36,11 +36,11 @@ __all__ = [
 
 _ACTIVE = 1e-3
 _MOSTLY = 0.95
-_LATE_S, _PULLED = 0.05, 2.0
+_LEAST_DELAY_S, _PULL_MARGIN = 0.05, 2.0
 """Least delay assumed for filtered odometry, seconds, and the factor by which pose updates may exceed the estimate."""
-_LATEST_S = 0.15
+_LARGEST_DELAY_S = 0.15
 """Delay above which the clock and not a filter is the cause, seconds (filters at 30 Hz lag by 40 to 120 ms)."""
-_PLAIN_TURNS = 4.0
+_LEAST_TURNS = 4.0
 """Least chi-square of turns per interval: their root mean square is then two standard deviations of the noise."""
 
 
@@ -59,12 +59,12 @@ def may_be_steering(fit: Fit, columns: Array, estimate: Array) -> bool:
     """
     if columns.shape[2] != 1:
         return False
-    if float(columns[:, 2, 0] @ _turned(fit)[:, 2]) * estimate[0] <= 0.0:
+    if float(columns[:, 2, 0] @ _turn_columns(fit)[:, 2]) * estimate[0] <= 0.0:
         return False
     white = fit.noise.whitener.whiten(columns).reshape(-1, 3)
     size = np.sum(white**2, axis=1)
     active = int(np.sum(size > _ACTIVE * size.max(initial=0.0)))
-    return bool(abs(estimate[0]) * size.sum() <= active * _unit(columns, _turned(fit)))
+    return bool(abs(estimate[0]) * size.sum() <= active * _unit(columns, _turn_columns(fit)))
 
 
 def _unit(columns: Array, turned: Array) -> float:
@@ -76,15 +76,15 @@ def _unit(columns: Array, turned: Array) -> float:
 
 def is_gain_of_turns(fit: Fit, columns: Array) -> bool:
     """Tell whether columns (K, 3, p) are a single one, nearly proportional to the turns."""
-    turned = _turned(fit)[:, 2]
+    turned = _turn_columns(fit)[:, 2]
     length = float(np.linalg.norm(turned) * np.linalg.norm(columns[:, 2, 0]))
     return columns.shape[2] == 1 and bool(abs(turned @ columns[:, 2, 0]) > _MOSTLY * length)
 
 
 def hardly_turns(fit: Fit) -> bool:
     """Tell whether the turns of a whole drive are too small to estimate a yaw error per turn."""
-    white = fit.noise.whitener.whiten(_turned(fit)[:, :, None])
-    return float(np.sum(white**2)) < _PLAIN_TURNS * len(fit.problem.nodes)
+    white = fit.noise.whitener.whiten(_turn_columns(fit)[:, :, None])
+    return float(np.sum(white**2)) < _LEAST_TURNS * len(fit.problem.nodes)
 
 
 def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
@@ -114,7 +114,7 @@ def may_be_of_lags(fit: Fit, score: Score) -> bool:
     lags = [effect for effect in problem.effects if effect.name == "channel_lag"]
     if not (lags or any(recording.pose_corrections for recording in problem.recordings)):
         return False
-    clock_s = max((abs(c.offset_s) for c in problem.clocks if abs(c.offset_s) < _LATEST_S), default=0.0)
+    clock_s = max((abs(c.offset_s) for c in problem.clocks if abs(c.offset_s) < _LARGEST_DELAY_S), default=0.0)
     rest, made = project_out(fit), np.zeros(len(score.estimate))
     own = rest.of(fit.noise.whitener.whiten(score.term.columns(problem)))
     for channel, column in (("along", 0), ("yaw", 2)):
@@ -139,8 +139,8 @@ def of_pulls(fit: Fit, effect: Effect) -> bool:
     """
     problem = fit.problem
     filtered = sum(getattr(e, "tau", 0.0) for e in problem.effects if e.name == "channel_lag")
-    late_s = max(_LATE_S, filtered, *(abs(clock.offset_s) for clock in problem.clocks))
-    most = _PULLED * late_s * max(recording.pulled_per_s for recording in problem.recordings)
+    late_s = max(_LEAST_DELAY_S, filtered, *(abs(clock.offset_s) for clock in problem.clocks))
+    most = _PULL_MARGIN * late_s * max(recording.pulled_per_s for recording in problem.recordings)
     if not most > 0.0:
         return False
     moved = np.concatenate([np.stack((m.v, m.omega), axis=1) for m in problem.motions])
@@ -149,7 +149,7 @@ def of_pulls(fit: Fit, effect: Effect) -> bool:
     return bool(np.all(size <= most * usual))
 
 
-def _turned(fit: Fit) -> Array:
+def _turn_columns(fit: Fit) -> Array:
     """Return the change (K, 3) of the residuals by a gain of one on all turns."""
     problem = fit.problem
     turned = np.zeros((sum(len(m) for m in problem.motions), 3))

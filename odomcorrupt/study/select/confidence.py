@@ -37,11 +37,11 @@ _SHORT_ARM_M = 0.005
 """Largest lever arm, m, that errors of single wheels can imitate."""
 _USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5
 """Track, m, and change of the error, m/s, for the test whether an effect acts on single wheels."""
-_MISFIT = 0.2
+_MISFIT_GAIN = 0.2
 """Fraction of an effect's gain up to which a similar effect may be a misfit of its model."""
 _LATE = (*RIVALS, "motor_lag", "steering_lag", "steering_play")
 """Effects of delay or slip at changes of speed; their models are approximate."""
-_FORM = 0.03
+_MISFIT_DISPLACEMENT = 0.03
 """Fraction of the largest effect's displacement in 10 s up to which another effect may be a misfit of its model."""
 HELD_OUT_ERRORS = 2.0
 """Standard errors by which the true held-out gain may exceed its estimate."""
@@ -133,7 +133,7 @@ def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
     left = 0.0 if gain.effect.layer == "record" else learned.left_nats
     own = held_out_limit(gain.effect.name, gain.nats, learned)
     late = [step.candidates[0].gain for step in learned.steps if step.added in _LATE]
-    misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT * max(late, default=0.0)
+    misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT_GAIN * max(late, default=0.0)
     return Evidence(own, (own,) if misfit else (), left=left)
 
 
@@ -154,10 +154,10 @@ def _may_be_misfit(step: Step, learned: Learned) -> bool:
     exactly a filter or a delay, or real play rigid; their misfits depend on the acceleration.
     """
     moved = {name: one.ten_seconds.moved_m for name, one in learned.contributions.items()}
-    if step.added in moved and moved[step.added] < _FORM * max(moved.values()):
+    if step.added in moved and moved[step.added] < _MISFIT_DISPLACEMENT * max(moved.values()):
         return True
     others = [other.candidates[0].gain for other in learned.steps if other.added in RIVALS and other is not step]
-    return step.added in RIVALS and step.candidates[0].gain < _MISFIT * max(others, default=0.0)
+    return step.added in RIVALS and step.candidates[0].gain < _MISFIT_GAIN * max(others, default=0.0)
 
 
 def _may_be_of_wheels(name: str, learned: Learned) -> bool:

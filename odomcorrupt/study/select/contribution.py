@@ -132,7 +132,7 @@ def _travelled(recording: Recording, ends: Array) -> Array:
     return metres
 
 
-def _moves(path: Trajectory, ends: Array, origin_ns: int) -> Array:
+def _displacements(path: Trajectory, ends: Array, origin_ns: int) -> Array:
     """Return the displacement (n, 2) of a path over each window, m, in the frame of the pose at its start."""
     first, last = (path.at(at_s, origin_ns) for at_s in ends.T)
     return between(first, last)[:, :2]
@@ -143,9 +143,9 @@ def _span(left: Sequence[Recording], bare: Sequence[Recording], windows: Sequenc
     every = list(zip(left, bare, windows, strict=True))
     if not any(len(ends) for ends in windows):
         return None
-    whole = np.concatenate([_moves(one.odometry, ends, one.origin_ns) for one, _, ends in every])
-    without = np.concatenate([_moves(other.odometry, ends, other.origin_ns) for _, other, ends in every])
-    truth = np.concatenate([_moves(one.truth, ends, one.origin_ns) for one, _, ends in every])
+    whole = np.concatenate([_displacements(one.odometry, ends, one.origin_ns) for one, _, ends in every])
+    without = np.concatenate([_displacements(other.odometry, ends, other.origin_ns) for _, other, ends in every])
+    truth = np.concatenate([_displacements(one.truth, ends, one.origin_ns) for one, _, ends in every])
     metres = np.concatenate([_travelled(one, ends) for one, _, ends in every])
     sizes = (_rms(whole - without), _rms(whole - truth), float(np.sqrt(np.mean(metres**2))))
     return Span(*sizes) if all(map(isfinite, sizes)) else None

@@ -80,7 +80,7 @@ class Decisions:
         growth; above `drift_plain` always. An effect with hardly any influence on the drift changes it by about 1 %
 
     alternative_nats : effects within this gain of the best one are alternatives that the data do not separate; 3 nats
-        are odds of 20 to 1
+        are odds of 20 to 1. Correlated noise needs this much more than the best effect and dependence
     replacement_nats : additional gain required of a basis function that replaces a library effect, because a known
         cause is likelier a priori
     copy_share : a basis function is a copy of an effect, and no replacement, if it explains more than this fraction of

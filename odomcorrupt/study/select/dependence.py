@@ -41,7 +41,7 @@ _OF_TURNS = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "heading")
 _MOST_STARTS = 40
 """Largest number of terms of one regressor and channel from which shape searches may start."""
 
-_TILT_NATS, _OF_A_TILT = 20.0, ("along", "acceleration")
+_TILT_NATS, _TILT_DEPENDENCE = 20.0, ("along", "acceleration")
 """Gain required with a truth by laser, which tilts when the robot brakes: exact odometry gains 8.5 nats."""
 
 
@@ -178,7 +178,7 @@ def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) ->
         elif seen and best is None and per != "s":  # a dependence per second requires a basis function
             found.append(_dependence(kind, where, score, None, p=score.p, nats=nats))
     if any(r.matched for r in fit.problem.recordings):
-        found = [one for one in found if one.nats > _TILT_NATS or (one.channel, one.regressor) != _OF_A_TILT]
+        found = [one for one in found if one.nats > _TILT_NATS or (one.channel, one.regressor) != _TILT_DEPENDENCE]
     return sorted(found, key=lambda u: u.nats, reverse=True)
 
 

@@ -28,7 +28,7 @@ __all__ = ["ParameterDifference", "disagreements"]
 
 _CHANGING = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
 """Effects whose size loads, tyres, floors and a restart change between drives."""
-_KNOWN = 0.5
+_LARGEST_ERROR = 0.5
 """Largest standard error of a recording that is compared, as a fraction of the parameter's physical range."""
 
 
@@ -63,26 +63,26 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
         return ()
     kinds = registry()
     own = {e.name: e for e in problem.effects}
-    asked = [own.get(name) or kinds[name]() for name in _CHANGING]
+    tested = [own.get(name) or kinds[name]() for name in _CHANGING]
     others = replace(
         fit, problem=replace(problem, effects=tuple(e for e in problem.effects if e.name not in _CHANGING))
     )
-    calm = replace(others, noise=without_random(fit.noise, problem, others.design_matrix), random=())
+    without_noise = replace(others, noise=without_random(fit.noise, problem, others.design_matrix), random=())
     belongs = leaders[problem.run]
-    common = [problem.columns(effect) for effect in asked]
+    common = [problem.columns(effect) for effect in tested]
     each = np.concatenate([column * (belongs == run)[:, None, None] for column in common for run in runs], axis=2)
-    rest = project_out(calm)
-    white = rest.of(calm.noise.whitener.whiten(each))
+    rest = project_out(without_noise)
+    white = rest.of(without_noise.noise.whitener.whiten(each))
     covariance = np.linalg.pinv(white.T @ white, hermitian=True)
     estimate = covariance @ (white.T @ rest.residual)
     error = np.sqrt(np.diag(covariance) * _inflation(fit, white @ covariance, rest.residual - white @ estimate))
     found = []
-    for number, effect in enumerate(asked):
+    for number, effect in enumerate(tested):
         (p,) = amplitudes(effect)
         rows = slice(number * len(runs), (number + 1) * len(runs))
-        able = (error[rows] > 0.0) & (error[rows] < _KNOWN * min(p.high, -p.low))
-        values, errors = getattr(effect, p.name) + estimate[rows][able], error[rows][able]
-        if able.sum() < 2:
+        valid = (error[rows] > 0.0) & (error[rows] < _LARGEST_ERROR * min(p.high, -p.low))
+        values, errors = getattr(effect, p.name) + estimate[rows][valid], error[rows][valid]
+        if valid.sum() < 2:
             continue
         weight = 1.0 / errors**2
         square = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
@@ -92,7 +92,7 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
                 effect=effect.name,
                 parameter=p.name,
                 unit=p.unit,
-                recordings=tuple(problem.recordings[run].name for run, can in zip(runs, able, strict=True) if can),
+                recordings=tuple(problem.recordings[run].name for run, can in zip(runs, valid, strict=True) if can),
                 values=tuple(values.tolist()),
                 standard_errors=tuple(errors.tolist()),
                 p=chance,

@@ -93,8 +93,8 @@ def compare_with_basis(
     columns = np.concatenate([fit.problem.columns(effect) for effect in effects], axis=2)
     (own,) = score_columns(bare, [columns])
     motions, count = fit.problem.motions, len(fit.problem.nodes)
-    worth = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
-    nats = 0.5 * own.statistic - worth
+    penalties = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
+    nats = 0.5 * own.statistic - penalties
     rest, whiten = project_out(bare), bare.noise.whitener.whiten
     explained = rest.of(whiten(columns))
     explained = explained @ np.linalg.lstsq(explained, rest.residual, rcond=None)[0]
@@ -108,7 +108,7 @@ def compare_with_basis(
         return share > decisions.copy_share
 
     scores = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
-    return ModelComparison(tuple(effects), bare, nats, worth, scores)
+    return ModelComparison(tuple(effects), bare, nats, penalties, scores)
 
 
 def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | None:
@@ -122,8 +122,8 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
         return None
     bare, others = drop_term(fit, effect), [e for e in fit.effects if e is not effect]
     still = hardly_turns(bare)
-    law_columns = score_columns(bare, [law.best.term.columns(bare.problem)])[0]
-    least = 0.5 * law_columns.statistic - law.best.score.penalty - decisions.replacement_nats
+    column_score = score_columns(bare, [law.best.term.columns(bare.problem)])[0]
+    least = 0.5 * column_score.statistic - law.best.score.penalty - decisions.replacement_nats
     search = LibrarySearch(bare, library(bare), decisions)
     near = sorted(search.scores_above(max(least, 0.0)), key=lambda s: -s.nats)
     levels = levels_of(search.scores, decisions)
@@ -159,9 +159,9 @@ def best_dependence(
         spared, least = instead_of.penalty, decisions.replacement_nats
     have = {effect.name for effect in others}
     possible = [(one, one.best) for one in found if one.best is not None and one.name not in have]
-    best, plainest = None, -np.inf
+    best, largest = None, -np.inf
     for one, basis in possible[: decisions.shortlist]:
-        if one.nats < plainest - decisions.alternative_nats:
+        if one.nats < largest - decisions.alternative_nats:
             break
         forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
         fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*others, score.estimated)))]
@@ -175,7 +175,7 @@ def best_dependence(
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + spared
         candidate = tried(fit, with_it, score, decisions, gain=gain, least=best.candidate.gain if best else least)
         if not candidate.refused:
-            best, plainest = Proposal(_reshaped(one, score), candidate), max(plainest, one.nats)
+            best, largest = Proposal(_reshaped(one, score), candidate), max(largest, one.nats)
     return best
 
 

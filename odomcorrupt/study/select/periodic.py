@@ -66,7 +66,7 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     found: list[tuple[float, FlatSpot]] = []
     for track_m in TRACKS_M if own is None else (own,):
         for wheel, side in (("right", 0.5 * track_m), ("left", -0.5 * track_m)):
-            for turn_m in _likeliest(fit, score, _way_of(side)):
+            for turn_m in _likeliest(fit, score, _rolled_by(side)):
                 if turn_m > _LARGEST_TURN_M:
                     continue
                 spot = FlatSpot(circumference=turn_m, wheel=wheel, form="eccentric", track=0.0 if own else track_m)
@@ -76,25 +76,25 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
                 phase = float(np.arctan2(part[1], part[0]))
                 found.append((rest.gain(columns), replace(spot, phase=phase)))
     found.sort(key=lambda one: one[0], reverse=True)
-    way_m = sum(float(np.abs(m.v * m.dt_s).sum()) for m in problem.motions)
-    trials = max(int(2.0 * way_m / SHORTEST_M), 1)
+    distance_m = sum(float(np.abs(m.v * m.dt_s).sum()) for m in problem.motions)
+    trials = max(int(2.0 * distance_m / SHORTEST_M), 1)
     forms = [replace(spot, form=form) for _, spot in found[:_TRIED] for form in ("eccentric", "flat")]
     return [tuple(LibraryTerm(spot, trials * len(forms)) for spot in forms)] if forms else []
 
 
-def _way_of(side_m: float) -> Callable[[Motion], Array]:
+def _rolled_by(side_m: float) -> Callable[[Motion], Array]:
     """Return a function to the distance (n,), m, rolled by a wheel `side_m` to the right of the centre."""
     return lambda m: np.cumsum((m.v + side_m * m.omega) * m.dt_s)
 
 
 def _distances(track_m: float | None) -> list[tuple[str, Callable[[Motion], Array]]]:
     """Return the distances to test, as text and function: of the body, and of each wheel if the track is known."""
-    ways: list[tuple[str, Callable[[Motion], Array]]] = [("distance", lambda m: m.distance)]
+    distances: list[tuple[str, Callable[[Motion], Array]]] = [("distance", lambda m: m.distance)]
     if track_m is not None:
         for side, sign in ((0.5 * track_m, "+"), (-0.5 * track_m, "-")):
             text = f"(distance {sign} {abs(side):.4g} * theta)"
-            ways.append((text, lambda m, side=side: np.cumsum((m.v + side * m.omega) * m.dt_s)))  # type: ignore[misc]
-    return ways
+            distances.append((text, lambda m, side=side: np.cumsum((m.v + side * m.omega) * m.dt_s)))  # type: ignore[misc]
+    return distances
 
 
 def _scores(fit: Fit, pull: Array, channel: str) -> Array:
@@ -108,20 +108,20 @@ def _scores(fit: Fit, pull: Array, channel: str) -> Array:
     return scores
 
 
-def _likeliest(fit: Fit, score: Array, way: Callable[[Motion], Array]) -> list[float]:
+def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> list[float]:
     """Return the wavelengths, m, with the largest scores, for information spread evenly over the distance.
 
     score : (n,) score of each step, see `_scores`
     """
     nodes, motions = fit.problem.nodes, fit.problem.motions
-    way_m = np.concatenate([way(m) for m in motions])
+    distance_m = np.concatenate([distance(m) for m in motions])
     run = np.repeat(np.arange(len(motions)), [len(m) for m in motions])[nodes.source]
     # zero-padded by four, because peaks fall between the bins of the plain transform
-    size = 1 << int(np.ceil(np.log2(4.0 * (np.ptp(way_m) / _GRID_M + 2.0))))
+    size = 1 << int(np.ceil(np.log2(4.0 * (np.ptp(distance_m) / _GRID_M + 2.0))))
     power = np.zeros(size // 2 + 1, dtype=np.complex128)
     for r in range(len(motions)):
         mine = run == r
-        place = ((way_m[nodes.source[mine]] - way_m.min()) / _GRID_M).astype(np.int64)
+        place = ((distance_m[nodes.source[mine]] - distance_m.min()) / _GRID_M).astype(np.int64)
         power += np.fft.rfft(np.bincount(place, score[mine], size))
     strength = np.abs(power) ** 2
     per_m = np.fft.rfftfreq(size, _GRID_M)
@@ -145,13 +145,13 @@ def _smooth(strength: Array) -> Array:
     return np.maximum(level, 1e-300)
 
 
-def _wave(text: str, way: Callable[[Motion], Array], wavelength_m: float) -> BasisFunction:
+def _wave(text: str, distance: Callable[[Motion], Array], wavelength_m: float) -> BasisFunction:
     pace = 2.0 * np.pi / wavelength_m
     trials = int(4.0 * (1.0 / SHORTEST_M) / 0.003)
     return BasisFunction(
         "distance",
         f"k * cos({pace:.6g} * {text}) + m * sin({pace:.6g} * {text})",
-        (lambda m: np.cos(pace * way(m)), lambda m: np.sin(pace * way(m))),
+        (lambda m: np.cos(pace * distance(m)), lambda m: np.sin(pace * distance(m))),
         trials,
         wavelength_m,
     )

@@ -34,9 +34,9 @@ _COARSE, _EXACT = (1.0, 0.5, 0.25, 0.125), (0.25, 0.125, 0.05)
 _SIMPLEX = 0.25
 """Scale of the first simplex."""
 _MOST_STEPS, _WORTH_NATS = 12, 0.1
-_LARGE = 12
+_MOST_EXACT = 12
 """Largest number of members of a family that are evaluated exactly."""
-_STARTS, _PLAIN_NATS = 4, 30.0
+_STARTS, _LARGE_NATS = 4, 30.0
 """Number of starting members if the best one gains this many nats, because other maxima may be near.
 Below that gain only the best member is a start: its finer features are not significant either."""
 _NEAR, _WORTH = 0.03, 0.05
@@ -107,7 +107,7 @@ class ShapeSearch:
         """Return the member of a family with the largest gain, its shape refined.
 
         A word-valued parameter keeps its first value unless another gains clearly more. The whole family is searched
-        for each source of the heading; other words are tried at the best shape, if its gain exceeds `_PLAIN_NATS`.
+        for each source of the heading; other words are tried at the best shape, if its gain exceeds `_LARGE_NATS`.
         """
         if len(family) == 1 and not choices(family[0].start):
             return family[0]
@@ -115,7 +115,7 @@ class ShapeSearch:
         usual = self._highest(family)
         unusual = [self._highest(others) for others in zip(*(t.with_words(("heading",)) for t in family), strict=True)]
         most, best = max([usual, *((nats - price, other) for nats, other in unusual)], key=itemgetter(0))
-        words = [word for word in choices(best.start) if word != "heading"] if most > _PLAIN_NATS else []
+        words = [word for word in choices(best.start) if word != "heading"] if most > _LARGE_NATS else []
         others = [self._refined(other) for other in best.with_words(words)]
         return max([(most, best), *((nats - price, other) for nats, other in others)], key=itemgetter(0))[1]
 
@@ -174,8 +174,8 @@ class ShapeSearch:
 
     def _highest(self, family: Sequence[LibraryTerm]) -> tuple[float, LibraryTerm]:
         """Return gain and term of the highest maximum found from the members of a family."""
-        if len(family) > _LARGE:
-            family = [family[i] for i in np.argsort(-self.coarse_gains(family), kind="stable")[:_LARGE]]
+        if len(family) > _MOST_EXACT:
+            family = [family[i] for i in np.argsort(-self.coarse_gains(family), kind="stable")[:_MOST_EXACT]]
         ranked = sorted(((self.gain(term), term) for term in family), reverse=True, key=itemgetter(0))
         begin = starts([term for _, term in ranked], ranked[0][0])
         return max((self._refined(term) for term in begin), key=itemgetter(0))
@@ -186,7 +186,7 @@ class ShapeSearch:
             return max(((self.gain(term), term) for term in family), key=itemgetter(0))
         nats = self.coarse_gains(family)
         order = np.argsort(-nats, kind="stable")
-        begin = starts([family[i] for i in order[:_LARGE]], float(nats[order[0]]))
+        begin = starts([family[i] for i in order[:_MOST_EXACT]], float(nats[order[0]]))
         return max(((self.gain(term), term) for term in map(self.climb, begin)), key=itemgetter(0))
 
     def _refined(self, term: LibraryTerm) -> tuple[float, LibraryTerm]:
@@ -215,7 +215,7 @@ def starts(ranked: Sequence[T], nats: float) -> list[T]:
     """
     chosen = [ranked[0]]
     for term in ranked[1:]:
-        if len(chosen) == _STARTS or nats < _PLAIN_NATS:
+        if len(chosen) == _STARTS or nats < _LARGE_NATS:
             break
         if all(_apart(term, other) for other in chosen):
             chosen.append(term)

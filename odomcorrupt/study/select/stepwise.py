@@ -71,9 +71,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Learned", "Step", "learn"]
 
-_LIKE_SKIDS_S = 0.02
+_AMBIGUOUS_CLOCK_S = 0.02
 """Largest clock offset, seconds, that wheel effects at changes of speed can imitate."""
-_LIKE_CLOCKS = ("accel_slip", "backlash")
+_CLOCK_LIKE_EFFECTS = ("accel_slip", "backlash")
 """Wheel effects at changes of speed."""
 
 
@@ -193,7 +193,7 @@ class _Selection:
         """Replace a dependence by a known effect with about the same gain; return whether the model changed."""
         for law in list(self.included):
             name = name_for(self.fit, law, self.decisions)
-            if name is None or self._had(name.fit):
+            if name is None or self._already_seen(name.fit):
                 continue
             self.included.remove(law)
             if name.fit is None:
@@ -241,7 +241,7 @@ class _Selection:
         # robust weights are re-estimated, because the term may explain intervals that were outliers before
         larger = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
         larger = without_redundant(larger, self.given, decisions)
-        if best.name not in {effect.name for effect in larger.effects} or self._had(larger):
+        if best.name not in {effect.name for effect in larger.effects} or self._already_seen(larger):
             self.withdrawn.add(best.name)
             return True
         self._record(candidates, added=best.name)
@@ -285,9 +285,9 @@ class _Selection:
         # no replacement on contradicted channels either: it would be included and removed in turn
         replacement = best_replacement(self.fit, compared, decisions, self._contradicted())
         proposal = replacement or best_dependence(self.fit, self.open, decisions)
-        return None if proposal is None or self._had(proposal.candidate.fit) else proposal
+        return None if proposal is None or self._already_seen(proposal.candidate.fit) else proposal
 
-    def _had(self, fit: Fit | None) -> bool:
+    def _already_seen(self, fit: Fit | None) -> bool:
         """Return whether a model has the terms of an earlier one: to return to it would be an endless loop."""
         return fit is not None and terms_of(fit) in self.seen
 
@@ -335,7 +335,7 @@ class _Selection:
         found = late_motors(self.fit, self.decisions)
         if found is None:
             return False
-        better = found.more_nats > self.decisions.replacement_nats and not self._had(found.fit)
+        better = found.more_nats > self.decisions.replacement_nats and not self._already_seen(found.fit)
         if not better:
             rivals = (*self.clocks.rival_nats, clock_nats(self.fit) - abs(found.more_nats))
             self.clocks = replace(self.clocks, rival_nats=rivals)
@@ -357,8 +357,8 @@ class _Selection:
         """
         fit, clocked = self.fit, bool(np.any(self.fit.free_clocks))
         late = {one.name for one in (*self.included, *self.open) if one.follows_acceleration}
-        like = {e.name for e in fit.effects if e.name in _LIKE_CLOCKS and e.name not in self.given}
-        small = max(abs(clock.offset_s) for clock in fit.problem.clocks) < _LIKE_SKIDS_S
+        like = {e.name for e in fit.effects if e.name in _CLOCK_LIKE_EFFECTS and e.name not in self.given}
+        small = max(abs(clock.offset_s) for clock in fit.problem.clocks) < _AMBIGUOUS_CLOCK_S
         if not (late and small if clocked else like):
             return False
         others = [e for e in fit.effects if e.name not in (late if clocked else like)]
@@ -369,7 +369,7 @@ class _Selection:
         if best is not None and best.fit is not None:
             other = with_shape_refined(best.fit.refit(), best.score, self.decisions)[0]
         more = more_nats(other, fit) + self._penalty(fit) - self._penalty(other)
-        better = more > 0.0 and not self._had(other)
+        better = more > 0.0 and not self._already_seen(other)
         if better:
             self.clocks = replace(self.clocks, clocks=other.problem.clocks, free=free, ambiguous_nats=0.0)
             if best is not None:
@@ -380,7 +380,7 @@ class _Selection:
             rivals = (*self.clocks.rival_nats, clock_nats(self.fit) - abs(more))
             self.clocks = replace(self.clocks, rival_nats=rivals)
         else:
-            gains = (step.candidates[0].gain for step in self.steps if step.added in _LIKE_CLOCKS)
+            gains = (step.candidates[0].gain for step in self.steps if step.added in _CLOCK_LIKE_EFFECTS)
             nats = max(gains, default=0.0) - abs(more)
             self.clocks = replace(self.clocks, ambiguous_nats=max(nats, self.clocks.ambiguous_nats, 0.0))
         return better

@@ -175,7 +175,7 @@ def library_families(
     sideways = drive.name == "omni" or (drive.name != "differential" and drives_sideways(motions))
     families = []
     for name, kind in registry().items():
-        wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _leads(kind, drive)
+        wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _is_tested(kind, drive)
         possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
         if name in MOUNTING and name not in mountings(recordings):
             continue
@@ -198,7 +198,7 @@ def mountings(recordings: Sequence[Recording]) -> tuple[str, ...]:
     return MOUNTING if any(r.headed for r in recordings) else MOUNTING[:1]
 
 
-def _leads(kind: type[Effect], drive: DriveType) -> bool:
+def _is_tested(kind: type[Effect], drive: DriveType) -> bool:
     """Tell whether an effect is tested itself, and not only reported as an alias of a tested one."""
     if not drive.admits(kind) or kind.in_place_of is not None:
         return False

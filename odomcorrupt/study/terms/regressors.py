@@ -40,9 +40,9 @@ _JITTER_S = 0.2
 _SIDEWAYS = 0.1
 """Least fraction of the travelled distance that a holonomic robot moves sideways."""
 _BIAS = 0.002
-_LEAST_BIAS, _PLAIN_SIDE = 2e-4, 3.0
+_LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0
 _FEW = 50
-_SHARED, _PLAINLY = 0.7, 3.0
+_SHARED, _ERRORS = 0.7, 3.0
 """Roughness is noise of the odometry if the truth shares less than this fraction, by this many standard errors."""
 
 
@@ -206,10 +206,10 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     shared = _shared(recording, moving, grid)
     if shared is None:
         return "truth" if noisy.any() else "odometry"
-    noisy &= shared.part + _PLAINLY * shared.error < _SHARED
-    lives_here = shared.odometrys > _PLAIN_SIDE * np.maximum(shared.truths, 0.0)
-    lives_here &= shared.odometrys > _PLAINLY * shared.noise_error
-    noisy |= lives_here & (shared.odometrys * per_noise > _LEAST_BIAS)
+    noisy &= shared.part + _ERRORS * shared.error < _SHARED
+    only_odometry = shared.odometry_noise > _NOISE_RATIO * np.maximum(shared.noise_of_truth, 0.0)
+    only_odometry &= shared.odometry_noise > _ERRORS * shared.noise_error
+    noisy |= only_odometry & (shared.odometry_noise * per_noise > _LEAST_BIAS)
     return "truth" if noisy.any() else "odometry"
 
 
@@ -223,14 +223,14 @@ class _Shared(NamedTuple):
     """Roughness of travel and turn (2,) that odometry and truth share, and the noise of each.
 
     part, error : fraction of the odometry's roughness that the truth shares, and its standard error
-    odometrys, truths : noise variance of a step of the odometry, and of the truth
-    noise_error : standard error of `odometrys`
+    odometry_noise, noise_of_truth : noise variance of a step of the odometry, and of the truth
+    noise_error : standard error of `odometry_noise`
     """
 
     part: Array
     error: Array
-    odometrys: Array
-    truths: Array
+    odometry_noise: Array
+    noise_of_truth: Array
     noise_error: Array
 
 
@@ -255,7 +255,7 @@ def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Sh
     return _Shared(
         part=common.mean(axis=0) / whole,
         error=common.std(axis=0) / np.sqrt(len(common)) / whole,
-        odometrys=alone.mean(axis=0),
-        truths=(other**2 - own * other).mean(axis=0) / 6.0,
+        odometry_noise=alone.mean(axis=0),
+        noise_of_truth=(other**2 - own * other).mean(axis=0) / 6.0,
         noise_error=alone.std(axis=0) / np.sqrt(len(alone)),
     )

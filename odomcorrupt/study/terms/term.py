@@ -32,7 +32,7 @@ __all__ = ["BasisTerm", "LibraryTerm", "Term", "neighbours"]
 
 _KINDS = (len(VALUES) + 2) * len(every_action())
 """Number of kinds of basis functions: regressors, including place and heading, times actions."""
-_PLAINEST = 2.0
+_SIMPLEST = 2.0
 """Factor on the size of a family: half of its prior probability goes to its simplest member."""
 _STEP = 0.4
 """First step of a shape search, as a fraction of a parameter's typical size."""
@@ -223,7 +223,7 @@ class BasisTerm:
     @property
     def trials(self) -> int:
         """Size of the family times the number of all regressors and actions."""
-        return int(_PLAINEST * self.function.trials * _KINDS)
+        return int(_SIMPLEST * self.function.trials * _KINDS)
 
     @property
     def unusual(self) -> bool:
