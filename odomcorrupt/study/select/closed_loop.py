@@ -34,8 +34,8 @@ __all__ = [
     "of_pulls",
 ]
 
-_ACTIVE = 1e-3
-_MOSTLY = 0.95
+_ACTIVE = 1e-3  # fraction of the largest information per interval above which an interval counts in K
+_MOSTLY = 0.95  # least absolute cosine between a column and the turns for a gain of turns
 _LEAST_DELAY_S, _PULL_MARGIN = 0.05, 2.0
 """Least delay assumed for filtered odometry, seconds, and the factor by which pose updates may exceed the estimate."""
 _LARGEST_DELAY_S = 0.15
@@ -88,7 +88,7 @@ def hardly_turns(fit: Fit) -> bool:
 
 
 def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
-    """Tell whether an effect has no influence on straight driving or on turns on the spot.
+    """Tell whether an effect has no influence on straight driving, and none on turns on the spot.
 
     A heading disturbance that is corrected within an interval moves the robot sideways, as such an effect does.
     """

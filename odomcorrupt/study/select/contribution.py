@@ -34,7 +34,7 @@ __all__ = ["FAR_M", "Contribution", "Span", "contributions"]
 
 FAR_M = 50.0
 """Length of path, m, at which slow causes are measured, such as a bias with hardly any influence in 10 s."""
-_PHASES = np.arange(5) / 5.0
+_PHASES = np.arange(5) / 5.0  # starts of the first window, as fractions of a window
 _WHOLE = 0.9
 """Least length of a window, as a fraction of the nominal length."""
 

@@ -31,7 +31,7 @@ class PriorOdds:
     temper : factor on all gains, dimensionless; below 1 if the noise model were overconfident. At 1 the reliability
         curve of the benchmark lies on the diagonal
     elsewhere : prior odds of a cause that is not in the library
-    unexplained : odds against an effect per ratio of the unexplained gain to the gain of the effect
+    unexplained : odds against an effect, per unexplained gain in units of the effect's own gain
     correlated : the same for the gain of correlated noise; smaller, because such noise may exist beside the effect
     dependence_nats : prior log odds of a basis function over an effect. Of 90 effects in the benchmark's third and
         fourth runs that gained 2 to 6 nats more than the best basis function, 81 were right and 9 wrong, 8 of these
@@ -68,7 +68,7 @@ class Decisions:
         of basis functions in a model; mixtures of more than three causes were never separable in ten minutes
 
     level : probability of including any library effect on data without one, by the larger p of two tests (under the
-        noise model, and cluster-robust). In 200 controls of the benchmark one effect was included
+        noise model, and cluster-robust). In the benchmark's 200 drives without a fault one effect was included
     shortlist : largest number of candidates, and of dependences, that are refitted in one step
     shortlist_share : a candidate with less than this fraction of the best robust gain is not refitted, because the
         refit would not change the order
@@ -76,8 +76,8 @@ class Decisions:
         benchmark detects effects from about 4 to 5 standard errors on
     max_share : largest fraction of the robot's own motion that a basis function may explain as odometry error
     drift_factor, drift_plain, drift_errors : an inclusion is refused if the 10 s position error of the fitted data
-        grows by more than `drift_factor`, unless paired windows show less than `drift_errors` standard errors of
-        growth; above `drift_plain` always. An effect with hardly any influence on the drift changes it by about 1 %
+        grows by more than a factor of `drift_factor`, unless paired windows show less than `drift_errors` standard
+        errors of growth; above `drift_plain` always. An effect with little influence on the drift changes it by ~1 %
 
     alternative_nats : effects within this gain of the best one are alternatives that the data do not separate; 3 nats
         are odds of 20 to 1. Correlated noise needs this much more than the best effect and dependence

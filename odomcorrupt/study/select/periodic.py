@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 __all__ = ["flat_spots", "waves"]
 
-LONGEST_M, SHORTEST_M = 4.0, 0.15
+LONGEST_M, SHORTEST_M = 4.0, 0.15  # wavelengths that are tested, m
 _LARGEST_TURN_M = 2.5
 """Largest circumference of a wheel that is tested, m: a radius of 0.4 m."""
-_GRID_M = 0.02
-_TRIED = 3
+_GRID_M = 0.02  # bin of the distance, m
+_TRIED = 3  # wavelengths scored exactly for each distance
 
 
 def waves(fit: Fit) -> list[Screened]:

@@ -33,7 +33,7 @@ _COARSE, _EXACT = (1.0, 0.5, 0.25, 0.125), (0.25, 0.125, 0.05)
 """Scales of the steps of a shape: with approximate columns, and then with exact ones."""
 _SIMPLEX = 0.25
 """Scale of the first simplex."""
-_MOST_STEPS, _WORTH_NATS = 12, 0.1
+_MOST_STEPS, _WORTH_NATS = 12, 0.1  # largest number of steps at each scale; least gain of a step
 _MOST_EXACT = 12
 """Largest number of members of a family that are evaluated exactly."""
 _STARTS, _LARGE_NATS = 4, 30.0

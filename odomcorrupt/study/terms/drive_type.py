@@ -65,7 +65,7 @@ steering angle exceeds the quantile briefly). The share was a tenth for a robot 
 never turned on the spot), and a third or more for steered ones."""
 _SPOT_RAD = 0.1
 """Largest turn per slow spell beyond the smallest radius that filters and ticks can cause, rad."""
-_REST_S = 2.0
+_REST_S = 2.0  # least time at rest that shows whether the odometry turns at rest, s
 _GYRO_RAD = 1e-4
 """Turn at rest above which the heading of the odometry is not computed from its wheels, rad."""
 

@@ -36,12 +36,12 @@ TRUTH_SMOOTHING_S = (0.5, 2.0)
 """Least and largest smoothing window of the truth: as short as its noise allows, because it blurs starts and stops."""
 _SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
 """Noise allowed in a smoothed speed, m/s and rad/s; more would look like motion of a robot at rest."""
-_JITTER_S = 0.2
+_JITTER_S = 0.2  # least time step for estimates of the odometry's noise, s
 _SIDEWAYS = 0.1
 """Least fraction of the travelled distance that a holonomic robot moves sideways."""
-_BIAS = 0.002
-_LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0
-_FEW = 50
+_BIAS = 0.002  # relative bias of a gain above which the truth is used
+_LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0  # the same if the odometry has this many times the truth's noise variance
+_FEW = 50  # least number of samples in motion
 _SHARED, _ERRORS = 0.7, 3.0
 """Roughness is noise of the odometry if the truth shares less than this fraction, by this many standard errors."""
 

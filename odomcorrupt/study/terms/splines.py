@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["curve_regressors"]
 
-_HATS = {
+_HATS = {  # number of hats of each regressor
     "speed": 6,
     "yaw_rate": 6,
     "acceleration": 6,
@@ -23,7 +23,7 @@ _HATS = {
     "time": 8,
     "distance": 8,
 }
-_GRID = 4
+_GRID = 4  # grid lines of the floor along each axis
 _FINEST = 0.05
 """Least distance of hats, as a fraction of the regressor's range: noise of the odometry enters regressor and error."""
 

@@ -38,10 +38,10 @@ _LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
 _TOP, _WITHIN = 0.99, 0.9
 """A threshold is at most `_WITHIN` times the `_TOP` quantile of the regressor: what exceeds the cruising speed of a
 robot is odometry noise, which is part of the error as well."""
-_HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")
+_HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")  # regressors with hinges
 _STILL = 0.02
 """Rates below which a robot is at rest, m/s and rad/s."""
-_CUTS = np.linspace(0.05, 0.95, 19)
+_CUTS = np.linspace(0.05, 0.95, 19)  # quantiles at which thresholds are tried
 
 
 def functions_of_motion(motions: Sequence[Motion]) -> Iterator[BasisFunction]:

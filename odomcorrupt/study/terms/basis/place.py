@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 __all__ = ["functions_of_heading", "functions_of_place"]
 
-_PLACES = 7
-_RADII_M = (0.8, 1.3, 2.0)
+_PLACES = 7  # grid lines along each axis
+_RADII_M = (0.8, 1.3, 2.0)  # radii of discs, m
 _OUTER = (0.03, 0.97)
 """Quantiles of the path's coordinates between which places are tried."""
-_STRIPS = 12
-_STRIP_APART_M, _MOST_STRIPS = 0.8, 25
+_STRIPS = 12  # directions of strips over half a turn
+_STRIP_APART_M, _MOST_STRIPS = 0.8, 25  # spacing of parallel strips, m, and their largest number
 _THIN = 10
 """One of this many poses is used to find where strips contain the path."""
-_HALF_WIDTHS_M = (0.4, 0.8)
-_BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)
+_HALF_WIDTHS_M = (0.4, 0.8)  # of strips, m
+_BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)  # of rectangles, rad
 
 
 def functions_of_heading() -> Iterator[BasisFunction]:

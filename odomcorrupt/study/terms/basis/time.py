@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 __all__ = ["functions_of_time"]
 
-_SETTLE_S = (30.0, 80.0, 200.0)
+_SETTLE_S = (30.0, 80.0, 200.0)  # settling times on the grid, s
 _QUICKEST_S, _SLOWEST_S = 10.0, 1e4
 """Least and largest settling time that is tried, s; faster settling leaves nothing to observe."""
 _SHORTEST_SWING_S, _SWING_STEP = 40.0, 0.2
 """Shortest period of an oscillation, s, and the step of the logarithm of the period."""
 _SPELLS, _SPELL_PARTS = 10, (0.08, 0.16)
 """Number of centres of a spell that are tried, and half its length as fractions of the whole time."""
-_ANYWHERE = ("body", "one", "both", "twist")
+_ANYWHERE = ("body", "one", "both", "twist")  # targets of functions of time
 
 
 def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
