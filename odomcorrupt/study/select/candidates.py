@@ -211,7 +211,7 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
             why = "beyond what is physically possible" if room > 0.0 else _IMPOSSIBLE_SIGN
             return f"{p.name} would be {value:.3g}, {why}"
     if score.effect.name != "channel_lag" and (of_pulls(fit, score.estimated) or may_be_of_lags(fit, score)):
-        return "no larger than what a filter makes that comes late, or is given poses as well"
+        return "no larger than the artefact of a filter with a delay or with pose updates"
     return _imitated_by_noise(fit, score, still=still)
 
 
