@@ -1,9 +1,9 @@
-"""Steps by which a filter moves its odometry towards poses that it is given, found in the odometry and taken out.
+"""Detection and removal of the steps in odometry of a filter that fuses external poses.
 
-Between two updates the output of such a filter (robot_localization that fuses an absolute pose) is what its wheels and
-gyro say; at an update it steps. Wheels never step sideways: between two messages their sideways speed is nothing, or
-that of a robot that drives sideways, which has inertia. What lies between the steps is free odometry, in which the
-errors of wheels and gyro pile up as ever, and a model of these can be learned and taken out.
+Between two pose updates the output of such a filter (robot_localization with an absolute pose) follows wheels and gyro;
+at an update it steps. Wheels never step sideways: their sideways speed is zero, or changes slowly because of inertia if
+the robot drives sideways. Without the steps the errors of wheels and gyro accumulate as in free odometry, so that a
+model of them can be learned and corrected.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ if TYPE_CHECKING:
 
 __all__ = ["PoseCorrections", "pose_corrections"]
 
-_STANDS_OUT = 10.0
-"""Medians by which a sideways step stands out of the others: 6.7 standard deviations of normal ones."""
+_DETECTION_MEDIANS = 10.0
+"""Detection threshold as a multiple of the median sideways step: 6.7 standard deviations of normal ones."""
 _LEAST_M = 2e-5
-"""Least step that is one: positions are written in micrometres, and single precision holds 1e-6 at 10 m."""
+"""Least detection threshold, m: positions are written in micrometres, and single precision resolves 1e-6 at 10 m."""
 
 
-_HIDDEN = 5.0
-"""How many times the least step the median one is where hardly any stays hidden: of normal ones, one in ten."""
+_VISIBLE_RATIO = 5.0
+"""Least ratio of the median detected step to the threshold: of normally distributed steps one in ten is hidden then."""
 
 
 class PoseCorrections(NamedTuple):
-    """How many steps of a filter odometry has, and by how much its poses (n, 3) move where they are taken out."""
+    """Number of filter steps in odometry, and the change (n, 3) of its poses by their removal, m and rad."""
 
     steps: int
     error_xyt: Array
 
 
 def pose_corrections(t_s: Array, xyt: Array) -> PoseCorrections:
-    """Return the sudden sideways steps of odometry; without them the robot moves over each as before and after it.
+    """Return the sudden sideways steps of odometry and the change of the poses without them.
 
-    Poses that were set (resets) are left as they are, as everywhere in a correction. Where steps are no larger than
-    what moves the odometry sideways all the time, most of them are hidden, and none is taken out.
+    The motion over a removed step is interpolated between its neighbours. Pose resets are kept, as in any correction.
+    If steps are not much larger than the usual sideways motion, most of them are hidden, and none is removed.
 
     Parameters
     ----------
@@ -60,10 +60,10 @@ def pose_corrections(t_s: Array, xyt: Array) -> PoseCorrections:
     sideways = np.zeros(len(rows))
     sideways[1:-1] = np.abs(rate[1:-1, 1] - 0.5 * (rate[:-2, 1] + rate[2:, 1])) * dt_s[rows[1:-1]]
     beside = np.maximum(np.append(0.0, sideways[:-1]), np.append(sideways[1:], 0.0))
-    least_m = max(_LEAST_M, _STANDS_OUT * float(np.median(sideways)))
-    # beside itself, a step shows half as large
+    least_m = max(_LEAST_M, _DETECTION_MEDIANS * float(np.median(sideways)))
+    # a step raises the values of its two neighbours by half of its size
     sudden = (sideways > least_m) & (sideways >= beside)
-    if not sudden.any() or np.median(sideways[sudden]) < _HIDDEN * least_m:
+    if not sudden.any() or np.median(sideways[sudden]) < _VISIBLE_RATIO * least_m:
         return PoseCorrections(0, np.zeros_like(xyt))
     middle_s = 0.5 * (t_s[:-1] + t_s[1:])[rows]
     for column in range(3):

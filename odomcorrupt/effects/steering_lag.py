@@ -1,4 +1,4 @@
-"""The wheels follow late the steering angle that odometry is computed from: a servo, a soft linkage."""
+"""Lag of the steered wheels behind the steering angle of the odometry, by a servo or a soft linkage."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class _Steering(NamedTuple):
-    """Where the wheels stand: the curvature that they steer (1/m, None before they rolled), how long ago, and when."""
+    """State: curvature of the wheels when they last rolled (1/m, None before), time since then and last stamp (s)."""
 
     curvature: float | None = None
     ago_s: float = 0.0
@@ -36,10 +36,10 @@ class _Steering(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SteeringLag(Effect):
-    """f = (0, 0, v (true curvature - omega / v)): the true curvature is the odometry's behind a first-order lag.
+    """f = (0, 0, v (true curvature - omega / v)): the true curvature follows the odometry's with a first-order lag.
 
-    A delay by tau is the same for steering that is slow against it. Speeding up in a curve of one radius is no
-    steering, and shows no lag. While the robot stands its wheels go on to where they are steered.
+    A delay by tau has the same f for steering slow against tau. A change of speed in a curve of constant radius is no
+    steering and causes no error. While the robot is at rest its wheels continue to the steering angle.
     """
 
     name = "steering_lag"
@@ -57,11 +57,11 @@ class SteeringLag(Effect):
     tau: float = parameter("s", "time constant, or the delay", low=0.0, high=1.0, typical=0.1, step=0.02)
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return wheels that have not rolled yet."""
+        """Return the state of wheels that have not rolled yet."""
         return _Steering()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: what the wheels still owe of the angle. Below zero, for slopes, the opposite of it."""
+        """Return f, from the lag of the wheels' curvature; for tau < 0, needed for slopes, the opposite."""
         f, sign = np.zeros(len(motion)), float(np.sign(self.tau))
         curvature, ago_s, last_s = state
         rows = zip(motion.v.tolist(), motion.omega.tolist(), motion.dt_s.tolist(), strict=True)
@@ -75,7 +75,7 @@ class SteeringLag(Effect):
         return TwistError(stacked(0.0, 0.0, f, f), _Steering(curvature, ago_s, last_s))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
-        """Return the increments (n, 3) of a steering angle that the wheels of these follow."""
+        """Return the increments (n, 3) computed from the steering angle whose lagging wheels cause these."""
         reported = steps.copy()
         curvature, ago_s, last_s = state
         for i, (ds, turn, now_s) in enumerate(
@@ -96,8 +96,8 @@ class SteeringLag(Effect):
         return Recorded(reported, _Steering(curvature, ago_s, last_s))
 
     def _kept(self, seconds: float) -> float:
-        """Return the part of a departure from the angle that is left after so long: Euler's backward step.
+        """Return the part of a curvature difference that remains after a time: the backward Euler step.
 
-        It delays by tau on average whatever the steps, and what it has delayed is stable to take back.
+        Its mean delay is tau for steps of any length, and its inverse is stable.
         """
         return abs(self.tau) / (abs(self.tau) + seconds)

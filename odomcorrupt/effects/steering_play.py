@@ -1,4 +1,4 @@
-"""Play in the steering: between left and right the wheels stay where they are while the steering sensor moves on."""
+"""Play in the steering: between left and right the wheels keep their angle while the steering sensor moves."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-_SWAY = 0.05
-"""Elastic sway before the play opens, as part of it: jitter of the curvature crosses no play."""
+_ELASTIC = 0.05
+"""Elastic range before the play opens, as a fraction of the play, so that jitter of the curvature does not cross it."""
 
 
 class _Linkage(NamedTuple):
     """State of the linkage.
 
-    curvature : last one that was steered, 1/m; None before the wheels rolled
-    place : where the linkage stands in its play, 1/m from the middle; of a true motion, in the elastic part of it
-    side : 1 where it pushes the wheels to the left, -1 to the right, 0 before it has moved
-    last_s : end of the last increment
+    curvature : last steered curvature, 1/m; None before the wheels rolled
+    place : position of the linkage in its play, 1/m from the middle; for a true motion, in its elastic range
+    side : 1 if the linkage pushes the wheels to the left, -1 to the right, 0 before it has moved
+    last_s : end of the last increment, s
     """
 
     curvature: float | None = None
@@ -37,10 +37,10 @@ class _Linkage(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SteeringPlay(Effect):
-    """f = (0, 0, v (true curvature - omega / v)): the true curvature is the play operator of the odometry's.
+    """f = (0, 0, v (true curvature - omega / v)): the true curvature is the play operator applied to the odometry's.
 
-    The wheels keep their angle until the linkage has crossed the play, from the middle of which it begins. Corruption
-    crosses the play at once where the clean robot begins to steer back.
+    The wheels keep their angle until the linkage, which begins in the middle of the play, has crossed it. Corruption
+    crosses the play at once when the clean robot begins to steer back.
     """
 
     name = "steering_play"
@@ -66,9 +66,9 @@ class SteeringPlay(Effect):
         return _Linkage()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the turn that the play keeps from the wheels. Below zero, for slopes, the opposite of it."""
+        """Return f: the turn lost in the play; for play < 0, needed for slopes, the opposite."""
         f, sign, half = np.zeros(len(motion)), float(np.sign(self.play)), 0.5 * abs(self.play)
-        top = half + _SWAY * abs(self.play)
+        top = half + _ELASTIC * abs(self.play)
         before, place = state.curvature, state.place
         for i, (v, omega) in enumerate(zip(motion.v.tolist(), motion.omega.tolist(), strict=True)):
             if abs(v) < CREEP_MPS:
@@ -79,8 +79,8 @@ class SteeringPlay(Effect):
         return TwistError(stacked(0.0, 0.0, f, f), state._replace(curvature=before, place=place))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
-        """Return the increments (n, 3) of a linkage that steers the wheels of these."""
-        reported, top = steps.copy(), _SWAY * self.play
+        """Return the increments (n, 3) computed from the linkage that steers the wheels through these."""
+        reported, top = steps.copy(), _ELASTIC * self.play
         before, place, side, last_s = state
         rows = zip(steps[:, 0].tolist(), steps[:, 2].tolist(), t_s.tolist(), strict=True)
         for i, (ds, turn, now_s) in enumerate(rows):

@@ -1,9 +1,9 @@
-"""Model selection: which terms a model lacks.
+"""Model selection: stepwise inclusion of the terms that a model lacks.
 
-In the order of the procedure: `stepwise` (the loop), `screening` and `shape_search` (which terms, at which shape, might
-explain the residual), `score` (tests), `candidates` (refitted and admitted or refused), `dependence` and `periodic`
-(basis functions where the library has nothing), `random_effects` (correlated noise and outliers), `model_comparison`
-(effects against basis functions), `elimination` (what becomes redundant), `closed_loop` (what a controller does),
-`heterogeneity` (recordings that disagree), `confidence` (probabilities), and `decisions` (every threshold, with its
-reason). What a term is, is said in `odomcorrupt.study.terms`.
+In the order of the procedure: `stepwise` (the loop), `screening` and `shape_search` (approximate gains of all terms and
+their best shapes), `score` (tests), `candidates` (refits, admission and refusal), `dependence` and `periodic` (basis
+functions for causes outside the library), `random_effects` (correlated noise and outliers), `model_comparison` (effects
+against basis functions), `elimination` (redundant terms), `closed_loop` (bias by feedback control), `heterogeneity`
+(differences between recordings), `confidence` (probabilities), and `decisions` (thresholds and their reasons). Terms
+are defined in `odomcorrupt.study.terms`.
 """

@@ -1,10 +1,10 @@
-"""Candidates: terms that may come next, tested, refitted together with the model, and admitted or refused.
+"""Candidates for the next inclusion: terms that are tested, refitted with the model, and admitted or refused.
 
-A candidate is admitted only if both score tests pass, it gains on blocks held out of its estimate, its size is
-physically possible and well enough known, it gains when everything is fitted together, and the 10 s drift of the data
-it was fitted on hardly grows (a likelihood alone may want a cause that improves single steps and spoils the path). Two
-causes may make up for each other on the path, though: one that spoils it is admitted after all where, beside the next
-one, the drift falls.
+A candidate is admitted only if it passes both score tests, gains on held-out blocks, has a physically possible size
+with a small enough standard error, and gains in a joint refit. The 10 s drift of the fitted data must also hardly grow,
+because a likelihood alone may prefer a cause that improves single steps at the expense of the path. There is one
+exception: two causes may compensate each other on the path. A candidate that increases the drift is therefore admitted
+if the drift falls again with the next candidate.
 """
 
 from __future__ import annotations
@@ -63,23 +63,23 @@ __all__ = [
     "with_shape_refined",
 ]
 
-_FORBIDDEN = "of a sign that it cannot have"
-"""Why a cause is refused that explains the data by what it cannot do."""
-_SPOILS = f"makes the {WINDOW_S:g} s error larger"
+_IMPOSSIBLE_SIGN = "of a sign that it cannot have"
+"""Refusal of an effect whose estimate has a physically impossible sign."""
+_DRIFT = f"makes the {WINDOW_S:g} s error larger"
 _STILL, _CREEP = 0.02, 0.1
-"""m/s and rad/s below which a robot stands, and for slow robots in parts of what is usual."""
+"""Rates below which a robot is at rest: in m/s and rad/s, and for slow robots as a fraction of the 90 % quantile."""
 _WITHDRAWN = "gains nothing once outlier segments are weighted again, or leads back to an earlier model"
 _AT_BOUND = 1e-6
-"""Part of a parameter's range from its bound within which a fit has run into it."""
+"""Distance to a bound, as a fraction of the parameter's range, at which a fitted value counts as on the bound."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A scored term, and where it made the shortlist, the whole model refitted with it.
+    """A scored term and, if it was shortlisted, the whole model refitted with it.
 
-    gain : log likelihood gained by the refit less the penalty, nats
-    rmse : 10 s position error of the fitted data before and after, m
-    refused : why it is not admitted, or empty
+    gain : log likelihood gained by the refit minus the penalty, nats
+    rmse : 10 s position error of the fitted data without and with the term, m
+    refused : reason for the refusal; "" if admitted
     """
 
     score: Score
@@ -94,16 +94,16 @@ class Candidate:
         return self.score.term.name
 
     def contradicts_physics(self, decisions: Decisions) -> bool:
-        """Return whether data speak for an effect of a sign that physics forbids, and so have another flaw.
+        """Return whether the data support the effect only with a physically impossible sign, so have another flaw.
 
-        Tyres do not slip inwards, and nothing comes before its cause. But the opposite of counts lost above a speed is
-        a drive that saturates or slips there: of a cause of commanded or lost motion it is some other cause.
+        Tyres do not slip inwards, and no response precedes its cause. Effects of commanded or lost motion are excepted,
+        because their opposite is possible: instead of losing counts above a speed, a drive may saturate or slip there.
         """
-        return _FORBIDDEN in self.refused and self.name not in decisions.commanded
+        return _IMPOSSIBLE_SIGN in self.refused and self.name not in decisions.commanded
 
 
 def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
-    """Return every systematic effect that the robot can have and the model does not, as a family of shapes."""
+    """Return the systematic effects that the robot can have and the model lacks, each as a family of shapes."""
     problem = fit.problem
     have = {effect.name for effect in fit.effects}
     families = library_families(problem.recordings, problem.motions, have)
@@ -111,36 +111,36 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
 
 
 def terms_of(fit: Fit) -> frozenset[str]:
-    """Return what a model has, by name and channel, clocks that are off too."""
+    """Return the names and channels of the effects and random coefficients of a model, and "clock" if one is free."""
     clocks = ["clock"] if np.any(fit.free_clocks) else []
     return frozenset([*clocks, *(f"{e.name} {getattr(e, 'channel', '')}" for e in (*fit.effects, *fit.random))])
 
 
 def library_candidates(fit: Fit, decisions: Decisions, withdrawn: Container[str] = ()) -> list[Candidate]:
-    """Return all effects of the library as candidates, admitted ones first and by gain.
+    """Return all effects of the library as candidates: the admitted ones first, in order of their gains.
 
-    withdrawn : names of effects that this model did not keep
+    withdrawn : names of effects that were admitted to this model and removed again
     """
     candidates = [
         replace(c, refused=_WITHDRAWN) if c.name in withdrawn and not c.refused else c
         for c in _candidates(fit, decisions)
     ]
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
-    excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
+    excused = [_compensated(c, decisions) if c.refused == _DRIFT and c.gain > best else c for c in candidates]
     ranked = sorted(excused, key=_rank, reverse=True)
-    return [*ranked[:1], *(_lighter(c) for c in ranked[1:])]
+    return [*ranked[:1], *(_without_problem_data(c) for c in ranked[1:])]
 
 
-def _lighter(candidate: Candidate) -> Candidate:
-    """Return a candidate that is not selected without what only a refit would use: it is kept for reports."""
+def _without_problem_data(candidate: Candidate) -> Candidate:
+    """Return a candidate without the data that only refits need, for candidates that are kept for reports alone."""
     if candidate.fit is None:
         return candidate
     problem = replace(candidate.fit.problem, smoothers=(), left=())
     return replace(candidate, fit=replace(candidate.fit, problem=problem))
 
 
-def _excused(candidate: Candidate, decisions: Decisions) -> Candidate:
-    """Return the candidate admitted, where what comes next makes good the path that it spoils alone."""
+def _compensated(candidate: Candidate, decisions: Decisions) -> Candidate:
+    """Return the candidate admitted if a following candidate would undo the growth of the drift; else unchanged."""
     if candidate.fit is None:
         return candidate
     following = (c for c in _candidates(candidate.fit, decisions) if not c.refused)
@@ -153,9 +153,9 @@ def _rank(candidate: Candidate) -> tuple[bool, float, float]:
 
 
 def _candidates(fit: Fit, decisions: Decisions) -> Iterator[Candidate]:
-    """Yield all effects of the library as candidates, those first that are likely to explain most.
+    """Yield all effects of the library as candidates, in decreasing order of their likely gains.
 
-    A shape is refined by exact columns only where its effect may still make the shortlist.
+    A shape is refined with exact columns only if its effect may still reach the shortlist.
     """
     search = LibrarySearch(fit, library(fit), decisions)
     still = hardly_turns(fit)
@@ -174,15 +174,15 @@ def _candidates(fit: Fit, decisions: Decisions) -> Iterator[Candidate]:
         refits += 1
         candidate = _refitted(fit, score, decisions)
         if not candidate.refused:
-            # one that cannot be had stands in nobody's way
+            # a refused candidate does not raise the threshold for the others
             leader = max(leader, score.robust_nats)
         yield candidate
 
 
 def levels_of(scores: Sequence[Score], decisions: Decisions) -> dict[str, float]:
-    """Return the level for the p of each effect that was tested with the others, by name.
+    """Return the significance level of each effect of a joint test, by name.
 
-    Every p counts the family as if its members were alike a priori; they are not, see `error_shares`.
+    All p values are corrected with equal weights; the levels account for prior probabilities, see `error_shares`.
     """
     names = [score.term.name for score in scores if score.separable]
     shares = error_shares(names, decisions)
@@ -191,9 +191,9 @@ def levels_of(scores: Sequence[Score], decisions: Decisions) -> dict[str, float]
 
 
 def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, still: bool) -> str:
-    """Return why an effect of the library is out of question, or nothing.
+    """Return the reason to refuse an effect of the library before any refit; "" if there is none.
 
-    level : what its p has to be below; still : the robot hardly turns
+    level : significance level of the effect; still : whether the robot hardly turns
     """
     if not score.separable:
         return "not separable from what is in the model"
@@ -208,28 +208,28 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
     for p, value, _ in own:
         room = p.high if value > 0.0 else -p.low
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
-            why = "beyond what is physically possible" if room > 0.0 else _FORBIDDEN
+            why = "beyond what is physically possible" if room > 0.0 else _IMPOSSIBLE_SIGN
             return f"{p.name} would be {value:.3g}, {why}"
     if score.effect.name != "channel_lag" and (of_pulls(fit, score.estimated) or may_be_of_lags(fit, score)):
-        return "no larger than what a filter makes that comes late, or is given poses as well"
-    return _made_by_noise(fit, score, still=still)
+        return "no larger than the artefact of a filter with a delay or with pose updates"
+    return _imitated_by_noise(fit, score, still=still)
 
 
-def _made_by_noise(fit: Fit, score: Score, *, still: bool) -> str:
-    """Return by which noise an effect may be made that data speak for otherwise, or nothing."""
+def _imitated_by_noise(fit: Fit, score: Score, *, still: bool) -> str:
+    """Return the kind of noise that may imitate a significant effect, as a reason for refusal; "" if there is none."""
     columns = score.term.columns(fit.problem)
     if _shows_at_rest_only(fit, score, columns):
         return "shows only while the robot stands, and moves nothing there by itself"
-    answers = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
-    steered = answers or (still and acts_in_curves_only(fit, score.effect))
+    corrections = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
+    steered = corrections or (still and acts_in_curves_only(fit, score.effect))
     return "turns no larger than the noise: it may be a driver who steers back" if steered else ""
 
 
 def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:
-    """Tell whether an effect of the motion explains nothing but intervals in which the odometry creeps at best.
+    """Tell whether an effect of the motion gains only on intervals in which the odometry rests or creeps.
 
-    Noise that grows with the motion hardly allows for creep: a millimetre a second is plain, and any cause fits it that
-    takes slow motion away. What acts at rest, such as a gyro's bias, may well show there alone.
+    A noise law that grows with the motion allows for hardly any noise there. A creep of 1 mm/s is then significant, and
+    any effect that reduces slow motion fits it. Effects that act at rest, such as a gyro bias, are exempt.
     """
     nodes = fit.problem.nodes
     rates = np.stack((nodes.distance_m, np.abs(nodes.odometry_step[:, 2]))) / (nodes.end_s - nodes.start_s)
@@ -244,7 +244,7 @@ def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:
 
 
 def _acts_at_rest(fit: Fit, effect: Effect) -> bool:
-    """Tell whether an effect moves the odometry of a robot that stands."""
+    """Tell whether an effect moves the odometry of a robot at rest."""
     for m in fit.problem.motions:
         none = np.zeros(len(m))
         if error_of(effect, replace(m, v=none, vy=none, omega=none, acceleration=0.0 * m.acceleration)).any():
@@ -253,10 +253,10 @@ def _acts_at_rest(fit: Fit, effect: Effect) -> bool:
 
 
 def _first_order_room(fit: Fit, effect: Effect, p: Parameter, bound: float) -> float:
-    """Return how large an estimate of first order may be of a parameter that reaches its bound.
+    """Return the first-order estimate that corresponds to a parameter at its bound.
 
-    A robot that turns four times as far as its odometry says has a track of a quarter: three times its odometry's turns
-    are missing, and a parameter of three would say so to first order.
+    The error may be non-linear in the parameter. A robot whose track is a quarter of the nominal one turns four times
+    as far as its odometry: three times the reported turn is missing, so the first-order estimate is 3.
     """
 
     def size(value: float) -> float:
@@ -268,15 +268,15 @@ def _first_order_room(fit: Fit, effect: Effect, p: Parameter, bound: float) -> f
 
 
 def _refitted(fit: Fit, score: Score, decisions: Decisions) -> Candidate:
-    """Return a candidate fitted together with the model, robust weights kept so that likelihoods compare."""
+    """Return a candidate fitted jointly with the model; robust weights stay fixed, so that likelihoods compare."""
     effects, weights = (*fit.effects, score.estimated), fit.noise.weights
-    # an effect that scales turns scales their noise, and a scale error of a gyro does not: only to first order, with
-    # the same noise, does the one compare with the other
+    # an effect that scales turns also scales their noise, a scale error of a gyro does not: the two are comparable
+    # only to first order, with the same noise
     alike = None if sees_travel(fit.problem.recordings) else score.nats
     candidate = tried(fit, fit.refit(effects, weights=weights), score, decisions, gain=alike)
     if candidate.gain > 0.0 or not np.any(fit.free_clocks) or candidate.fit is None:
         return candidate
-    # between two stamps odometry is smoother: where the clock had strayed there, coming back looks like a loss
+    # interpolated odometry is smoother between stamps: if the clock had drifted there, its return looks like a loss
     held = fit.refit(effects, weights=weights, free_clocks=[(False, False)] * len(fit.free_clocks))
     return tried(fit, candidate.fit, score, decisions, gain=held.log_likelihood - fit.log_likelihood - score.penalty)
 
@@ -284,9 +284,9 @@ def _refitted(fit: Fit, score: Score, decisions: Decisions) -> Candidate:
 def tried(
     fit: Fit, with_it: Fit, score: Score, decisions: Decisions, *, gain: float | None = None, least: float = 0.0
 ) -> Candidate:
-    """Return a term as a candidate, admitted if the fit with it gains and hardly drifts more than the one without.
+    """Return a term as a candidate, admitted if the fit with it gains and its drift hardly exceeds that without it.
 
-    gain : default what the likelihood gains less the penalty; least : what it has to
+    gain : default the gain in log likelihood minus the penalty, nats; least : gain required, nats
     """
     if gain is None:
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty
@@ -294,11 +294,11 @@ def tried(
     if beyond:
         return Candidate(score=score, fit=with_it, gain=gain, refused=beyond)
     before, after = drift(fit), drift(with_it)
-    spoiled = _worse(after, before, decisions)
-    if spoiled and has_bias(fit.problem):
-        # a scale that drifts from the truth's own wrong one to another wrong one spoils nothing
-        spoiled = _worse(drift(with_it, truths_scaled=True), drift(fit, truths_scaled=True), decisions)
-    refused = "gains nothing when everything is fitted together" if gain <= least else _SPOILS if spoiled else ""
+    worse = _worse(after, before, decisions)
+    if worse and has_bias(fit.problem):
+        # compare without the truth's own scale errors: a move from one wrong scale to another is no deterioration
+        worse = _worse(drift(with_it, truths_scaled=True), drift(fit, truths_scaled=True), decisions)
+    refused = "gains nothing when everything is fitted together" if gain <= least else _DRIFT if worse else ""
     return Candidate(score=score, fit=with_it, gain=gain, rmse=(before.rmse, after.rmse), refused=refused)
 
 
@@ -309,7 +309,7 @@ def _worse(after: Drift, before: Drift, decisions: Decisions) -> bool:
 
 
 def channels_of(fit: Fit, effect: Effect) -> list[str]:
-    """Return the channels that an effect acts on."""
+    """Return the channels on which an effect acts."""
     changed = {p.name: p.identity + p.step for p in amplitudes(effect)}
     acting = replace(effect, **changed)  # type: ignore[type-var]  # effects are dataclasses
     acts = np.any([np.abs(error_of(acting, m)).max(axis=0) > 0.0 for m in fit.problem.motions], axis=0)
@@ -317,7 +317,7 @@ def channels_of(fit: Fit, effect: Effect) -> list[str]:
 
 
 def _on_bounds(fit: Fit, score: Score) -> str:
-    """Return why a fitted term is not possible, or nothing: a parameter that runs into its bound is no cause."""
+    """Return the reason for refusal if a fitted parameter is on its bound; else ""."""
     effect = next((e for e in fit.onward.effects if e.name == score.term.name), None)
     for p in amplitudes(effect) if effect is not None else ():
         value = getattr(effect, p.name)
@@ -327,19 +327,19 @@ def _on_bounds(fit: Fit, score: Score) -> str:
 
 
 def include(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
-    """Return the fit with a term, robust weights estimated again and its shape refined, and the term as it is then.
+    """Return the fit with a term and the term with its refined shape.
 
-    What looked like outliers may be explained now.
+    Robust weights are re-estimated, because the term may explain intervals that were outliers before.
     """
     return with_shape_refined(fit.refit((*fit.effects, score.estimated)), score, decisions)
 
 
 def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
-    """Return the fit with the shape of one of its terms searched again, now that what it explains is no noise any more.
+    """Return the fit with the shape of one of its terms refined, beside noise estimated with the term in the model.
 
-    Words that are the same to first order (a filter, a delay) only a refit tells apart.
+    Word-valued parameters with the same first-order effect (filter or delay) are compared by refits.
 
-    score : the term as it is in the model; both come back as they were where another shape gains too little
+    score : the term in its present shape; fit and score are returned unchanged if another shape gains too little
     """
     fit, score = _with_words_refined(fit, score, decisions)
     if not len(score.term.shape):
@@ -361,7 +361,7 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
 
 
 def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
-    """Return the fit with those words of one of its terms, the source of the heading apart, that a refit prefers."""
+    """Return the fit with the word-valued parameters of a term chosen by refits, all but the source of the heading."""
     if not isinstance(score.term, LibraryTerm):
         return fit, score
     effect = next(e for e in fit.effects if e.name == score.term.name)
@@ -371,7 +371,7 @@ def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[F
             said = replace(effect, **{word: getattr(other.start, word)})  # type: ignore[type-var]  # a dataclass
             try:
                 tried_fit = fit.refit([said if e is effect else e for e in fit.effects])
-            except EffectError:  # it acts on single wheels, and the track is not known
+            except EffectError:  # the effect acts on single wheels, and the track is unknown
                 continue
             if tried_fit.log_likelihood > best.log_likelihood + decisions.reshape_nats:
                 best, chosen = tried_fit, other
@@ -382,7 +382,7 @@ def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[F
 
 
 def _nearby(search: ShapeSearch, term: Term, fit: Fit) -> Term:
-    """Return a term at the maximum to climb from: for an effect of the library, its whole family is tried again."""
+    """Return the starting point for the final maximisation: for a library effect, the best of its whole family."""
     if isinstance(term, LibraryTerm):
         return search.best((term, *LibraryTerm.family(type(term.start), fit.problem.motions)))
     return search.climb(term)

@@ -1,4 +1,4 @@
-"""Comparison of a clock with effects that are the same to first order."""
+"""Comparison of a clock offset with effects that are equal to it to first order."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 __all__ = ["InPlaceOfClock", "late_motors", "more_nats"]
 
 _LEAD_S = 0.04
-"""Least lead of the odometry's clock that may be motors behind their commands: they take 50 ms and more."""
+"""Least lead of the odometry's clock at which a motor lag is tested, seconds: motors lag by 50 ms and more."""
 
 
 class InPlaceOfClock(NamedTuple):
-    """An effect that was fitted in the place of a clock.
+    """An effect fitted in place of a clock offset.
 
     candidate : the effect, beside the model without a clock
     fit : the model with the effect and without the clock
-    more_nats : log likelihood gained over the model with the clock, nats
+    more_nats : log likelihood of that fit minus that of the model with the clock, nats
     """
 
     candidate: Candidate
@@ -40,9 +40,9 @@ class InPlaceOfClock(NamedTuple):
 
 
 def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
-    """Return a fit with motors that follow commands late in the place of a clock that is ahead; None if not possible.
+    """Return a fit with a motor lag in place of the lead of the odometry's clock; None if not applicable.
 
-    A lag is a delay to first order, so that the clock, which is estimated before everything else, takes its part.
+    A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it.
     """
     clocks = fit.problem.clocks
     lead_s = min(-clock.offset_s for clock in clocks)
@@ -65,7 +65,7 @@ def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
 
 
 def more_nats(here: Fit, there: Fit) -> float:
-    """Return by how many nats one model explains more than another, whichever of their robust weights are used."""
+    """Return the log likelihood of `here` minus that of `there`, nats: the smaller one under either robust weights."""
     same = there.refit(weights=carried(here.noise.weights, here.problem, there.problem))
     turned = here.refit(weights=carried(there.noise.weights, there.problem, here.problem))
     return min(here.log_likelihood - same.log_likelihood, turned.log_likelihood - there.log_likelihood)

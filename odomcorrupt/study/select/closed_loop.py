@@ -1,9 +1,9 @@
-"""Closed-loop bias: turns by which a controller answers to the noise look as if the odometry turned too much.
+"""Closed-loop bias: corrections of the heading by a controller look as if the odometry turned too much.
 
-Where a robot is kept on its line by somebody who sees the truth, noise that turned it is taken back within the second,
-and the odometry shows the turn back alone. Of K intervals such answers can explain K^2 / X chi-square at most, X being
-the information that the turns carry about a gain of the yaw: nothing where turns are plainly larger than the noise,
-all of it on a straight line. Endogeneity of closed loops: Ljung 1999, System Identification, section 13.4.
+If a controller or driver with access to the true pose keeps a robot on its line, noise in the heading is corrected
+within a second, and the odometry shows only the correction. On K intervals such corrections explain at most a
+chi-square of K^2 / X, where X is the information of the turns about a yaw gain. This is negligible if turns are much
+larger than the noise, and everything on a straight line. Source: Ljung 1999, System Identification, section 13.4.
 """
 
 from __future__ import annotations
@@ -34,63 +34,63 @@ __all__ = [
     "of_pulls",
 ]
 
-_ACTIVE = 1e-3
-_MOSTLY = 0.95
-_LATE_S, _PULLED = 0.05, 2.0
-"""Odometry of a filter is late by so much even where its clock is right; and how much more than that pulls may do."""
-_LATEST_S = 0.15
-"""What is later than this is late by its clock, not by a filter of odometry (30 Hz, lags of 40 to 120 ms)."""
-_PLAIN_TURNS = 4.0
-"""Information of a drive's turns per interval: on the root of their mean square, two standard errors of the noise."""
+_ACTIVE = 1e-3  # fraction of the largest information per interval above which an interval counts in K
+_MOSTLY = 0.95  # least absolute cosine between a column and the turns for a gain of turns
+_LEAST_DELAY_S, _PULL_MARGIN = 0.05, 2.0
+"""Least delay assumed for filtered odometry, seconds, and the factor by which pose updates may exceed the estimate."""
+_LARGEST_DELAY_S = 0.15
+"""Delay above which the clock and not a filter is the cause, seconds (filters at 30 Hz lag by 40 to 120 ms)."""
+_LEAST_TURNS = 4.0
+"""Least chi-square of turns per interval: their root mean square is then two standard deviations of the noise."""
 
 
 def may_be_steering(fit: Fit, columns: Array, estimate: Array) -> bool:
-    """Tell whether what a gain of turns explains, one number, may be a controller's answers to the noise.
+    """Tell whether a yaw gain with one coefficient may be caused by a controller's corrections of the heading.
 
-    It may where it says that the truth turned less, and is not more than answers can be.
+    This is so if by its sign the truth turned less than the odometry, and its size is within the bound K^2 / X.
 
     Parameters
     ----------
     fit : the fitted model
     columns : (K, 3, p)
-        What a unit of each number does to the residuals.
+        Change of the residuals per unit of each coefficient.
     estimate : (p,)
 
     """
     if columns.shape[2] != 1:
         return False
-    if float(columns[:, 2, 0] @ _turned(fit)[:, 2]) * estimate[0] <= 0.0:
+    if float(columns[:, 2, 0] @ _turn_columns(fit)[:, 2]) * estimate[0] <= 0.0:
         return False
     white = fit.noise.whitener.whiten(columns).reshape(-1, 3)
     size = np.sum(white**2, axis=1)
     active = int(np.sum(size > _ACTIVE * size.max(initial=0.0)))
-    return bool(abs(estimate[0]) * size.sum() <= active * _unit(columns, _turned(fit)))
+    return bool(abs(estimate[0]) * size.sum() <= active * _unit(columns, _turn_columns(fit)))
 
 
 def _unit(columns: Array, turned: Array) -> float:
-    """Return by how much a number of one changes a turn where it acts most: 1 for a gain."""
+    """Return the relative change of turns per unit coefficient, as the 90 % quantile over large turns; 1 for a gain."""
     size = np.abs(turned[:, 2])
     plain = size > np.quantile(size, 0.5)
     return float(np.quantile(np.abs(columns[plain, 2, 0]) / size[plain], 0.9)) if plain.any() else 0.0
 
 
 def is_gain_of_turns(fit: Fit, columns: Array) -> bool:
-    """Tell whether columns (K, 3, p) are one, and in proportion to the turns."""
-    turned = _turned(fit)[:, 2]
+    """Tell whether columns (K, 3, p) are a single one, nearly proportional to the turns."""
+    turned = _turn_columns(fit)[:, 2]
     length = float(np.linalg.norm(turned) * np.linalg.norm(columns[:, 2, 0]))
     return columns.shape[2] == 1 and bool(abs(turned @ columns[:, 2, 0]) > _MOSTLY * length)
 
 
 def hardly_turns(fit: Fit) -> bool:
-    """Tell whether a whole drive has no turns to speak of, so that nothing can be said of the yaw error per turn."""
-    white = fit.noise.whitener.whiten(_turned(fit)[:, :, None])
-    return float(np.sum(white**2)) < _PLAIN_TURNS * len(fit.problem.nodes)
+    """Tell whether the turns of a whole drive are too small to estimate a yaw error per turn."""
+    white = fit.noise.whitener.whiten(_turn_columns(fit)[:, :, None])
+    return float(np.sum(white**2)) < _LEAST_TURNS * len(fit.problem.nodes)
 
 
 def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
-    """Tell whether an effect does nothing to a robot that goes straight, nor to one that turns on the spot.
+    """Tell whether an effect has no influence on straight driving, and none on turns on the spot.
 
-    A heading knocked off and taken back within an interval has moved the robot sideways, as such an effect does.
+    A heading disturbance that is corrected within an interval moves the robot sideways, as such an effect does.
     """
     changed = {p.name: p.identity + p.step for p in amplitudes(effect)}
     acting = replace(effect, **changed)  # type: ignore[type-var]  # effects are dataclasses
@@ -104,17 +104,17 @@ def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
 
 
 def may_be_of_lags(fit: Fit, score: Score) -> bool:
-    """Tell whether a term is no larger than what the form of lags makes of it, within two standard errors.
+    """Tell whether an imperfect model of a lag may explain a term, within two standard errors.
 
-    A clock that is late by t, a delay of a channel and a first-order filter differ by t^2 / 2 times the second
-    derivative of the speed. That goes against the speed itself, <v v''> = -<v'^2>, and passes for a gain of a few parts
+    A clock offset of t, a delay of one channel and a first-order filter differ by t^2 / 2 times the second derivative
+    of the speed. This is negatively correlated with the speed, <v v''> = -<v'^2>, and resembles a gain of a few parts
     in 10,000.
     """
     problem = fit.problem
     lags = [effect for effect in problem.effects if effect.name == "channel_lag"]
     if not (lags or any(recording.pose_corrections for recording in problem.recordings)):
         return False
-    clock_s = max((abs(c.offset_s) for c in problem.clocks if abs(c.offset_s) < _LATEST_S), default=0.0)
+    clock_s = max((abs(c.offset_s) for c in problem.clocks if abs(c.offset_s) < _LARGEST_DELAY_S), default=0.0)
     rest, made = project_out(fit), np.zeros(len(score.estimate))
     own = rest.of(fit.noise.whitener.whiten(score.term.columns(problem)))
     for channel, column in (("along", 0), ("yaw", 2)):
@@ -127,20 +127,20 @@ def may_be_of_lags(fit: Fit, score: Score) -> bool:
 
 
 def is_pulled(fit: Fit) -> bool:
-    """Tell whether a filter pulls the odometry of any recording towards poses, so that its noise fades."""
+    """Tell whether a filter pulls the odometry of any recording towards external poses, so that its noise decays."""
     return any(recording.pulled_per_s > 0.0 for recording in fit.problem.recordings)
 
 
 def of_pulls(fit: Fit, effect: Effect) -> bool:
-    """Tell whether an effect is as small as what poses from outside make of odometry that comes late.
+    """Tell whether an effect is no larger than the artefact of external pose updates in delayed odometry.
 
-    A filter that is given poses pulls odometry by a part of how far off it is every second, and odometry that is late
-    is off by what the robot moved meanwhile: together that is a gain of travel and of turns.
+    A filter with pose updates reduces the error of its odometry by a fraction per second. The error of delayed odometry
+    is the motion during the delay, so the updates imitate a gain of travel and of turns.
     """
     problem = fit.problem
     filtered = sum(getattr(e, "tau", 0.0) for e in problem.effects if e.name == "channel_lag")
-    late_s = max(_LATE_S, filtered, *(abs(clock.offset_s) for clock in problem.clocks))
-    most = _PULLED * late_s * max(recording.pulled_per_s for recording in problem.recordings)
+    late_s = max(_LEAST_DELAY_S, filtered, *(abs(clock.offset_s) for clock in problem.clocks))
+    most = _PULL_MARGIN * late_s * max(recording.pulled_per_s for recording in problem.recordings)
     if not most > 0.0:
         return False
     moved = np.concatenate([np.stack((m.v, m.omega), axis=1) for m in problem.motions])
@@ -149,8 +149,8 @@ def of_pulls(fit: Fit, effect: Effect) -> bool:
     return bool(np.all(size <= most * usual))
 
 
-def _turned(fit: Fit) -> Array:
-    """Return (K, 3) what a gain of one on all turns would do to the residuals."""
+def _turn_columns(fit: Fit) -> Array:
+    """Return the change (K, 3) of the residuals by a gain of one on all turns."""
     problem = fit.problem
     turned = np.zeros((sum(len(m) for m in problem.motions), 3))
     turned[:, 2] = np.concatenate([MOVES["omega"](m) * m.dt_s for m in problem.motions])

@@ -1,14 +1,14 @@
-"""Confidence: the probability that an included effect is the cause, among rivals, chance, and causes without a name.
+"""Confidence: probability that an included effect is the cause, against rivals, chance, and unlisted causes.
 
-With g the nats that an effect gains and g_i those of its rivals (all less their penalties), u the nats that
-dependences still gain in the final model, w those of correlated noise in it, and m the nats by which the final model
-prefers the effect to the best basis function in its place, the odds against it are
+Let g be the gain of the effect and g_i the gains of its rivals, in nats and minus their penalties. In the final model,
+u is the gain that a dependence still offers, w the gain of correlated noise, and m the gain of the effect over the best
+basis function in its place. The odds against the effect are
 
     sum_i exp(T (g_i - g))  +  exp(-T g)  +  exp(D - T m)  +  E + (U u + C w) / g
 
-for rivals, nothing at all, a basis function, and something else: a cause that is in no library is explained by a known
-one in part only, and what is left of it shows as a dependence or as correlated noise. T, D, E, U and C are `temper`,
-`dependence_nats`, `elsewhere`, `unexplained` and `correlated` of `decisions.PriorOdds`.
+for rivals, chance, a basis function, and unlisted causes. A library effect explains an unlisted cause only in part; the
+rest appears as a dependence or as correlated noise. T, D, E, U and C are `temper`, `dependence_nats`, `elsewhere`,
+`unexplained` and `correlated` of `decisions.PriorOdds`.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ if TYPE_CHECKING:
 __all__ = ["Evidence", "confidence", "evidence_of", "held_out_limit", "noise_evidence", "odds_against", "odds_formula"]
 
 _SHORT_ARM_M = 0.005
-"""A tracked point may be off by more, and single wheels do not make as much of it."""
+"""Largest lever arm, m, that errors of single wheels can imitate."""
 _USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5
-"""A track on which to see whether an effect acts on single wheels, and what it then does."""
-_MISFIT = 0.2
-"""Part of what an effect explains up to which another one of its kind may be an imperfection of it."""
+"""Track, m, and change of the error, m/s, for the test whether an effect acts on single wheels."""
+_MISFIT_GAIN = 0.2
+"""Fraction of an effect's gain up to which a similar effect may be a misfit of its model."""
 _LATE = (*RIVALS, "motor_lag", "steering_lag", "steering_play")
-"""Effects that are late or slip where speeds change, none of them exactly so."""
-_FORM = 0.03
-"""Part of what the largest effect moves the odometry by in 10 s up to which another may be an imperfection of it."""
+"""Effects of delay or slip at changes of speed; their models are approximate."""
+_MISFIT_DISPLACEMENT = 0.03
+"""Fraction of the largest effect's displacement in 10 s up to which another effect may be a misfit of its model."""
 HELD_OUT_ERRORS = 2.0
-"""A gain on held-out data may be larger than it was seen by so many of its standard errors."""
+"""Standard errors by which the true held-out gain may exceed its estimate."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What speaks for an effect and against it, in nats.
+    """Evidence for and against an effect, nats.
 
-    own : what it gains, less its penalty
-    rivals : the same of every other candidate that was refitted and not refused; twins are no rivals
-    left : what the plainest dependence still gains in the final model
-    correlated : what correlated noise in the final model gains
-    margin : by how much the final model prefers it to the best basis function in its place
+    own : gain of the effect minus its penalty
+    rivals : the same for every other candidate that was refitted and not refused; aliases are excluded
+    left : gain of the most significant dependence that the final model leaves
+    correlated : gain of correlated noise in the final model
+    margin : gain over the best basis function in place of the effect, in the final model
     """
 
     own: float
@@ -66,13 +66,13 @@ class Evidence:
 
 
 def confidence(evidence: Evidence, prior: PriorOdds = DECISIONS.prior) -> float:
-    """Return the probability, within [0, 1), that an effect is right, or a twin of what is."""
+    """Return the probability, in [0, 1), that an effect, or an alias of it, is the cause."""
     odds = odds_against(evidence, prior)
     return 1.0 / (1.0 + odds) if isfinite(odds) else 0.0
 
 
 def odds_against(evidence: Evidence, prior: PriorOdds = DECISIONS.prior) -> float:
-    """Return the odds of rivals, nothing and something else together against an effect; positive, perhaps infinite."""
+    """Return the odds of all alternatives together against an effect: positive, possibly infinite."""
     if not evidence.own > 0.0:
         return inf
     rivals = sum(_exp(prior.temper * (g - evidence.own)) for g in evidence.rivals if isfinite(g))
@@ -97,27 +97,27 @@ def _exp(nats: float) -> float:
 
 
 def held_out_limit(name: str, nats: float, learned: Learned) -> float:
-    """Return the nats that a part of a model gains on the fitted data, no more than data that were not fitted allow."""
+    """Return the gain of a part of a model on the fitted data, nats, limited by its gain on held-out data."""
     most, error = learned.held_out.get(name, (inf, 0.0))
     return min(nats, max(most + HELD_OUT_ERRORS * error, 0.0))
 
 
 def evidence_of(step: Step, learned: Learned) -> Evidence:
-    """Return the evidence for the effect that a step included, in the light of the final model."""
+    """Return the evidence, given the final model, for the effect that a step included."""
     gain = step.candidates[0].gain
     own = held_out_limit(step.added or "", gain, learned)
-    # what chance gave to the effect on the fitted data it gave to its rivals, too
+    # overfitting raised the gains of the rivals as much as that of the effect
     rivals = tuple(c.gain - (gain - own) for c in step.candidates[1:] if not c.refused)
     if step.added in (*RIVALS, "motor_lag") and learned.clocks.ambiguous_nats > 0.0:
-        # the clock that was left out is a rival like any other; it explains no more than all of what this one does
+        # the clock offset that was set to zero is a rival; its gain is at most that of the effect
         rivals = (*rivals, min(own, learned.clocks.ambiguous_nats))
     if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
-        # what a filter that is given poses takes out passes for gains and biases of any kind
+        # the pose updates of a filter imitate gains and biases of any kind
         rivals = (*rivals, own)
     if _may_be_of_wheels(step.added or "", learned):
         rivals = (*rivals, own)
     if learned.may_be_losses(step.added or ""):
-        rivals = (*rivals, own)  # lost increments are the same on average
+        rivals = (*rivals, own)  # lost increments have the same mean error
     if _may_be_remainder(step.added or "", learned) or _may_be_misfit(step, learned):
         rivals = (*rivals, own)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
@@ -126,19 +126,19 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
 
 
 def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
-    """Return the evidence for a random effect; any dependence resembles a slow gain, or heavy tails.
+    """Return the evidence for a random effect; any dependence resembles a slow random gain, or heavy tails.
 
-    What the form of a lag leaves stands out where speeds or angles change quickly, as tails do.
+    The misfit of a lag is large where speeds or steering angles change quickly, and resembles heavy tails.
     """
     left = 0.0 if gain.effect.layer == "record" else learned.left_nats
     own = held_out_limit(gain.effect.name, gain.nats, learned)
     late = [step.candidates[0].gain for step in learned.steps if step.added in _LATE]
-    misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT * max(late, default=0.0)
+    misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT_GAIN * max(late, default=0.0)
     return Evidence(own, (own,) if misfit else (), left=left)
 
 
 def _may_be_remainder(name: str, learned: Learned) -> bool:
-    """Return whether an effect may be what another one in the model leaves, see `Effect.remainder`."""
+    """Return whether an effect may be the remainder of another one in the model, see `Effect.remainder`."""
     effect = next((e for e in learned.fit.effects if e.name == name), None)
     if effect is None or max(effect.remainder) > 0.0:
         return False
@@ -148,23 +148,23 @@ def _may_be_remainder(name: str, learned: Learned) -> bool:
 
 
 def _may_be_misfit(step: Step, learned: Learned) -> bool:
-    """Return whether an effect may be what the form of a far larger one leaves.
+    """Return whether an effect may be a misfit of the model of a far larger one.
 
-    No form is exact to a hundredth: a steered wheel is off by the tangent of its angle. Nor is a lag just a filter or
-    a delay, or play rigid: what remains of these depends on the acceleration.
+    No effect model is exact to 1 %: a steering error enters by the tangent of the angle, for example. Nor is a real lag
+    exactly a filter or a delay, or real play rigid; their misfits depend on the acceleration.
     """
     moved = {name: one.ten_seconds.moved_m for name, one in learned.contributions.items()}
-    if step.added in moved and moved[step.added] < _FORM * max(moved.values()):
+    if step.added in moved and moved[step.added] < _MISFIT_DISPLACEMENT * max(moved.values()):
         return True
     others = [other.candidates[0].gain for other in learned.steps if other.added in RIVALS and other is not step]
-    return step.added in RIVALS and step.candidates[0].gain < _MISFIT * max(others, default=0.0)
+    return step.added in RIVALS and step.candidates[0].gain < _MISFIT_GAIN * max(others, default=0.0)
 
 
 def _may_be_of_wheels(name: str, learned: Learned) -> bool:
-    """Return whether a small offset of the tracked point may be part of what single wheels do on an unknown track.
+    """Return whether a small lever arm may be an error of single wheels on an unknown track.
 
-    Of a larger wheel on a track b the body's travel is longer in turns, as of y = curvature b^2 / 4 of a lever arm;
-    slip of each wheel by its own speed does alike.
+    With one larger wheel on a track b, the body's travel in turns is longer, as with a lever arm of
+    y = curvature b^2 / 4. Slip of each wheel in proportion to its own speed has a similar effect.
     """
     arm = next((e for e in learned.fit.effects if e.name == name == "lever_arm"), None)
     motion = learned.fit.problem.motions[0]

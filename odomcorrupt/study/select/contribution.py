@@ -1,9 +1,9 @@
-"""Contribution: how far each part of a model moves the odometry beside the error that is left; whether it matters.
+"""Contribution: displacement of the odometry by each part of a model, compared with the error of the model.
 
-A test says whether an effect is there, and with a good truth and a long drive a hundredth of any effect is. Whether it
-matters is another question: a part is negligible where the model without it (the rest refitted) leaves about the same
-error. The two paths differ by a distance that no noise of the truth enters; the error, with which it is compared, does
-contain that noise, so that less than the truth can show never counts as large.
+With an accurate truth and a long drive, effects of a hundredth of their usual size are significant. Practical relevance
+is another question: a part is negligible if the model without it (the rest refitted) has about the same error. The
+distance between the paths of the two models is free of truth noise. The error contains that noise, so a displacement
+below the accuracy of the truth never counts as large.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
 __all__ = ["FAR_M", "Contribution", "Span", "contributions"]
 
 FAR_M = 50.0
-"""Length of path after which slow causes show, as a bias does that hardly moves anything in 10 s, m."""
-_PHASES = np.arange(5) / 5.0
+"""Length of path, m, at which slow causes are measured, such as a bias with hardly any influence in 10 s."""
+_PHASES = np.arange(5) / 5.0  # starts of the first window, as fractions of a window
 _WHOLE = 0.9
-"""Part of its length that a window has to have."""
+"""Least length of a window, as a fraction of the nominal length."""
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """What a part does over windows of one length.
+    """Contribution of a part of a model over windows of one length.
 
-    moved_m : root mean square distance between the ends of the odometry corrected with and without it
-    error_m : root mean square error of the model with it
-    travelled_m : root mean square length of path
+    moved_m : root mean square distance between the ends of the odometry corrected with and without the part, m
+    error_m : root mean square error of the odometry corrected with it, m
+    travelled_m : root mean square length of path, m
     """
 
     moved_m: float
@@ -54,23 +54,23 @@ class Span:
 
     @property
     def share(self) -> float:
-        """By which part of it the error would grow without the part of the model, were both independent."""
+        """Relative growth of the error without the part, if the two are independent."""
         return hypot(1.0, self.moved_m / max(self.error_m, 1e-12)) - 1.0
 
     def negligible(self, share: float, per_m: float) -> bool:
-        """Return whether the error would grow by less than a share, or the part moves less than so much per metre."""
+        """Return whether the growth is below `share`, or the displacement below `per_m` metres per metre of path."""
         return self.share < share or self.moved_m < per_m * self.travelled_m
 
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one part of a model does to the odometry within 10 s, and over 50 m of path where a window is so long."""
+    """Contribution of one part of a model over 10 s, and over 50 m of path (None if no window is that long)."""
 
     ten_seconds: Span
     far: Span | None
 
     def negligible(self, practical: Practical) -> bool:
-        """Return whether it matters at neither length."""
+        """Return whether the part is negligible at both lengths."""
         if not self.ten_seconds.negligible(practical.share, practical.per_m):
             return False
         return self.far is None or self.far.negligible(practical.far_share, practical.per_m)
@@ -79,12 +79,12 @@ class Contribution:
 def contributions(
     fitted: Fit, recordings: Sequence[Recording] = (), clocks: Sequence[Clock] = ()
 ) -> dict[str, Contribution]:
-    """Return what each systematic part of a fitted model does, by name; nothing where no window is whole.
+    """Return the contribution of each systematic part of a fitted model, by name; empty if no window is complete.
 
     Parameters
     ----------
     fitted : the model; it is refitted without each part
-    recordings, clocks : what to measure on, such as recordings that were not fitted; default the fitted ones
+    recordings, clocks : recordings to measure on, such as held-out ones, and their clocks; default the fitted ones
     """
     problem = fitted.problem
     pairs = zip(recordings or problem.recordings, clocks or problem.clocks, strict=True)
@@ -98,7 +98,7 @@ def contributions(
         others = [other for other in fitted.effects if other is not effect]
         try:
             bare = _left(on_time, fitted.refit(others, weights=fitted.noise.weights))
-        except FitError:  # what holds a fit together matters
+        except FitError:  # no fit without this part, so no contribution can be computed
             continue
         near, far = (_span(left, bare, one) for one in windows)
         if near is not None:
@@ -111,7 +111,7 @@ def _left(recordings: Sequence[Recording], fitted: Fit) -> list[Recording]:
 
 
 def _windows(recordings: Sequence[Recording], distance_m: float | None) -> list[Array]:
-    """Return the ends (n, 2) of windows of each recording at five phases, s: of a length of path, or of 10 s."""
+    """Return begin and end (n, 2) of the windows of each recording, s, at five phases: by length of path, or 10 s."""
     found = []
     for one in recordings:
         cuts = [
@@ -119,7 +119,7 @@ def _windows(recordings: Sequence[Recording], distance_m: float | None) -> list[
             for phase in _PHASES
         ]
         ends = np.concatenate([np.stack((cut.start_s, cut.end_s), axis=1) for cut in cuts])
-        # the last window of a length of path ends with the drive
+        # the last window may be short, because it ends with the drive
         found.append(ends if distance_m is None else ends[_travelled(one, ends) > _WHOLE * distance_m])
     return found
 
@@ -132,20 +132,20 @@ def _travelled(recording: Recording, ends: Array) -> Array:
     return metres
 
 
-def _moves(path: Trajectory, ends: Array, origin_ns: int) -> Array:
-    """Return where a path gets to in each window, (n, 2) m in the frame of its start."""
+def _displacements(path: Trajectory, ends: Array, origin_ns: int) -> Array:
+    """Return the displacement (n, 2) of a path over each window, m, in the frame of the pose at its start."""
     first, last = (path.at(at_s, origin_ns) for at_s in ends.T)
     return between(first, last)[:, :2]
 
 
 def _span(left: Sequence[Recording], bare: Sequence[Recording], windows: Sequence[Array]) -> Span | None:
-    """Return what a part does: the recordings corrected with it and without it; None where no window is whole."""
+    """Return the contribution of a part from recordings corrected with and without it; None without any window."""
     every = list(zip(left, bare, windows, strict=True))
     if not any(len(ends) for ends in windows):
         return None
-    whole = np.concatenate([_moves(one.odometry, ends, one.origin_ns) for one, _, ends in every])
-    without = np.concatenate([_moves(other.odometry, ends, other.origin_ns) for _, other, ends in every])
-    truth = np.concatenate([_moves(one.truth, ends, one.origin_ns) for one, _, ends in every])
+    whole = np.concatenate([_displacements(one.odometry, ends, one.origin_ns) for one, _, ends in every])
+    without = np.concatenate([_displacements(other.odometry, ends, other.origin_ns) for _, other, ends in every])
+    truth = np.concatenate([_displacements(one.truth, ends, one.origin_ns) for one, _, ends in every])
     metres = np.concatenate([_travelled(one, ends) for one, _, ends in every])
     sizes = (_rms(whole - without), _rms(whole - truth), float(np.sqrt(np.mean(metres**2))))
     return Span(*sizes) if all(map(isfinite, sizes)) else None

@@ -1,10 +1,10 @@
-"""Every number that decides what is included, kept, replaced or dropped, each with its reason.
+"""Thresholds of the model selection: inclusion, replacement and removal of terms, with the reason for each.
 
-Numbers that are part of a computation (steps of a search, numeric guards) stay where they are used; these are the ones
-that another judgement might set otherwise. `learn(..., decisions=replace(DECISIONS, level=0.05))` does.
+A user may choose other values: `learn(..., decisions=replace(DECISIONS, level=0.05))`. Numerical settings (steps of a
+search, guards) are constants of the modules that use them.
 
-Unless said otherwise gains are in nats: differences of log likelihood, less a penalty of half the logarithm of the
-number of intervals for each number that is fitted, and the logarithm of the size of the family it was selected from.
+Values named `..._nats` are natural-log units. A gain is a difference of log likelihoods minus the penalty of the term
+(`penalty`). "Benchmark" means the simulated drives with known causes of `benchmarks/laboratory`.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ __all__ = ["DECISIONS", "Decisions", "Practical", "PriorOdds", "error_shares", "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PriorOdds:
-    """What enters the reported probability of an effect besides the fits themselves, see `confidence`.
+    """Prior weights in the reported probability of an effect; the formula is in `confidence`.
 
-    temper : how much a nat counts; below 1 if the noise model were too narrow. The laboratory's reliability curve
-        lies on the diagonal at 1
-    elsewhere : odds against any name however plain: causes that the library does not have
-    unexplained : what is left in the end, in parts of what the effect explains, counts as much as odds against it
-    correlated : the same of correlated noise, which may well be there besides
-    dependence_nats : by how many nats a basis function is the likelier a priori. Of 90 effects of the laboratory's
-        third and fourth runs that gained 2 to 6 nats more than the best basis function would, 81 were right and 9
-        wrong, 8 of these for causes that no library has
+    temper : factor on all gains, dimensionless; below 1 if the noise model were overconfident. At 1 the reliability
+        curve of the benchmark lies on the diagonal
+    elsewhere : prior odds of a cause that is not in the library
+    unexplained : odds against an effect, per unexplained gain in units of the effect's own gain
+    correlated : the same for the gain of correlated noise; smaller, because such noise may exist beside the effect
+    dependence_nats : prior log odds of a basis function over an effect. Of 90 effects in the benchmark's third and
+        fourth runs that gained 2 to 6 nats more than the best basis function, 81 were right and 9 wrong, 8 of these
+        because the true cause was in no library
     """
 
     temper: float = 1.0
@@ -47,12 +47,12 @@ class PriorOdds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Practical:
-    """What matters in practice; smaller things are reported as there, and as negligible.
+    """Practical significance: a part of a model below these limits is reported as present but negligible.
 
-    share : part by which the 10 s error has to grow without a part of the model
-    far_share : the same over 50 m of path, of which a drive has few windows
-    per_m : what has to be moved per metre of path, m: a tenth of a millimetre, which is 0.01 %. Nominal radii and
-        tracks are known to a few tenths of a per cent, and calibration leaves some hundredths
+    share : least relative growth of the 10 s error if the part is left out
+    far_share : the same for the error over 50 m of path; larger, because a drive has few such windows
+    per_m : least displacement of the odometry by the part, metres per metre of path: 0.1 mm, which is 0.01 %. Nominal
+        radii and tracks are known to a few tenths of a per cent, calibrated ones to some hundredths
     """
 
     share: float = 0.02
@@ -62,56 +62,56 @@ class Practical:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decisions:
-    """The decisions of the selection.
+    """Thresholds of one selection.
 
-    max_effects, max_correlated, max_dependences : how many effects of the library, kinds of correlated noise and basis
-        functions are included at most; mixtures of more than three causes were never separable in ten minutes
+    max_effects, max_correlated, max_dependences : largest number of library effects, of kinds of correlated noise and
+        of basis functions in a model; mixtures of more than three causes were never separable in ten minutes
 
-    level : probability of including any effect of the library on data without one, by the worse of two tests (under
-        the noise model, and robust to it). In 200 controls of the laboratory one effect was included
-    shortlist : how many candidates are refitted in a step, and how many dependences
-    shortlist_share : part of the leader's evidence below which a refit would not change the order
-    testable_errors : an effect is testable if this many standard errors fit into half of what is physically possible:
-        a threshold of about 4 to 5 standard errors is what the laboratory detects
-    max_share : largest part of the robot's own motion that a basis function may explain: what moves by itself is no
-        error of moving
-    drift_factor, drift_plain, drift_errors : an inclusion must not raise the 10 s position error of the fitted data by
-        more than the first factor, unless windows compared one by one show less than so many standard errors of it;
-        by more than the second factor never. An effect that the drift hardly depends on moves it by about a hundredth
+    level : probability of including any library effect on data without one, by the larger p of two tests (under the
+        noise model, and cluster-robust). In the benchmark's 200 drives without a fault one effect was included
+    shortlist : largest number of candidates, and of dependences, that are refitted in one step
+    shortlist_share : a candidate with less than this fraction of the best robust gain is not refitted, because the
+        refit would not change the order
+    testable_errors : an effect is testable if half of its physical range exceeds this many standard errors; the
+        benchmark detects effects from about 4 to 5 standard errors on
+    max_share : largest fraction of the robot's own motion that a basis function may explain as odometry error
+    drift_factor, drift_plain, drift_errors : an inclusion is refused if the 10 s position error of the fitted data
+        grows by more than a factor of `drift_factor`, unless paired windows show less than `drift_errors` standard
+        errors of growth; above `drift_plain` always. An effect with little influence on the drift changes it by ~1 %
 
-    alternative_nats : effects within so much of the best one are alternatives, which the data do not separate: odds
-        of 20 to 1
-    replacement_nats : by how much a basis function has to explain more than an effect of the library to be included
-        instead: a known cause is the likelier a priori
-    copy_share : part of what an effect explains of which a basis function that explains more than this part is a copy
-        of it and no replacement; causes of their own shared at most 0.96
-    form_share : part of the best form's gain that other forms of a dependence need to be fitted beside it
-    reshape_nats : what a refined shape has to gain in the likelihood of a refit
-    common, rare_nats : causes that every robot has a little of, and by how many nats the others are the less likely a
-        priori: nominal radii and tracks are never exact (Borenstein & Feng 1996), gyros have a bias and a scale, and a
-        steering its zero and its ratio; seven to one
-    commanded, commanded_nats : causes of odometry that is computed from commands or from counts that get lost, and by
-        how many nats these are the less likely a priori on top: most odometry is of encoders; four hundred to one
-    unusual_nats : what a heading from a gyro has to explain on top where a whole model, or a basis function, says so
-    unusual_shape_nats : the same in a shape search of one effect, before it is refitted
-    known_gyro_nats : the same where a gyro's bias is in the model, so that there is a gyro
-    related_nats, related_share : what a disc has to explain, and of what the best basis function explains, for
-        rectangles to be worth their time
+    alternative_nats : effects within this gain of the best one are alternatives that the data do not separate; 3 nats
+        are odds of 20 to 1. Correlated noise needs this much more than the best effect and dependence
+    replacement_nats : additional gain required of a basis function that replaces a library effect, because a known
+        cause is likelier a priori
+    copy_share : a basis function is a copy of an effect, and no replacement, if it explains more than this fraction of
+        the effect's fitted contribution; functions of other causes explained at most 0.96
+    form_share : other forms of a dependence are fitted too if they reach this fraction of the best form's gain
+    reshape_nats : gain in log likelihood of a refit that a refined shape requires
+    common, rare_nats : effects that nearly every robot has, and the lower prior log probability of all others (2 nats
+        are 7 to 1): nominal radii and tracks are never exact (Borenstein & Feng 1996), gyros have bias and scale
+        errors, steerings have zero and ratio errors
+    commanded, commanded_nats : effects of odometry computed from commands or from incomplete encoder counts, and their
+        additional prior penalty (6 nats are 400 to 1): most odometry comes from encoders
+    unusual_nats : additional gain required of a gyro as the source of the heading, for a model or a basis function
+    unusual_shape_nats : the same for any word-valued parameter in the shape search of one effect, before its refit
+    known_gyro_nats : in place of `unusual_nats` if a gyro bias is in the model, which shows that there is a gyro
+    related_nats, related_share : rectangles are tried if a disc has this gain and this fraction of the largest gain
 
-    drop_nats : an effect whose Wald statistic is less than twice this is dropped: 1 % for one number
-    correlated_nats : what correlated noise has to gain; on clean data it gains 3.4 at most
-    mean_reverting_nats : what a mean-reverting bias has to gain; truth by SLAM errs alike for seconds, and gains 20
-    counted_nats : what lost increments and ticks are taken to gain: they are counted in the odometry, not inferred
+    drop_nats : an effect whose Wald statistic is less than twice this is dropped: the 1 % level for one parameter
+    correlated_nats : gain required of correlated noise; on clean data the largest gain was 3.4
+    mean_reverting_nats : gain required of a mean-reverting bias; errors of a SLAM truth are correlated over seconds
+        and gain 20
+    counted_nats : gain assigned to lost increments and ticks, which are counted in the odometry
 
-    curve_nats, curve_of_turns_nats : what a curve without a basis function has to gain to be reported, and one of the
-        yaw error over how the robot turns: tight steering (3 per second) answers to the noise within an interval, and
-        bends such curves by 5 to 24 nats where nothing is wrong
-    exact_nats : by how much a basis function must exceed its penalty in the screening to be scored exactly
+    curve_nats : gain required to report a curve for which no basis function was found
+    curve_of_turns_nats : the same for the yaw error over a regressor of turning: tight heading control (3 per second)
+        responds to the noise within an interval and bends such curves by 5 to 24 nats on data without an error
+    exact_nats : screening gain minus penalty above which a basis function is scored exactly
 
-    least_confidence : a name that is less likely right is left out, unless the held-out error grows without it
-    heterogeneity_level : probability of reporting that recordings of one robot disagree about any parameter
-    prior : of the reported probabilities
-    practical : what matters
+    least_confidence : an effect with a lower probability is removed, unless the held-out error grows without it
+    heterogeneity_level : probability of reporting any difference between recordings of an unchanged robot
+    prior : weights in the reported probabilities
+    practical : limits of practical significance
     """
 
     max_effects: int = 6
@@ -164,10 +164,10 @@ DECISIONS = Decisions()
 
 
 def penalty(term: Term, count: int, decisions: Decisions) -> float:
-    """Return the nats that a term must gain on `count` intervals to be no worse than nothing.
+    """Return the penalty of a term on `count` intervals: the log-likelihood gain at which it breaks even, nats.
 
-    Half of the logarithm of the count for each number that is fitted (Schwarz 1978), the logarithm of the size of the
-    family that it was selected from, and what is the less likely a priori.
+    It is the sum of log(count) / 2 for each fitted number (Schwarz 1978), the logarithm of the size of the family that
+    the term was selected from, and the prior penalties of rare, commanded and gyro-heading causes.
     """
     unusual = decisions.unusual_nats if term.unusual else 0.0
     rare = _rare_nats(term.name, decisions)
@@ -176,15 +176,15 @@ def penalty(term: Term, count: int, decisions: Decisions) -> float:
 
 
 def error_shares(names: Sequence[str], decisions: Decisions) -> list[float]:
-    """Return the share (n,) of the probability of any false inclusion that each of the terms tested together may take.
+    """Return the fraction (n,) of the total false-inclusion probability allotted to each term of a joint test.
 
-    In proportion to how likely each is a priori: weighted Bonferroni (Genovese, Roeder & Wasserman, Biometrika 93,
-    2006). With equal shares every rare effect that joins the library makes the common ones harder to find.
+    Fractions are proportional to prior probabilities: weighted Bonferroni (Genovese, Roeder & Wasserman, Biometrika 93,
+    2006). With equal fractions every rare effect added to the library would make the common ones harder to find.
 
     Parameters
     ----------
-    names : names (n,) of the terms, the effects of a library that are separable from the model
-    decisions : which effects are common, and how much the less likely the others are
+    names : names (n,) of the tested library effects, all separable from the model
+    decisions : names of the common effects, and the prior penalty of the others
 
     """
     weights = [float(np.exp(-_rare_nats(name, decisions))) for name in names]
@@ -192,5 +192,5 @@ def error_shares(names: Sequence[str], decisions: Decisions) -> list[float]:
 
 
 def _rare_nats(name: str, decisions: Decisions) -> float:
-    """Return by how many nats an effect of the library is the less likely a priori than a common one."""
+    """Return the prior penalty of a library effect relative to a common one, nats; 0 for any other term."""
     return decisions.rare_nats if name in registry() and name not in decisions.common else 0.0

@@ -1,9 +1,9 @@
-"""Dependences: what the residual depends on where no effect of the library explains it, as a curve and as a term.
+"""Dependences of the residual on one regressor that no library effect explains, as curves and as terms.
 
-For every regressor (speed, yaw rate, ...) and channel the error per metre, and of the heading per radian turned and per
-second, too, is a curve of a few hat functions. The curve's joint score says whether it is there, its estimate is what
-the user sees. Basis functions of one or two coefficients are tried beside it: they see what a curve of eight is too
-blunt for, and can be included in the model.
+For every regressor (speed, yaw rate, ...) and channel the error per metre is a curve of a few hat functions; for the
+heading also the error per radian turned and per second. The joint score of the curve is tested, and its estimate is
+reported. Basis functions of one or two coefficients are tested too: they have more power than a curve of eight, and can
+be included in the model.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ if TYPE_CHECKING:
 __all__ = ["BasisScore", "Dependence", "basis_scores", "dependences"]
 
 _OF_TURNS = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "heading")
-"""Regressors of which a drive that hardly turns shows nothing but how it is steered."""
+"""Regressors of turning: on a drive with hardly any turns they show only the heading control."""
 _MOST_STARTS = 40
-"""Terms of one regressor and channel from which shape searches may start."""
+"""Largest number of terms of one regressor and channel from which shape searches may start."""
 
-_TILT_NATS, _OF_A_TILT = 20.0, ("along", "acceleration")
-"""A laser tilts with a robot that brakes, and its scans err along the path: exact odometry shows 8.5 nats of that."""
+_TILT_NATS, _TILT_DEPENDENCE = 20.0, ("along", "acceleration")
+"""Gain required with a truth by laser, which tilts when the robot brakes: exact odometry gains 8.5 nats."""
 
 
 @dataclass(frozen=True, slots=True)
 class BasisScore:
-    """The basis function of one regressor and channel that explains most, scored exactly.
+    """The basis function of one regressor and channel with the largest gain, scored exactly.
 
-    others : other forms with nearly the same score, between which a fit decides
+    others : other forms with nearly the same score, to be compared by refits
     """
 
     score: Score
@@ -57,29 +57,29 @@ class BasisScore:
 
     @property
     def term(self) -> BasisTerm:
-        """The basis function and what it acts on."""
+        """The basis function with its action."""
         return basis_term(self.score)
 
     @property
     def kind(self) -> tuple[str, str]:
-        """Its regressor and channel."""
+        """Regressor and channel."""
         return self.term.function.regressor, self.term.action.channel
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Dependence:
-    """An error of one channel that follows one regressor.
+    """An error of one channel that depends on one regressor.
 
-    per : what it is an error per: "m" driven, "rad" turned, or "s"
+    per : unit of motion to which the error refers: "m" driven, "rad" turned, or "s"
     centres : (m,) values of the regressor, or (m, 2) places
-    curve, curve_error : (m,) error of truth minus odometry per `per` there (m/m, rad/m, rad/rad, rad/s), and its error
-    p : probability of such a dependence anywhere without any
-    nats : log likelihood that it gains, less the penalty
-    best : the basis function that explains most of it, if one does
-    expression : a simple effect of that shape, ready to be edited
-    instead_of : name of the included effect in whose place it explains about as much; else ""
+    curve, curve_error : (m,) truth minus odometry per `per` at the centres (m/m, rad/m, rad/rad, rad/s), and its error
+    p : probability of such a dependence for any regressor if there is none
+    nats : gain in log likelihood minus the penalty
+    best : the basis function with the largest gain, if any
+    expression : a simple effect of that shape, for the user to edit
+    instead_of : name of the included effect that it could replace with about the same gain; else ""
 
-    Two are the same finding only if they are the same object.
+    Equality is identity of objects.
     """
 
     channel: str
@@ -96,39 +96,39 @@ class Dependence:
 
     @property
     def follows_acceleration(self) -> bool:
-        """Whether its regressor is an acceleration, as where clocks, and whatever resembles them, are wrong."""
+        """Whether the regressor is an acceleration, as it is for errors of clocks and of effects that resemble them."""
         return self.regressor.endswith("acceleration")
 
     @property
     def name(self) -> str:
-        """Name of the effect that it is in a model, where a basis function explains it; else ""."""
+        """Name of its effect in a model, if a basis function explains it; else ""."""
         return self.best.term.name if self.best is not None else ""
 
     @property
     def title(self) -> str:
-        """What depends on what, as in "yaw over speed"."""
+        """Channel and regressor, as in "yaw over speed"."""
         return f"{self.channel} over {self.regressor}"
 
     @property
     def wheels(self) -> str:
-        """Which wheels have the error, where its term acts on these: "left", "right" or "wheels"; else ""."""
+        """Wheels with the error if the term acts on wheels: "left", "right" or "wheels"; else ""."""
         return self.best.term.action.target if self.best is not None and self.best.term.action.by_wheel else ""
 
     @property
     def wavelength_m(self) -> float | None:
-        """Of an error that is periodic over the travelled distance: its period, m."""
+        """Period of an error that is periodic over the travelled distance, m; else None."""
         return self.best.term.function.wavelength_m or None if self.best is not None else None
 
     @property
     def place(self) -> str:
-        """Where the error is, in words, as in "within 2 m of (1.0, -0.5)"; "" if it is not confined to a place."""
+        """Location of the error in words, as in "within 2 m of (1.0, -0.5)"; "" if it is not confined to a place."""
         return self.best.term.function.place if self.best is not None else ""
 
 
 def basis_scores(fit: Fit, decisions: Decisions, design: CoarseDesign | None = None) -> list[BasisScore]:
     """Return the best basis function of each regressor and channel, scored exactly, whether or not it is significant.
 
-    design : approximate columns, where they are known already for this problem
+    design : approximate columns, if already computed for this problem
     """
     count = len(fit.problem.nodes)
     search = ShapeSearch(fit, decisions, design)
@@ -153,9 +153,9 @@ def basis_scores(fit: Fit, decisions: Decisions, design: CoarseDesign | None = N
 
 
 def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) -> list[Dependence]:
-    """Return the dependences that the model does not explain, the plainest first; usually none.
+    """Return the dependences that the model does not explain, those with the largest gains first; usually none.
 
-    scores : of basis functions, see `basis_scores`
+    scores : scores of basis functions, see `basis_scores`
     """
     still = hardly_turns(fit)
     plain = [one for one in scores if one.score.robust_nats > 0.0 and one.score.significant(decisions.level)]
@@ -175,15 +175,15 @@ def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) ->
             most = max(nats, own.robust_nats) if seen else own.robust_nats
             p = min(score.p, own.p) if seen else own.p
             found.append(_dependence(kind, where, score, best, p=p, nats=most))
-        elif seen and best is None and per != "s":  # a bias that bends is known by its basis function alone
+        elif seen and best is None and per != "s":  # a dependence per second requires a basis function
             found.append(_dependence(kind, where, score, None, p=score.p, nats=nats))
     if any(r.matched for r in fit.problem.recordings):
-        found = [one for one in found if one.nats > _TILT_NATS or (one.channel, one.regressor) != _OF_A_TILT]
+        found = [one for one in found if one.nats > _TILT_NATS or (one.channel, one.regressor) != _TILT_DEPENDENCE]
     return sorted(found, key=lambda u: u.nats, reverse=True)
 
 
 def basis_term(score: Score) -> BasisTerm:
-    """Return the term of a score that is known to be a basis function."""
+    """Return the term of the score of a basis function; TypeError for any other term."""
     if not isinstance(score.term, BasisTerm):
         raise TypeError(f"{score.term.name} is no basis function")
     return score.term
@@ -194,13 +194,13 @@ def _kind(screened: Screened) -> tuple[str, str]:
 
 
 def _with_others(scores: Sequence[Score], decisions: Decisions) -> BasisScore:
-    """Return the best of a kind, with those that come near it."""
+    """Return the best score of a kind, with other forms that come close to it."""
     best = max(scores, key=lambda s: s.nats)
     return BasisScore(best, tuple(s for s in scores if s is not best and s.nats > decisions.form_share * best.nats))
 
 
 def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
-    """Return the curve of every regressor and channel: which it is, where its hats are, and their joint score."""
+    """Return for every curve its kind (regressor, channel, per), the centres of its hats, and their joint score."""
     motions, nodes = fit.problem.motions, fit.problem.nodes
     travel = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in motions])
     turn = np.concatenate([MOVES["omega"](m) * m.dt_s for m in motions])
@@ -233,7 +233,7 @@ def _dependence(
     """Return a dependence of a kind (regressor, channel, per) from the score of its curve and its basis function."""
     regressor, channel, per = kind
     curve, error = score.estimate, score.standard_error
-    if best is not None and best.term.function.wavelength_m:  # a wave is shown, not the hats that are too wide for it
+    if best is not None and best.term.function.wavelength_m:  # report the wave: hats are too wide to resolve it
         where = np.linspace(0.0, best.term.function.wavelength_m, 13)
         angle = 2.0 * np.pi * where / best.term.function.wavelength_m
         unit = np.stack((np.cos(angle), np.sin(angle)), axis=1)
@@ -258,7 +258,7 @@ def _dependence(
 
 
 def _line(name: str, channel: str, per: str, where: Array, score: ColumnScore) -> str:
-    """Return the simplest effect of the shape of the curve, as an expression with its numbers filled in."""
+    """Return a simple effect with about the shape of the curve, as an expression with its numbers filled in."""
     curve, weight = score.estimate, 1.0 / np.maximum(score.standard_error, 1e-12) ** 2
     move = "abs(v)" if per == "m" else "omega"
     if name == "heading":

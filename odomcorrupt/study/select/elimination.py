@@ -1,4 +1,4 @@
-"""What leaves a model again: terms that later ones have made redundant, and one of two sources of the heading."""
+"""Backward elimination: terms made redundant by later ones, and the decision between two sources of the heading."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ __all__ = [
 ]
 
 _ITERATIONS, _ALIKE = 6, 0.03
-"""Most iterations of a random coefficient beside the rest of the noise, and the relative change that ends them."""
+"""Largest number of iterations between a random coefficient and the other noise; relative change that ends them."""
 
 
 def drop_term(fit: Fit, effect: Effect) -> Fit:
-    """Return the fit without one of its effects: what it explains is in the residual again, its columns are not free.
+    """Return the fit without one of its effects: its contribution is back in the residual, its columns are removed.
 
-    To first order, and with the noise as it is with the effect: to test what might stand in its place.
+    To first order and with unchanged noise, for tests of replacements.
     """
     explained = fit.noise.whitener.whiten(fit.problem.explained(effect))
     noise = replace(fit.noise, innovations=fit.noise.innovations + explained)
@@ -50,7 +50,7 @@ def drop_term(fit: Fit, effect: Effect) -> Fit:
 
 
 def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
-    """Return the fit without the effects that later ones have made redundant, by Wald tests, the least first.
+    """Return the fit without effects that are no longer significant in Wald tests, the least significant first.
 
     keep : names of effects that stay in any case
     """
@@ -64,9 +64,10 @@ def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> 
 
 
 def absorb(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
-    """Return the fit whose effects act as a whole, without what that makes redundant; the same if nothing is.
+    """Return the fit with effects in their complete form (`Effect.whole`), without effects that this makes redundant.
 
-    Of a wheel with a flat side, a smaller radius is a part, and no cause beside it.
+    The mean radius error of a wheel with a flat spot, for example, is part of that effect and no cause beside it. The
+    fit is returned unchanged if its likelihood falls too much.
     """
     whole = [effect.whole() for effect in fit.effects]
     if whole == list(fit.effects):
@@ -77,16 +78,16 @@ def absorb(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
 
 
 def without_redundant(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
-    """Return the fit without what its last term made redundant, and with effects that act as a whole."""
+    """Return the fit without effects that its last term made redundant, with effects in their complete form."""
     return absorb(backward_eliminate(fit, keep, decisions), keep, decisions)
 
 
 def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
-    """Return the fit whose effects of the library each explain more than their penalty beside all of the rest.
+    """Return the fit without library effects whose robust gain beside all other terms is below their penalty.
 
-    What came early was tested beside little, and may be nothing but what a later term, or the law of a cause without a
-    name, explains in full. Blocks of the drive say what a likelihood is worth, as they do at inclusion; but what was
-    plain once leaves only where nothing is left of it. The least goes first, and the others are tested again.
+    An early effect was tested beside few others; a later term or basis function may explain the same completely. Gains
+    are cluster-robust, as at inclusion, but the threshold is lower: the penalty alone. The weakest effect is dropped
+    first and the others are tested again.
 
     keep : names of effects that stay in any case
     """
@@ -107,7 +108,7 @@ def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> 
 def eliminate_random(
     named: list[RandomCoefficient], fit: Fit, decisions: Decisions
 ) -> tuple[list[RandomCoefficient], Fit]:
-    """Return named random effects and the fit without random coefficients, where a later term made them redundant."""
+    """Return named random effects and the fit, both without random coefficients that a later term made redundant."""
     if remainders := [e for e in fit.random if is_remainder(fit, e)]:
         named = [one for one in named if one.effect not in remainders]
         fit = fit.refit(random=[e for e in fit.random if e not in remainders])
@@ -121,7 +122,7 @@ def eliminate_random(
 
 
 def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:
-    """Return a fit with a random coefficient, both estimated in turn until neither changes, and the coefficient."""
+    """Return a fit and its random coefficient after alternating re-estimation of both until convergence."""
     for _ in range(_ITERATIONS):
         new = remeasured(fit, effect)
         if all(np.isclose(getattr(new, p.name), getattr(effect, p.name), rtol=_ALIKE) for p in parameters(new)):
@@ -132,13 +133,12 @@ def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:
 
 
 def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
-    """Return the fit whose effects agree on the source of the heading: the wheels, unless a gyro explains plainly more.
+    """Return the fit with one source of the heading for all effects: the wheels, unless a gyro gains clearly more.
 
-    One effect by itself may say "gyro" where two of the wheels' only make up for each other in the heading. Where a
-    gyro's bias is in the model there is a gyro, and it need not explain more: what wheels do to the heading and what a
-    gyro's scale does may be one and the same.
+    A single effect may prefer "gyro" only because two wheel effects cancel in the heading. If a gyro bias is in the
+    model, no gain is required: heading errors of wheels and the scale error of a gyro may be the same function.
 
-    given : names of effects whose words a user has chosen
+    given : names of effects whose parameters were chosen by the user
     """
     either = [e for e in fit.effects if "heading" in choices(e) and e.name not in given]
     words = {getattr(e, "heading", "") for e in either}
@@ -146,7 +146,7 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
     if heading_source_of(fit.problem.recordings) or not words or ("gyro" not in words and not known):
         return fit
     found: dict[str, Fit] = {}
-    # a clock that strays between two samples, and robust weights with it, move the likelihood by more than the word
+    # free clocks and robust weights change the likelihood by more than the source of the heading, so both are fixed
     clocked = bool(np.any(fit.free_clocks))
     held = [(False, False)] * len(fit.free_clocks)
     for word in ("wheels", "gyro"):

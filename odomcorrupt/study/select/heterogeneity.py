@@ -1,8 +1,8 @@
-"""Heterogeneity: whether recordings of one robot agree about its parameters, or something was changed between them.
+"""Heterogeneity: test for differences between the parameters of several recordings of one robot.
 
-A tyre that was pumped, a load, a gyro that was switched on again differ between recordings and not within one; to a
-model of one robot they look like slow noise. So every recording has parameters of its own, estimated together, with
-that noise left out; standard errors are cluster-robust.
+Tyre pressure, load and the bias of a restarted gyro differ between recordings and not within one. In a common model
+they look like slow noise. The test therefore estimates separate parameters for each recording, jointly and without that
+noise; standard errors are cluster-robust.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 __all__ = ["ParameterDifference", "disagreements"]
 
 _CHANGING = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
-"""What loads, tyres, floors and a switch change between two drives."""
-_KNOWN = 0.5
-"""Part of what is possible that an error may be, for a recording to have a say."""
+"""Effects whose size loads, tyres, floors and a restart change between drives."""
+_LARGEST_ERROR = 0.5
+"""Largest standard error of a recording that is compared, as a fraction of the parameter's physical range."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterDifference:
     """A parameter that differs between recordings.
 
-    effect, parameter, unit : which it is
-    recordings : names of those that determine it
-    values, standard_errors : (R,) what each of them says
-    p : probability of such a disagreement of one robot
+    effect, parameter, unit : names of the effect and its parameter, and the unit
+    recordings : names of the R recordings that determine the parameter
+    values, standard_errors : (R,) estimates from each of them
+    p : probability of such a difference for an unchanged robot
     """
 
     effect: str
@@ -52,9 +52,9 @@ class ParameterDifference:
 
 
 def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
-    """Return the parameters that recordings disagree about, the plainest first; none where there is one recording.
+    """Return the parameters that differ between recordings, the most significant first; none for a single recording.
 
-    level : probability of any, where there is none
+    level : probability of any reported difference if there is none
     """
     problem = fit.problem
     leaders = np.array(clock_leaders(problem.recordings))
@@ -63,26 +63,26 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
         return ()
     kinds = registry()
     own = {e.name: e for e in problem.effects}
-    asked = [own.get(name) or kinds[name]() for name in _CHANGING]
+    tested = [own.get(name) or kinds[name]() for name in _CHANGING]
     others = replace(
         fit, problem=replace(problem, effects=tuple(e for e in problem.effects if e.name not in _CHANGING))
     )
-    calm = replace(others, noise=without_random(fit.noise, problem, others.design_matrix), random=())
+    without_noise = replace(others, noise=without_random(fit.noise, problem, others.design_matrix), random=())
     belongs = leaders[problem.run]
-    common = [problem.columns(effect) for effect in asked]
+    common = [problem.columns(effect) for effect in tested]
     each = np.concatenate([column * (belongs == run)[:, None, None] for column in common for run in runs], axis=2)
-    rest = project_out(calm)
-    white = rest.of(calm.noise.whitener.whiten(each))
+    rest = project_out(without_noise)
+    white = rest.of(without_noise.noise.whitener.whiten(each))
     covariance = np.linalg.pinv(white.T @ white, hermitian=True)
     estimate = covariance @ (white.T @ rest.residual)
     error = np.sqrt(np.diag(covariance) * _inflation(fit, white @ covariance, rest.residual - white @ estimate))
     found = []
-    for number, effect in enumerate(asked):
+    for number, effect in enumerate(tested):
         (p,) = amplitudes(effect)
         rows = slice(number * len(runs), (number + 1) * len(runs))
-        able = (error[rows] > 0.0) & (error[rows] < _KNOWN * min(p.high, -p.low))
-        values, errors = getattr(effect, p.name) + estimate[rows][able], error[rows][able]
-        if able.sum() < 2:
+        valid = (error[rows] > 0.0) & (error[rows] < _LARGEST_ERROR * min(p.high, -p.low))
+        values, errors = getattr(effect, p.name) + estimate[rows][valid], error[rows][valid]
+        if valid.sum() < 2:
             continue
         weight = 1.0 / errors**2
         square = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
@@ -92,7 +92,7 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
                 effect=effect.name,
                 parameter=p.name,
                 unit=p.unit,
-                recordings=tuple(problem.recordings[run].name for run, can in zip(runs, able, strict=True) if can),
+                recordings=tuple(problem.recordings[run].name for run, can in zip(runs, valid, strict=True) if can),
                 values=tuple(values.tolist()),
                 standard_errors=tuple(errors.tolist()),
                 p=chance,
@@ -102,6 +102,6 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
 
 
 def _inflation(fit: Fit, pull: Array, rest: Array) -> Array:
-    """Return by how much variances (p,) are larger than the noise model says, as blocks of the drive show it."""
+    """Return the ratios (p,) of the variances estimated between blocks of the drive to those of the noise model."""
     variance, dof = between_blocks(np.repeat(block_of(fit.problem), 3), pull, rest)
     return inflation(variance, dof, shared_variance(variance, dof))

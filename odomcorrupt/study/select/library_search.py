@@ -1,7 +1,7 @@
-"""Library search: every effect of the library beside a model, each near its best shape, and at it where that matters.
+"""Library search: score of every library effect beside a model, each at or near its best shape.
 
-Most families explain little, and where in them the most is does not change what comes next. So each is located by
-approximate columns first, and its shape is refined by exact ones only when its effect may still be selected.
+Most families explain little, and their best shape does not change the next selection. So approximate columns locate
+each one first, and its shape is refined with exact columns only if its effect may still be selected.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ __all__ = ["LibrarySearch", "Prospect"]
 
 
 class Prospect(NamedTuple):
-    """An effect of the library that has not been decided upon.
+    """An effect of the library that awaits a decision.
 
-    family : which of the families it is the best of, about
-    nats, robust_nats : the most that it is likely to gain at its best shape, see `Score`
-    exact : whether it is at its best shape
+    family : index of its family
+    nats, robust_nats : likely upper bounds on its gains at the best shape, see `Score`
+    exact : whether its shape is already the best one
     """
 
     family: int
@@ -37,15 +37,15 @@ class Prospect(NamedTuple):
 
 
 class LibrarySearch:
-    """The families of a library beside the model of a fit, in the order of what their effects may explain.
+    """Families of library effects beside the model of a fit, in the order of their likely gains.
 
     Parameters
     ----------
-    fit, families, decisions : the model, the families that are tested, and what the penalties are made of
+    fit, families, decisions : the model, the tested families, and the thresholds
 
     Attributes
     ----------
-    scores : of all effects, each where it is located so far
+    scores : scores of all effects at their present shapes
 
     """
 
@@ -58,24 +58,24 @@ class LibrarySearch:
         self.scores = self._scored()
 
     def likeliest(self) -> Prospect | None:
-        """Return the undecided effect that may have the largest robust gain, None where all are decided."""
+        """Return the undecided effect that may have the largest robust gain; None if all are decided."""
         prospects = (self._prospect(i) for i in sorted(self._open))
         return max(prospects, key=lambda one: one.robust_nats, default=None)
 
     def refine(self, prospect: Prospect) -> None:
-        """Refine the shape of an effect by exact columns; all are scored again, because tests share a variance."""
+        """Refine the shape of an effect with exact columns; all are rescored, because the tests share a variance."""
         i = prospect.family
         self._located[i] = Located(self._search.best(self._families[i]), exact=True)
         self._columns[i] = self._located[i].term.columns(self._fit.problem)
         self.scores = self._scored()
 
     def decide(self, prospect: Prospect) -> Score:
-        """Return the score of an effect, which is then no prospect any more."""
+        """Return the score of an effect and mark it as decided."""
         self._open.remove(prospect.family)
         return self.scores[prospect.family]
 
     def scores_above(self, nats: float) -> list[Score]:
-        """Return the scores of all effects that gain more than so many nats, each at its best shape."""
+        """Return the scores of all effects with a gain above `nats`, each at its best shape."""
         for i in range(len(self._families)):
             prospect = self._prospect(i)
             if not prospect.exact and prospect.nats > nats:

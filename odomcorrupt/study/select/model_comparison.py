@@ -1,7 +1,7 @@
-"""Model comparison: effects of the library against basis functions, in the place of one effect or of a whole model.
+"""Model comparison: library effects against basis functions that replace one effect or several at once.
 
-The nearest effect of the library may stand in for a cause that it does not have. So an included effect is dropped, to
-first order, and every basis function tries to explain better what it explained.
+The most similar library effect may be selected for a cause outside the library. So each included effect is removed, to
+first order, and every basis function is scored in its place.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ __all__ = ["ModelComparison", "Proposal", "best_dependence", "best_replacement",
 
 
 _NEAR_FORM = 0.05
-"""Part of the gain of the best form that another, its threshold refined, may make up for."""
+"""Fraction of the best form's gain that another form may recover by refinement of its threshold."""
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """A dependence whose basis function may be included: the candidate, with the form that fits best."""
+    """A dependence whose basis function may be included, and its candidate in the form that fits best."""
 
     dependence: Dependence
     candidate: Candidate
@@ -55,12 +55,12 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelComparison:
-    """Included effects, one or several together, against the basis functions that might stand in their place.
+    """One or several included effects against the basis functions that may replace them.
 
-    effects : those of the fit that are compared
+    effects : the compared effects of the fit
     bare : the fit without them, see `drop_term`
-    nats, penalty : what they gain less their penalties, and these
-    scores : the best basis function of each regressor and channel, those left out that only copy the effects
+    nats, penalty : their joint gain minus the sum of their penalties, and that sum
+    scores : the best basis function of each regressor and channel, without copies of the effects
     """
 
     effects: tuple[Effect, ...]
@@ -71,11 +71,11 @@ class ModelComparison:
 
     @property
     def margin(self) -> float:
-        """By how many nats the effects explain more than the best basis function, both less their penalties."""
+        """Gain of the effects over the best basis function, nats, both minus their penalties."""
         return self.nats - max((one.score.nats for one in self.scores), default=0.0)
 
     def better(self, decisions: Decisions, by_nats: float) -> list[Dependence]:
-        """Return the dependence that explains more than the effects by so many nats, and those nearly as plain."""
+        """Return the dependences that gain more than the effects by `by_nats` and are close to the best of them."""
         if self.margin > -by_nats:
             return []
         found = dependences(self.bare, self.scores, decisions)
@@ -86,44 +86,44 @@ class ModelComparison:
 def compare_with_basis(
     fit: Fit, effects: Sequence[Effect], decisions: Decisions, design: CoarseDesign
 ) -> ModelComparison:
-    """Compare effects of a fit together with every basis function in their place."""
+    """Compare effects of a fit, taken together, with every basis function in their place."""
     bare = fit
     for effect in effects:
         bare = drop_term(bare, effect)
     columns = np.concatenate([fit.problem.columns(effect) for effect in effects], axis=2)
     (own,) = score_columns(bare, [columns])
     motions, count = fit.problem.motions, len(fit.problem.nodes)
-    worth = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
-    nats = 0.5 * own.statistic - worth
+    penalties = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
+    nats = 0.5 * own.statistic - penalties
     rest, whiten = project_out(bare), bare.noise.whitener.whiten
     explained = rest.of(whiten(columns))
     explained = explained @ np.linalg.lstsq(explained, rest.residual, rcond=None)[0]
 
     def copies(score: Score) -> bool:
-        """Return whether it does what the effects do: a fringe of it that fits by chance is no other cause."""
-        if score.nats < nats - decisions.replacement_nats:  # what explains far less needs no closer look
+        """Return whether a basis function copies the effects: if it fits better, then by chance."""
+        if score.nats < nats - decisions.replacement_nats:  # too small a gain to matter
             return False
         basis = np.linalg.qr(rest.of(whiten(score.term.columns(bare.problem))))[0]
         share = float(np.sum((basis.T @ explained) ** 2)) / max(float(explained @ explained), 1e-300)
         return share > decisions.copy_share
 
     scores = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
-    return ModelComparison(tuple(effects), bare, nats, worth, scores)
+    return ModelComparison(tuple(effects), bare, nats, penalties, scores)
 
 
 def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | None:
-    """Return the effect of the library that does in the place of an included law about what the law does, if any.
+    """Return the library effect that can replace an included dependence with about the same gain, if there is one.
 
-    Other terms have joined the model since the law was included, and beside them a known effect may explain as much: a
-    known cause is the likelier a priori. One that would need a sign that physics forbids comes back refused.
+    Beside terms that were included later, a known effect may explain as much, and a known cause is likelier a priori.
+    An effect that fits only with a physically impossible sign is returned as a refused candidate.
     """
     effect = next((e for e in fit.effects if e.name == law.name), None)
     if effect is None or law.best is None:
         return None
     bare, others = drop_term(fit, effect), [e for e in fit.effects if e is not effect]
     still = hardly_turns(bare)
-    law_columns = score_columns(bare, [law.best.term.columns(bare.problem)])[0]
-    least = 0.5 * law_columns.statistic - law.best.score.penalty - decisions.replacement_nats
+    column_score = score_columns(bare, [law.best.term.columns(bare.problem)])[0]
+    least = 0.5 * column_score.statistic - law.best.score.penalty - decisions.replacement_nats
     search = LibrarySearch(bare, library(bare), decisions)
     near = sorted(search.scores_above(max(least, 0.0)), key=lambda s: -s.nats)
     levels = levels_of(search.scores, decisions)
@@ -149,9 +149,9 @@ def best_dependence(
     *,
     instead_of: ModelComparison | None = None,
 ) -> Proposal | None:
-    """Return the dependence that gains most and does not spoil the path, of those nearly as plain as the plainest.
+    """Return the dependence with the largest gain that does not increase the drift, among the most significant ones.
 
-    instead_of : effects that it comes in the place of, of which it has to explain plainly more
+    instead_of : effects that it replaces, whose gain it has to exceed by `replacement_nats`
     """
     others, spared, least = fit.effects, 0.0, 0.0
     if instead_of is not None:
@@ -159,15 +159,15 @@ def best_dependence(
         spared, least = instead_of.penalty, decisions.replacement_nats
     have = {effect.name for effect in others}
     possible = [(one, one.best) for one in found if one.best is not None and one.name not in have]
-    best, plainest = None, -np.inf
+    best, largest = None, -np.inf
     for one, basis in possible[: decisions.shortlist]:
-        if one.nats < plainest - decisions.alternative_nats:
+        if one.nats < largest - decisions.alternative_nats:
             break
         forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
         fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*others, score.estimated)))]
         if not fits:
             continue
-        # a step and a hinge are each compared at their own best threshold
+        # a step and a hinge are compared with their thresholds refined
         most = max(map(_worth, fits))
         near = max(decisions.replacement_nats, _NEAR_FORM * (most - fit.log_likelihood))
         refined = [with_shape_refined(*pair, decisions) for pair in fits if _worth(pair) >= most - near]
@@ -175,12 +175,12 @@ def best_dependence(
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + spared
         candidate = tried(fit, with_it, score, decisions, gain=gain, least=best.candidate.gain if best else least)
         if not candidate.refused:
-            best, plainest = Proposal(_reshaped(one, score), candidate), max(plainest, one.nats)
+            best, largest = Proposal(_reshaped(one, score), candidate), max(largest, one.nats)
     return best
 
 
 def _with(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
-    """Return the fit with other effects, or None where their first estimates are too far off to start from."""
+    """Return the fit with other effects, or None if their first estimates are too far off as starting values."""
     try:
         return fit.refit(effects)
     except FitError:
@@ -188,7 +188,7 @@ def _with(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
 
 
 def _worth(included: tuple[Fit, Score]) -> float:
-    """Return the log likelihood of a fit less the penalty of the term that it includes."""
+    """Return the log likelihood of a fit minus the penalty of the term that it includes."""
     return included[0].log_likelihood - included[1].penalty
 
 
@@ -203,9 +203,9 @@ def _reshaped(one: Dependence, score: Score) -> Dependence:
 def best_replacement(
     fit: Fit, compared: Iterable[ModelComparison], decisions: Decisions, contradicted: Container[str] = ()
 ) -> Proposal | None:
-    """Return a dependence that explains plainly more than included effects, and the fit with it instead.
+    """Return a dependence that explains clearly more than included effects, and the fit with it in their place.
 
-    contradicted : channels on which no dependence is named
+    contradicted : channels on which no dependence is admitted
     """
     for own in compared:
         better = [one for one in own.better(decisions, decisions.replacement_nats) if one.channel not in contradicted]

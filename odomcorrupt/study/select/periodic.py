@@ -1,7 +1,7 @@
-"""Periodic errors: an eccentric wheel pushes the robot to and fro, and round, with every turn that it rolls.
+"""Periodic errors: screening for errors that repeat with each revolution of a wheel, as of an eccentric one.
 
-A wave over the distance that a wheel has rolled is sought in the heading (along, where there are no headings) at all
-wavelengths at once: the score of each step is binned over distance, and one Fourier transform gives the score of every
+Waves over the distance rolled by a wheel are tested in the heading (along the path if there are no headings) at all
+wavelengths at once. The score of each step is binned over distance, and one Fourier transform gives the score of every
 wave (Lomb's periodogram on a grid).
 """
 
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 __all__ = ["flat_spots", "waves"]
 
-LONGEST_M, SHORTEST_M = 4.0, 0.15
+LONGEST_M, SHORTEST_M = 4.0, 0.15  # wavelengths that are tested, m
 _LARGEST_TURN_M = 2.5
-"""A wheel that goes farther in a turn has a radius of 0.4 m."""
-_GRID_M = 0.02
-_TRIED = 3
+"""Largest circumference of a wheel that is tested, m: a radius of 0.4 m."""
+_GRID_M = 0.02  # bin of the distance, m
+_TRIED = 3  # wavelengths scored exactly for each distance
 
 
 def waves(fit: Fit) -> list[Screened]:
-    """Return the likeliest waves, and the nats that each gains, from exact columns."""
+    """Return the waves with the largest scores, and the gain of each from exact columns, nats."""
     problem, whitener = fit.problem, fit.noise.whitener
     rest = project_out(fit)
     channel = "yaw" if problem.headings else "along"
@@ -53,9 +53,9 @@ def waves(fit: Fit) -> list[Screened]:
 
 
 def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
-    """Return the flat spots of either wheel at the likeliest circumferences and phases, as a family; of no car's.
+    """Return flat spots of either wheel at the likeliest circumferences and phases, as a family; none for a car.
 
-    Where the track is not known, on every one that is tried: it says how far each wheel has rolled.
+    If the track is unknown, every track in `TRACKS_M` is tried, because the distance rolled depends on it.
     """
     problem = fit.problem
     if not problem.headings or drive_type_of(problem.recordings).steered:
@@ -66,7 +66,7 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     found: list[tuple[float, FlatSpot]] = []
     for track_m in TRACKS_M if own is None else (own,):
         for wheel, side in (("right", 0.5 * track_m), ("left", -0.5 * track_m)):
-            for turn_m in _likeliest(fit, score, _way_of(side)):
+            for turn_m in _likeliest(fit, score, _rolled_by(side)):
                 if turn_m > _LARGEST_TURN_M:
                     continue
                 spot = FlatSpot(circumference=turn_m, wheel=wheel, form="eccentric", track=0.0 if own else track_m)
@@ -76,29 +76,29 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
                 phase = float(np.arctan2(part[1], part[0]))
                 found.append((rest.gain(columns), replace(spot, phase=phase)))
     found.sort(key=lambda one: one[0], reverse=True)
-    way_m = sum(float(np.abs(m.v * m.dt_s).sum()) for m in problem.motions)
-    trials = max(int(2.0 * way_m / SHORTEST_M), 1)
+    distance_m = sum(float(np.abs(m.v * m.dt_s).sum()) for m in problem.motions)
+    trials = max(int(2.0 * distance_m / SHORTEST_M), 1)
     forms = [replace(spot, form=form) for _, spot in found[:_TRIED] for form in ("eccentric", "flat")]
     return [tuple(LibraryTerm(spot, trials * len(forms)) for spot in forms)] if forms else []
 
 
-def _way_of(side_m: float) -> Callable[[Motion], Array]:
-    """Return what tells the way (n,) of a wheel so far to the right of the middle."""
+def _rolled_by(side_m: float) -> Callable[[Motion], Array]:
+    """Return a function to the distance (n,), m, rolled by a wheel `side_m` to the right of the centre."""
     return lambda m: np.cumsum((m.v + side_m * m.omega) * m.dt_s)
 
 
 def _distances(track_m: float | None) -> list[tuple[str, Callable[[Motion], Array]]]:
-    """Return the distances that may matter: of the body, and of either wheel where the track is known."""
-    ways: list[tuple[str, Callable[[Motion], Array]]] = [("distance", lambda m: m.distance)]
+    """Return the distances to test, as text and function: of the body, and of each wheel if the track is known."""
+    distances: list[tuple[str, Callable[[Motion], Array]]] = [("distance", lambda m: m.distance)]
     if track_m is not None:
         for side, sign in ((0.5 * track_m, "+"), (-0.5 * track_m, "-")):
             text = f"(distance {sign} {abs(side):.4g} * theta)"
-            ways.append((text, lambda m, side=side: np.cumsum((m.v + side * m.omega) * m.dt_s)))  # type: ignore[misc]
-    return ways
+            distances.append((text, lambda m, side=side: np.cumsum((m.v + side * m.omega) * m.dt_s)))  # type: ignore[misc]
+    return distances
 
 
 def _scores(fit: Fit, pull: Array, channel: str) -> Array:
-    """Return the scores (n,) of an error of the travel of each step in a channel."""
+    """Return the score (n,) of each step for an error in one channel proportional to its travel."""
     nodes = fit.problem.nodes
     moved = np.concatenate([m.v * m.dt_s for m in fit.problem.motions])
     unit = np.zeros((len(moved), 3))
@@ -108,25 +108,25 @@ def _scores(fit: Fit, pull: Array, channel: str) -> Array:
     return scores
 
 
-def _likeliest(fit: Fit, score: Array, way: Callable[[Motion], Array]) -> list[float]:
-    """Return the wavelengths (m) at which the score is largest, the channel's information being taken as even.
+def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> list[float]:
+    """Return the wavelengths, m, with the largest scores, for information spread evenly over the distance.
 
-    score : (n,) of each step, see `_scores`
+    score : (n,) score of each step, see `_scores`
     """
     nodes, motions = fit.problem.nodes, fit.problem.motions
-    way_m = np.concatenate([way(m) for m in motions])
+    distance_m = np.concatenate([distance(m) for m in motions])
     run = np.repeat(np.arange(len(motions)), [len(m) for m in motions])[nodes.source]
-    # four times as long: peaks lie between the lines of the plain transform
-    size = 1 << int(np.ceil(np.log2(4.0 * (np.ptp(way_m) / _GRID_M + 2.0))))
+    # zero-padded by four, because peaks fall between the bins of the plain transform
+    size = 1 << int(np.ceil(np.log2(4.0 * (np.ptp(distance_m) / _GRID_M + 2.0))))
     power = np.zeros(size // 2 + 1, dtype=np.complex128)
     for r in range(len(motions)):
         mine = run == r
-        place = ((way_m[nodes.source[mine]] - way_m.min()) / _GRID_M).astype(np.int64)
+        place = ((distance_m[nodes.source[mine]] - distance_m.min()) / _GRID_M).astype(np.int64)
         power += np.fft.rfft(np.bincount(place, score[mine], size))
     strength = np.abs(power) ** 2
     per_m = np.fft.rfftfreq(size, _GRID_M)
     inside = np.flatnonzero((per_m >= 1.0 / LONGEST_M) & (per_m <= 1.0 / SHORTEST_M))
-    # longer waves turn the robot further, and are seen the better: even out what a smooth spectrum has
+    # longer waves turn the robot further and have larger scores: divide by the smoothed spectrum
     level = _smooth(strength[inside])
     ranked = inside[np.argsort(-strength[inside] / level)]
     chosen: list[float] = []
@@ -145,13 +145,13 @@ def _smooth(strength: Array) -> Array:
     return np.maximum(level, 1e-300)
 
 
-def _wave(text: str, way: Callable[[Motion], Array], wavelength_m: float) -> BasisFunction:
+def _wave(text: str, distance: Callable[[Motion], Array], wavelength_m: float) -> BasisFunction:
     pace = 2.0 * np.pi / wavelength_m
     trials = int(4.0 * (1.0 / SHORTEST_M) / 0.003)
     return BasisFunction(
         "distance",
         f"k * cos({pace:.6g} * {text}) + m * sin({pace:.6g} * {text})",
-        (lambda m: np.cos(pace * way(m)), lambda m: np.sin(pace * way(m))),
+        (lambda m: np.cos(pace * distance(m)), lambda m: np.sin(pace * distance(m))),
         trials,
         wavelength_m,
     )

@@ -1,8 +1,8 @@
-"""Random effects: coefficients that vary with time, for which deterministic effects are easily mistaken; and outliers.
+"""Random effects: detection of coefficients that vary randomly in time, and of outliers.
 
-A gain g(t) on travel, on turn, or a bias of the yaw rate is a Gaussian process over time; its marginal likelihood is a
-sum over eigenvalues, so all amplitudes of one correlation time cost one decomposition (Rasmussen & Williams 2006,
-Gaussian Processes for Machine Learning, eq. 5.8, on whitened data).
+A gain g(t) on travel or turn, or a bias of the yaw rate, is a Gaussian process over time; a deterministic effect may
+look like one. Its marginal likelihood is a sum over eigenvalues, so one decomposition serves all amplitudes of one
+correlation time (Rasmussen & Williams 2006, Gaussian Processes for Machine Learning, eq. 5.8, on whitened data).
 """
 
 from __future__ import annotations
@@ -57,17 +57,17 @@ __all__ = [
 ]
 
 _LEAST_SCALE = 1e-6
-"""Smallest standard deviation of a gain that is tried; the largest is the effect's bound."""
+"""Smallest standard deviation of a gain that is tried; the largest is the bound of the effect's parameter."""
 _FEW, _BESIDE = 0.05, 2
-"""Part of the intervals that outliers are at most where they are events, and how far these reach, in intervals."""
+"""Largest fraction of outliers among the intervals if they are events, and intervals affected on either side."""
 
 
 @dataclass(frozen=True, slots=True)
 class RandomCoefficient:
-    """A random effect that a search names.
+    """A detected random effect.
 
-    effect : gauss_markov, gyro_bias_walk, slip_burst, heavy_tails, or what encoders did, with its parameters
-    nats : log likelihood that it gains, less the penalty of its parameters
+    effect : gauss_markov, gyro_bias_walk, slip_burst, heavy_tails or an encoder effect, with its parameters
+    nats : gain in log likelihood minus the penalty of its parameters
     """
 
     effect: Effect
@@ -75,11 +75,11 @@ class RandomCoefficient:
 
 
 _MAP_NATS = 20.0
-"""Additional nats required of a varying gain of travel where the truth is a map's, whose distortions vary, too."""
+"""Additional nats required of a varying travel gain if the truth depends on a map, whose distortions vary too."""
 
 
 def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficient]:
-    """Return the random coefficients that the residual of a fit shows, those that gain most first."""
+    """Return the random coefficients detected in the residual of a fit, in decreasing order of their gains."""
     log_count = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found: dict[tuple[str, str], tuple[RandomCoefficient, float]] = {}
@@ -89,8 +89,8 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
         if not drive.admits(process.kind):
             continue
         if blind and process.unit is bias_of:
-            continue  # it is the gyro's own
-        # a walk is rough at every scale: with few knots it would lose to a bias that comes back
+            continue  # the truth is a gyro, and the bias may be its own
+        # a random walk is rough at every scale: with few knots a mean-reverting bias would fit better
         root = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
         nats, scale = evidence.of(root, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
@@ -112,10 +112,10 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
 
 
 def _measured(fit: Fit, one: RandomCoefficient) -> tuple[Fit, RandomCoefficient]:
-    """Return a fit with the noise that is left beside a random bias, and that bias with what it gains in a refit.
+    """Return a fit with its noise re-estimated beside a random bias, and the bias with its gain in the refit.
 
-    Where nodes lie seconds apart, as they do with the poses of a localisation, noise of every step takes on most of
-    what a bias does as it walks: a test beside that noise sees little of it, or nothing. It is the same fit elsewhere.
+    If intervals last seconds, as with poses of a localisation, the fitted noise per step absorbs most of a random walk
+    of the bias, and a test beside that noise has little power. For shorter intervals both are returned unchanged.
     """
     (process,) = processes_like(one.effect)
     if process.unit is not bias_of or fit.problem.approach.spacing_s <= NODE_S:
@@ -130,14 +130,14 @@ def _measured(fit: Fit, one: RandomCoefficient) -> tuple[Fit, RandomCoefficient]
 
 
 def _beside(fit: Fit, effect: Effect) -> Fit:
-    """Return a fit without one of its random coefficients, and with the noise that it has beside that."""
+    """Return a fit without one of its random coefficients, with the noise estimated beside that coefficient."""
     others, design = tuple(e for e in fit.random if e is not effect), fit.design_matrix
     noise = with_random(without_random(fit.noise, fit.problem, design), fit.problem, design, others)
     return replace(fit, noise=noise, random=others)
 
 
 def is_remainder(fit: Fit, effect: Effect) -> bool:
-    """Return whether a random coefficient may be what the mean of an effect in the model does not take out."""
+    """Return whether a random coefficient may be the remainder of an effect in the model, see `Effect.remainder`."""
     (process,) = processes_like(effect)
     spread = getattr(effect, process.scale) * np.sqrt(process.variance)
     usual = np.concatenate([process.unit(m) for m in fit.problem.motions])[:, [0, 2]]
@@ -145,9 +145,9 @@ def is_remainder(fit: Fit, effect: Effect) -> bool:
 
 
 def _in_both_halves(fit: Fit, effect: Effect) -> bool:
-    """Return whether either half of the intervals shows a random coefficient that explains the other half, too.
+    """Return whether a random coefficient estimated on either half of the intervals gains on the other half.
 
-    Events are no process: the few intervals that stand out, and those beside them, are left out.
+    Events are no random process: if outliers are few, they and their neighbours are left out.
     """
     count = len(fit.problem.nodes)
     outliers = fit.noise.weights > 1.0
@@ -167,18 +167,18 @@ def _in_both_halves(fit: Fit, effect: Effect) -> bool:
 
 
 def _matched(fit: Fit) -> bool:
-    """Whether a truth comes from matched scans: a laser's own, or a localisation's."""
+    """Return whether any truth comes from scan matching: from a laser of the recording, or from a localisation."""
     return any(r.matched or r.localised for r in fit.problem.recordings)
 
 
 def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:
-    """Return the nats that a random coefficient gains; more of them once everything else is fitted beside it."""
+    """Return the gain of a random coefficient, nats: that of the test or that of the refit, whichever is larger."""
     refitted = with_it.log_likelihood - without.log_likelihood - float(np.log(len(without.problem.nodes)))
     return max(one.nats, refitted)
 
 
 def remeasured(fit: Fit, effect: Effect) -> Effect:
-    """Return a random coefficient of a fit with its parameters estimated beside the noise of the fit."""
+    """Return a random coefficient of a fit with its parameters re-estimated beside the noise of the fit."""
     evidence = _Evidence(_beside(fit, effect))
     best = max(
         (
@@ -192,16 +192,16 @@ def remeasured(fit: Fit, effect: Effect) -> Effect:
 
 
 def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[RandomCoefficient]:
-    """Return bursts of slip where outliers are slips, or if asked for, heavy tails where they are on both sides.
+    """Return slip bursts if the outliers are slips, or heavy tails if requested and outliers have both signs.
 
-    A gyro as the truth shows neither: of wheels that slip it sees no travel, and of three axes it shows one.
+    With a gyro as the truth neither is detectable: it measures no travel, and one axis of three.
     """
     if not sees_travel(fit.problem.recordings):
         return []
     bursts = slip_bursts(fit)
     if bursts is not None:
         return [RandomCoefficient(bursts, decisions.counted_nats)]
-    # matches of a laser have heavy tails of their own
+    # errors of scan matching have heavy tails themselves
     heavy = heavy_tails(fit) if tails and not _matched(fit) else None
     return [RandomCoefficient(*heavy)] if heavy is not None else []
 
@@ -209,7 +209,7 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Rand
 def beside_bursts(
     named: list[RandomCoefficient], fit: Fit, decisions: Decisions
 ) -> tuple[list[RandomCoefficient], Fit]:
-    """Drop random coefficients that are not there once all outliers are set apart: they were the bursts."""
+    """Drop random coefficients that are no longer detected once all outliers are set apart: they were the bursts."""
     correlated = {one.effect.name for one in named} & set(CORRELATED_NOISE)
     if not correlated:
         return named, fit
@@ -222,14 +222,14 @@ def beside_bursts(
 
 
 class _Evidence:
-    """What processes explain of the residual of a fit; those with the same knots share what becomes of these."""
+    """Gains of random processes on the residual of a fit; processes with the same knots share computed matrices."""
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
         self._known: dict[tuple[Callable[[Motion], Array], bytes], tuple[Array, Array]] = {}
 
     def of(self, root: Root, process: Process) -> tuple[float, float]:
-        """Return the nats that the best scale of a process gains, and that scale."""
+        """Return the gain at the best scale of a process, nats, and that scale."""
         information, score = self._of_knots(root.spread, process)
         spectrum = _spectrum(root.mixing.T @ information @ root.mixing, root.mixing.T @ score)
         scales = _scales(process)
@@ -241,10 +241,10 @@ class _Evidence:
         return nats, scale
 
     def _of_knots(self, spread: csr_array, process: Process) -> tuple[Array, Array]:
-        """Return what the residual says of knots beside the model: information (k, k) and score (k,)."""
+        """Return information (k, k) and score (k,) of the knots beside the model."""
         key = process.unit, spread.data.tobytes()
         if key not in self._known:
-            # about what a bias varies, and where a walk starts, is not its business
+            # the mean of a bias, and the start of a walk, are not part of the process
             unit = unit_column(self._fit.problem, process)[:, :, None]
             rest = project_out(self._fit, *((unit,) if process.unit is bias_of else ()))
             white = self._fit.noise.whitener
@@ -256,13 +256,13 @@ class _Evidence:
 
 
 def _scales(process: Process) -> Array:
-    """Return the scales (121,) of a process that are tried."""
+    """Return the scales (121,) at which a process is evaluated."""
     (most,) = (p.high for p in parameters(process.kind) if p.name == process.scale)
     return np.geomspace(_LEAST_SCALE, most, 121)
 
 
 def _whitened(fit: Fit, process: Process) -> tuple[Array, Array]:
-    """Return what is free beside a process (3 K, q) and its own columns (3 K, m), both whitened."""
+    """Return the whitened columns (3 K, q) that are free beside a process, and its own (3 K, m)."""
     whiten, beside = fit.noise.whitener.whiten, [fit.design_matrix]
     if process.unit is bias_of:
         beside.append(unit_column(fit.problem, process)[:, :, None])
@@ -271,20 +271,20 @@ def _whitened(fit: Fit, process: Process) -> tuple[Array, Array]:
 
 
 def _part(beside: Array, white: Array, innovations: Array, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the strengths (m,) of a process in some rows of the data, and the squared scores (m,) along them."""
+    """Return the eigenvalues (m,) of a process's information on some rows of the data, and squared scores (m,)."""
     basis, white, r = orthonormal(beside[rows]), white[rows], innovations[rows]
     white, r = (part - basis @ (basis.T @ part) for part in (white, r))
     return _spectrum(white.T @ white, white.T @ r)
 
 
 def _spectrum(information: Array, score: Array) -> tuple[Array, Array]:
-    """Return the strengths (m,) of a process, and the squared scores (m,) along them."""
+    """Return the eigenvalues (m,) of an information matrix, and the squared scores (m,) along its eigenvectors."""
     strength, vectors = eigh(information)
     return np.maximum(strength, 0.0), (vectors.T @ score) ** 2
 
 
 def _gains(strength: Array, score: Array, scales: Array) -> Array:
-    """Return the nats (s,) that a process gains at these scales."""
+    """Return the gains (s,) of a process at given scales (s,), nats, from the results of `_spectrum`."""
     q = scales[:, None] ** 2
     gains: Array = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
     return gains

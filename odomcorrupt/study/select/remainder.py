@@ -1,8 +1,7 @@
-"""The remainder of an effect: what its mean does not take out, and other causes are easily taken for.
+"""Remainder of an effect: the part of its error beside the modelled mean, which resembles other causes.
 
-Of velocities that were cut to whole steps, the report does not show what was cut off. Half a step on average goes into
-the model; what remains varies with the speed and lasts as long as the speed does, as a random gain, a scale or a track
-that is a little off would.
+Example: velocities truncated to whole steps. The model contains the mean error, half a step. The rest is unknown,
+varies with the speed and persists as long as the speed does, like a random gain or a small error of scale or track.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ __all__ = ["within_remainder"]
 
 
 def within_remainder(fit: Fit, error: Array) -> bool:
-    """Return whether an error is usually no larger than the remainder of the effects in the model, if they have any.
+    """Return whether the root mean square of an error is within the remainder of the effects in the model, if any.
 
     error : (n, 2) along and in yaw, m/s and rad/s
     """

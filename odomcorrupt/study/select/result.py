@@ -1,4 +1,4 @@
-"""What a selection of terms found, step by step: the model, what was refused, and what is open."""
+"""Result of a selection: the model, the steps to it, refused candidates, and unexplained dependences."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ __all__ = ["Learned", "Step"]
 class Step:
     """One step of the selection.
 
-    before : the model before it
-    candidates : effects of the library, the one that was included first
-    added : name of the effect that was included, None where none was
-    dependence : what was included instead, because no effect of the library explains it
+    before : the fit before the step
+    candidates : effects of the library, the included one first
+    added : name of the included effect; None if there was none
+    dependence : dependence that was included in place of a library effect, if any
     alternative_nats : see `Decisions`
     """
 
@@ -42,12 +42,12 @@ class Step:
 
     @property
     def name(self) -> str | None:
-        """What was included: the name of an effect, or what depends on what; None if nothing was."""
+        """Name of the included effect, or title of the included dependence; None if nothing was included."""
         return self.added if self.dependence is None else self.dependence.title
 
     @property
     def alternatives(self) -> tuple[str, ...]:
-        """Effects that would have done nearly as well as the included one."""
+        """Names of effects with nearly the gain of the included one, or aliased with it."""
         if self.added is None:
             return ()
         least = self.candidates[0].gain - self.alternative_nats
@@ -60,23 +60,23 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Learned:
-    """What a selection found.
+    """Result of a selection.
 
-    clocks : those of the recordings
+    clocks : clocks of the recordings
     rounds : all steps in order; the last one included nothing, or a limit was reached
-    noise : what encoders did, and random effects that were found
-    unknown : dependences that no effect of the library explains, and those that may stand in the place of one
-    laws : those of them that are in the model as basis functions
-    margins : by how many nats each included effect explains more than the best basis function would in its place
+    noise : encoder effects and detected random effects
+    unknown : dependences that no library effect explains, and those that may replace an included effect
+    laws : those dependences that are in the model as basis functions
+    margins : gain of each included effect over the best basis function in its place, nats
     fit : the final fit
-    error_m : its 10 s position error on the fitted data
-    disagreements : parameters that recordings do not agree about
-    contradictions : effects that would explain the data only with a sign that physics forbids, refused with the reason
-    decisions : the decisions it was selected by
+    error_m : its 10 s position error on the fitted data, m
+    disagreements : parameters that differ between recordings
+    contradictions : effects that fit the data only with a physically impossible sign, refused with the reason
+    decisions : the thresholds of the selection
     hides_losses : whether ticks are too coarse to show lost increments, which then look like a larger wheel
-    held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
-    contributions : how far each systematic part moves the odometry, where that was measured
-    first_clocks : as they were found before anything else was; None where increments were restored first
+    held_out : gain of each part of the model on held-out data, nats, and its standard error
+    contributions : displacement of the odometry by each systematic part, if it was computed
+    first_clocks : clocks estimated before all else; None if lost increments were restored before that
     """
 
     clocks: Clocks
@@ -96,55 +96,55 @@ class Learned:
     first_clocks: Clocks | None = None
 
     def is_negligible(self, name: str) -> bool:
-        """Return whether a part of the model, by name, is there and does not matter."""
+        """Return whether the part of the model with this name is present but negligible in practice."""
         own = self.contributions.get(name)
         return own is not None and own.negligible(self.decisions.practical)
 
     @property
     def matters(self) -> tuple[str, ...]:
-        """Names of the included effects of the library that matter, in order."""
+        """Names of the included library effects that are not negligible, in order."""
         return tuple(name for name in self.added if not self.is_negligible(name))
 
     @property
     def of_setup(self) -> tuple[str, ...]:
-        """Names of included effects that belong to the recording, and to no robot: where the tracked point sits."""
+        """Names of included effects of the recording set-up: position and yaw of the tracked point on the robot."""
         setup = [effect for effect in self.fit.effects if effect.kind == "setup"]
         return tuple(effect.name for effect in setup if not readings_of(effect, self.drive_type))
 
     @property
     def lacking(self) -> tuple[str, ...]:
-        """Names of the included effects of the robot that matter, in order."""
+        """Names of the included effects of the robot itself that are not negligible, in order."""
         return tuple(name for name in self.matters if name not in self.of_setup)
 
     @property
     def unexplained(self) -> tuple[Dependence, ...]:
-        """Dependences that no effect of the model explains, without those that are in it and negligible."""
+        """Dependences that no effect of the model explains, except negligible ones that are in the model."""
         left = [one for one in self.unknown if not one.instead_of]
         return tuple(one for one in left if one not in self.laws or not self.is_negligible(one.name))
 
     @property
     def left_nats(self) -> float:
-        """What the plainest dependence gains that nothing else in the model explains."""
+        """Largest gain among the dependences that no effect explains, nats; 0 if there are none."""
         return max((one.nats for one in self.unknown if not one.instead_of), default=0.0)
 
     @property
     def drive_type(self) -> DriveType:
-        """How the robot's wheels steer it."""
+        """Drive type of the robot, stated or guessed."""
         return drive_type_of(self.fit.problem.recordings)
 
     def may_be_losses(self, name: str) -> bool:
-        """Return whether an effect may as well be increments that are lost: travel is missing, and ticks hide zeros."""
+        """Return whether an effect may be lost increments instead: travel is missing, and coarse ticks hide losses."""
         grown = any(e.name == name == "wheel_scale" and getattr(e, "e", 0.0) > 0.0 for e in self.fit.effects)
         return grown and self.hides_losses
 
     @property
     def added(self) -> tuple[str, ...]:
-        """Names of the effects of the library that were included and kept, in order."""
+        """Names of the library effects that were included and kept, in order."""
         return tuple(step.added for step in self.steps if step.added is not None)
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """Steps whose inclusion is in the final model; of one that left and came back, the later."""
+        """Steps whose term is in the final model; for a term included twice, the later step."""
         kept = {effect.name for effect in self.fit.effects}
         stayed = {step.name: step for step in self.rounds if step.added in kept or step.dependence in self.laws}
         return tuple(step for step in self.rounds if stayed.get(step.name) is step)

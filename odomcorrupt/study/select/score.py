@@ -1,8 +1,8 @@
-"""Score tests: which term would explain the residual of a fit, each at its working point, to first order.
+"""Score tests of terms on the residual of a fit, each at its working point, to first order.
 
-One whitened column per coefficient; a term of two is tested as a group. Two tests guard against false inclusions: the
-chi-square, Bonferroni-corrected over the family (right when the noise model is right), and a moderated cluster-robust
-F (right when it is not: the sum over blocks of the run shows how much a score really varies).
+Each coefficient has one whitened column; a term with two is tested as a group. Two tests guard against false
+inclusions. A chi-square test, Bonferroni-corrected over the family, is valid if the noise model is right. A moderated
+cluster-robust F test is valid without it: sums over blocks of the run show the actual variance of a score.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ if TYPE_CHECKING:
 __all__ = ["ColumnScore", "Projection", "Score", "project_out", "score_columns", "score_terms"]
 
 _SEPARABLE = 0.02
-"""A column that loses all but this part of its length to the design matrix is not separable from the model."""
+"""Fraction of a column's length outside the span of the design matrix below which it is not separable from it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnScore:
-    """What the residual says about a group of columns.
+    """Score test of a group of p columns.
 
-    estimate, standard_error : (p,) of their coefficients, to first order; errors are cluster-robust
-    statistic : chi-square with p degrees under the fitted model
-    inflation : by how much the score varies more between blocks than the model says, at least 1
-    p : probability of such a score anywhere in the family without any effect, by the worse of both tests
+    estimate, standard_error : (p,) coefficients to first order; their errors are cluster-robust
+    statistic : chi-square with p degrees of freedom under the fitted model
+    inflation : variance of the score between blocks relative to that of the noise model, at least 1
+    p : probability of such a score anywhere in the family without any effect, the larger one of both tests
     separable : whether the group is separable from the model at all
     held_out_nats, held_out_error : gain in log likelihood on blocks left out of the estimate, and its standard error
     """
@@ -64,15 +64,15 @@ class ColumnScore:
     held_out_error: float
 
     def significant(self, level: float) -> bool:
-        """Whether it is separable from the model, passes both tests, and gains on blocks held out of its estimate."""
+        """Return whether the group is separable from the model, passes both tests and gains on held-out blocks."""
         return self.separable and self.p < level and self.held_out_nats > self.held_out_error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score(ColumnScore):
-    """What the residual says about a term; the factors are its coefficients.
+    """Score test of a term, with one column per coefficient.
 
-    penalty : nats that it must gain, see `decisions.penalty`
+    penalty : gain at which the term breaks even, nats, see `decisions.penalty`
     """
 
     term: Term
@@ -80,7 +80,7 @@ class Score(ColumnScore):
 
     @property
     def effect(self) -> Effect:
-        """The effect as it was tested: at its working point, amplitudes at their identity."""
+        """The tested effect: at its working point, with amplitudes at their identity."""
         return self.term.start
 
     @property
@@ -90,12 +90,12 @@ class Score(ColumnScore):
 
     @property
     def nats(self) -> float:
-        """Log likelihood that it gains under the noise model, less the penalty."""
+        """Gain in log likelihood under the noise model, minus the penalty."""
         return 0.5 * self.statistic - self.penalty
 
     @property
     def robust_nats(self) -> float:
-        """The same, reduced where blocks of the drive vary more than the noise model says."""
+        """The same with the gain divided by the inflation."""
         return 0.5 * self.statistic / self.inflation - self.penalty
 
 
@@ -104,7 +104,7 @@ class Projection:
     """The part of whitened data that the design matrix of a fit does not span.
 
     basis : (3 K, q) orthonormal, spanning the whitened design matrix
-    residual : (3 K,) the fit's innovations without their part in that span
+    residual : (3 K,) innovations of the fit without their part in that span
     """
 
     basis: Array
@@ -116,7 +116,7 @@ class Projection:
         return rest
 
     def gain(self, white: Array) -> float:
-        """Return the nats that whitened columns (3 K, p) explain together, to first order."""
+        """Return the joint gain of whitened columns (3 K, p), nats, to first order."""
         rest = self.of(white)
         if not rest.any():
             return 0.0
@@ -124,7 +124,7 @@ class Projection:
 
 
 def project_out(fit: Fit, *more: Array) -> Projection:
-    """Return the projection onto what the design matrix of a fit does not span, nor more columns (K, 3, c)."""
+    """Return the projection off the span of a fit's design matrix and, if given, of more columns (K, 3, c)."""
     r, basis = fit.noise.innovations, fit.span
     if more:
         basis = orthonormal(fit.noise.whitener.whiten(np.concatenate((fit.design_matrix, *more), axis=2)))
@@ -143,9 +143,9 @@ def score_terms(
 
     Parameters
     ----------
-    fit, terms, decisions : the model, what is tested, and what the penalty is made of
-    family : how many kinds of terms might have come first, besides the trials of each; default: as many as are tested
-    columns : (K, 3, p) of each term, where they are known already
+    fit, terms, decisions : the model, the tested terms, and the thresholds that define penalties
+    family : number of kinds of terms for the Bonferroni correction, beside the trials of each; default: those tested
+    columns : (K, 3, p) columns of each term, if already computed
 
     """
     count = len(fit.problem.nodes)
@@ -207,7 +207,7 @@ def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Tes
 
 
 def _held_out(r: Array, column: Array, block: NDArray[np.int64]) -> Array:
-    """Return the gain (nats) of each block when the estimate comes from all the others."""
+    """Return the gain of each block, nats, with the estimate from all other blocks."""
     count = column.shape[1]
     squares = (column[:, :, None] * column[:, None, :]).reshape(-1, count * count)
     normal = block_sums(block, squares).reshape(-1, count, count)

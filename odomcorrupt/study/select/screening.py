@@ -1,7 +1,7 @@
-"""Screening: about what each of thousands of terms would explain, averaged over the intervals between nodes.
+"""Screening: approximate gains of thousands of terms, from their means over the intervals.
 
-A drive is thinned to a few increments of every interval. On them a term is a mean per interval, so a family costs one
-whitening per channel and not one per member. What is reported of a term comes from its exact columns.
+A drive is thinned to a few increments of every interval, and a term is represented by its mean over them. A family then
+costs one whitening per channel, not one per member. Reported scores of a term always come from its exact columns.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ if TYPE_CHECKING:
 __all__ = ["CoarseDesign", "Screened", "coarse_gains", "promising_terms"]
 
 _SAMPLES = 5
-"""Increments of each interval that are kept."""
+"""Number of increments kept of each interval."""
 _MEAN = np.tile(np.eye(3) / _SAMPLES, (_SAMPLES, 1))
-"""What (3 samples, 3) turns rows of rates of several samples into their means."""
+"""Matrix (3 samples, 3) that converts rows of rates of several samples to their means."""
 _KEPT = 20
-"""Basis functions of each regressor and action that are whitened."""
+"""Number of basis functions of each regressor and action that are whitened."""
 
 
 class Screened(NamedTuple):
-    """A basis function that acts somewhere, and about how many nats it gains before its penalty."""
+    """A basis function with its action, and its approximate gain before the penalty, nats."""
 
     term: BasisTerm
     nats: float
 
 
 class CoarseDesign:
-    """Columns of terms on the K intervals of a problem, each term taken at its mean over every interval.
+    """Approximate columns of terms on the K intervals of a problem, from the mean of each term over every interval.
 
-    It does not depend on the model, and may be kept for as long as the problem is the same.
+    The design does not depend on the model, and remains valid for an unchanged problem.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -71,15 +71,15 @@ class CoarseDesign:
 
     @property
     def actions(self) -> list[Action]:
-        """All that they may act on here."""
+        """All actions of basis functions that these motions allow."""
         return actions_on(self._motions)
 
     def reaching(self, action: Action) -> list[BasisFunction]:
-        """Return the basis functions that an action is tried with."""
+        """Return the basis functions that are tried with an action."""
         return [function for function in self.functions if not action.reaches.isdisjoint(function.reaches)]
 
     def columns(self, terms: Sequence[Term]) -> Array:
-        """Return (K, 3, P): about what a unit of each coefficient of each term does to the residuals, one by one."""
+        """Return the approximate change (K, 3, P) of the residuals per unit of each coefficient of each term."""
         parts = []
         for (kind, action), group in groupby(terms, key=lambda t: (type(t), getattr(t, "action", None))):
             if kind is BasisTerm and action is not None:
@@ -92,12 +92,12 @@ class CoarseDesign:
         return by_column(np.concatenate([part.transpose(2, 0, 1) for part in parts]))
 
     def acting(self, action: Action, means: Sequence[Array]) -> Array:
-        """Return (K, 3, P) from the means (K, P) of functions, one for each unit of an action."""
+        """Return columns (K, 3, P) of functions from their means (K, P), one array for each unit of an action."""
         units = self.units(action)
         return by_column(np.asarray(sum(u * mean.T[:, :, None] for (_, u), mean in zip(units, means, strict=True))))
 
     def units(self, action: Action) -> list[tuple[str, Array]]:
-        """Return what an action reads (body, a wheel), and what (K, 3) a unit of error there does to the residuals."""
+        """Return the views (body or wheel) of an action, each with the change (K, 3) of residuals per unit error."""
         if action not in self._units:
             track_m = self._motions[0].track_m
             moved = [(m.dt_s, action.rates(v, track_m)) for m, v in zip(self._motions, self._whole, strict=True)]
@@ -116,7 +116,7 @@ class CoarseDesign:
         return self._means[key]
 
     def means(self, functions: Sequence[BasisFunction], view: str, move: str) -> Array:
-        """Return the means (K, P) of functions over the intervals, weighted by how far each sample moves."""
+        """Return the means (K, P) of functions over the intervals, weighted by the motion of each sample."""
         seen, count = self._seen[view], len(self._nodes)
         weight = np.abs(MOVES[move](seen)).reshape(count, -1) + 1e-9
         weight = weight / weight.sum(axis=1, keepdims=True)
@@ -127,13 +127,13 @@ class CoarseDesign:
         return means.T
 
     def _library(self, term: LibraryTerm) -> Array:
-        """Return (K, 3, p) of an effect that remembers nothing, zero where it cannot act."""
+        """Return approximate columns (K, 3, p) of a memoryless effect, zero if it cannot act."""
         columns = []
         for p in amplitudes(term.start):
             acting = replace(term.start, **{p.name: p.identity + p.step})  # type: ignore[type-var]  # effects are dataclasses
             try:
                 rate = error_of(acting, self._thinned).reshape(len(self._nodes), 3 * _SAMPLES) @ _MEAN
-            except EffectError:  # it acts on single wheels, and the track is not known
+            except EffectError:  # the effect acts on single wheels, and the track is unknown
                 rate = np.zeros((len(self._nodes), 3))
             rate *= -1.0 / p.step
             columns.append(sum(held * rate[:, [i]] for i, held in enumerate(self._held)))
@@ -153,13 +153,13 @@ class CoarseDesign:
 
     @cached_property
     def _held(self) -> list[Array]:
-        """What (K, 3) a constant rate of one in each channel does to the residuals."""
+        """Changes (K, 3) of the residuals by a constant rate of one in each channel."""
         dt_s = np.concatenate([m.dt_s for m in self._motions])
         return [self._nodes.column(dt_s[:, None] * unit) for unit in np.eye(3)]
 
 
 def _thinned(nodes: Intervals, motions: Sequence[Motion]) -> Motion:
-    """Return a few increments of each of the K intervals, evenly spread and as many of each, as one motion."""
+    """Return `_SAMPLES` evenly spread increments of each of the K intervals, as one motion."""
     last = np.append(nodes.first[1:], len(nodes.source)) - 1
     steps = np.linspace(nodes.first, last, _SAMPLES).round().astype(np.int64).T.ravel()
     chosen = nodes.source[steps]
@@ -170,9 +170,9 @@ def _thinned(nodes: Intervals, motions: Sequence[Motion]) -> Motion:
 
 
 def coarse_gains(fit: Fit, rest: Projection, columns: Array, counts: Sequence[int]) -> Array:
-    """Return about the nats (J,) that groups of neighbouring columns (K, 3, P) explain of the residual of a fit.
+    """Return the gains (J,), nats, of groups of adjacent approximate columns (K, 3, P) on the residual of a fit.
 
-    counts : (J,) how many columns each group has
+    counts : (J,) number of columns of each group
     """
     raw = fit.noise.whitener.whiten(columns)
     own = np.einsum("ij,ij->j", raw, raw)
@@ -190,7 +190,7 @@ def coarse_gains(fit: Fit, rest: Projection, columns: Array, counts: Sequence[in
 
 
 def promising_terms(fit: Fit, rest: Projection, design: CoarseDesign) -> list[Screened]:
-    """Return the best basis functions of every regressor on everything that they may act on."""
+    """Return the best basis functions of every regressor for every action, with their approximate gains."""
     found: list[Screened] = []
     pull = fit.noise.whitener.pulled(rest.residual)
     for action in design.actions:
@@ -206,9 +206,9 @@ def promising_terms(fit: Fit, rest: Projection, design: CoarseDesign) -> list[Sc
 
 
 def _best_apart(fit: Fit, design: CoarseDesign, action: Action, means: Sequence[Array], pull: Array) -> list[int]:
-    """Return which functions to whiten: of each regressor the best as they look if intervals were independent.
+    """Return the indices of functions to whiten: the best of each regressor if intervals were independent.
 
-    Their scores are exact: one back-substitution serves them all.
+    Only the normalisation assumes independence; the scores are exact, from one back-substitution for all functions.
     """
     functions = design.reaching(action)
     units = [unit for _, unit in design.units(action)]
@@ -229,5 +229,5 @@ def _best_apart(fit: Fit, design: CoarseDesign, action: Action, means: Sequence[
 
 
 def _first_of(counts: Sequence[int]) -> NDArray[np.int64]:
-    """Return where each group of columns begins, and the end."""
+    """Return the index of the first column of each group, and the number of columns at the end."""
     return np.concatenate(([0], np.cumsum(counts))).astype(np.int64)

@@ -1,8 +1,8 @@
-"""Shape search: the member of a family of terms that explains most, approximately among all, exactly among the best.
+"""Shape search: the member of a family of terms with the largest gain; approximate for all, exact for the best.
 
-Places, thresholds and correlation times enter nonlinearly. Families are laid out on grids; from the best members
-coordinate steps that shrink lead to the nearest maximum, and once a term is in the model, a simplex moves all numbers
-of its shape at once, as ridges ask for.
+Places, thresholds and correlation times are nonlinear parameters. Families are evaluated on grids. From the best
+members, coordinate steps of decreasing size lead to the nearest maximum. Once a term is in the model, a simplex varies
+all its shape parameters jointly, because the likelihood may have ridges.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
 __all__ = ["ShapeSearch", "maximise"]
 
 _COARSE, _EXACT = (1.0, 0.5, 0.25, 0.125), (0.25, 0.125, 0.05)
-"""Scales of the steps of a shape: with approximate columns first, then with exact ones."""
+"""Scales of the steps of a shape: with approximate columns, and then with exact ones."""
 _SIMPLEX = 0.25
 """Scale of the first simplex."""
-_MOST_STEPS, _WORTH_NATS = 12, 0.1
-_LARGE = 12
-"""Of a larger family so many members are evaluated exactly."""
-_STARTS, _PLAIN_NATS = 4, 30.0
-"""From how many members the search goes on where the best explains so much: there are other maxima nearby.
-What explains less does not show its finer features either."""
+_MOST_STEPS, _WORTH_NATS = 12, 0.1  # largest number of steps at each scale; least gain of a step
+_MOST_EXACT = 12
+"""Largest number of members of a family that are evaluated exactly."""
+_STARTS, _LARGE_NATS = 4, 30.0
+"""Number of starting members if the best one gains this many nats, because other maxima may be near.
+Below that gain only the best member is a start: its finer features are not significant either."""
 _NEAR, _WORTH = 0.03, 0.05
-"""Parts of the first steps, and nats, below which the simplex ends."""
+"""Size of the simplex, as a fraction of the first steps, and difference in nats at which it ends."""
 
 _REFINED, _REFINED_NATS = 1.5, 5.0
-"""Factor and nats by which exact columns may raise what a family explains: by a quarter at most, as far as was seen."""
+"""Factor and nats by which exact columns may raise the gain of a family; the largest rise observed was a quarter."""
 
 T = TypeVar("T", bound=Term)
 
@@ -51,21 +51,21 @@ T = TypeVar("T", bound=Term)
 class Located(NamedTuple):
     """A term near the best of its family.
 
-    exact : whether its shape is refined by exact columns as well
+    exact : whether its shape is also refined with exact columns
     """
 
     term: LibraryTerm
     exact: bool
 
     def at_most(self, nats: float) -> float:
-        """Return the most nats that the best of its family is likely to explain where this member explains so many."""
+        """Return a likely upper bound on the gain of the best of the family, given the gain of this member, nats."""
         return nats if self.exact else _REFINED * nats + _REFINED_NATS
 
 
 class ShapeSearch:
     """Searches over shapes of terms beside the model of a fit.
 
-    design : approximate columns, where they are known already for this problem
+    design : approximate columns, if already computed for this problem
     """
 
     def __init__(self, fit: Fit, decisions: Decisions, design: CoarseDesign | None = None) -> None:
@@ -75,7 +75,7 @@ class ShapeSearch:
         self._coarse_gains: dict[Effect, float] = {}
 
     def gain(self, term: Term) -> float:
-        """Return the nats that a term explains at its shape, from exact columns; 0 where it cannot act."""
+        """Return the gain of a term at its shape, nats, from exact columns; 0 if it cannot act."""
         if not isinstance(term, LibraryTerm):
             return self._gain(term)
         if term.start not in self._gains:
@@ -85,12 +85,12 @@ class ShapeSearch:
     def _gain(self, term: Term) -> float:
         try:
             columns = term.columns(self._fit.problem)
-        except EffectError:  # it acts on single wheels, and the track is not known
+        except EffectError:  # the term acts on single wheels, and the track is unknown
             return 0.0
         return self._rest.gain(self._fit.noise.whitener.whiten(columns))
 
     def coarse_gains(self, terms: Sequence[Term]) -> Array:
-        """Return about the nats (J,) that terms explain at their shapes."""
+        """Return the approximate gains (J,) of terms at their shapes, nats."""
         of_library = [term for term in terms if isinstance(term, LibraryTerm)]
         if len(of_library) < len(terms):
             return self._gains_of(terms)
@@ -104,11 +104,10 @@ class ShapeSearch:
         return coarse_gains(self._fit, self._rest, self._design.columns(terms), [term.width for term in terms])
 
     def best(self, family: Sequence[LibraryTerm]) -> LibraryTerm:
-        """Return the member of a family that explains most, its shape refined.
+        """Return the member of a family with the largest gain, its shape refined.
 
-        A parameter that is a word keeps its first value, unless another explains plainly more. Where the heading comes
-        from matters to a place as well, so each source has the whole family; other words are tried at the best shape,
-        if it explains plainly.
+        A word-valued parameter keeps its first value unless another gains clearly more. The whole family is searched
+        for each source of the heading; other words are tried at the best shape, if its gain exceeds `_LARGE_NATS`.
         """
         if len(family) == 1 and not choices(family[0].start):
             return family[0]
@@ -116,14 +115,14 @@ class ShapeSearch:
         usual = self._highest(family)
         unusual = [self._highest(others) for others in zip(*(t.with_words(("heading",)) for t in family), strict=True)]
         most, best = max([usual, *((nats - price, other) for nats, other in unusual)], key=itemgetter(0))
-        words = [word for word in choices(best.start) if word != "heading"] if most > _PLAIN_NATS else []
+        words = [word for word in choices(best.start) if word != "heading"] if most > _LARGE_NATS else []
         others = [self._refined(other) for other in best.with_words(words)]
         return max([(most, best), *((nats - price, other) for nats, other in others)], key=itemgetter(0))[1]
 
     def located(self, family: Sequence[LibraryTerm]) -> Located:
-        """Return about the best member of a family: its shape refined by approximate columns, its gain exact.
+        """Return a member near the best of a family: its shape refined with approximate columns, its gain exact.
 
-        A fraction of the work of `best`, for families that explain little: see `Located.at_most`.
+        This is much cheaper than `best`, for families with small gains: see `Located.at_most`.
         """
         if not any(len(term.shape) for term in family) or (len(family) == 1 and not choices(family[0].start)):
             return Located(self.best(family), exact=True)
@@ -138,7 +137,7 @@ class ShapeSearch:
     def promising(self) -> list[Screened]:
         """Return the best basis functions of every regressor and action, on the grid of their families.
 
-        Rectangles are too many to try everywhere: they are where a disc explains much of what anything does.
+        Rectangles are too many to try everywhere; they are tried around the best disc, if its gain is large.
         """
         found = promising_terms(self._fit, self._rest, self._design)
         disc = max((s for s in found if s.term.function.related), key=lambda s: s.nats, default=None)
@@ -156,17 +155,17 @@ class ShapeSearch:
         return [*found, max(related, key=lambda s: s.nats)]
 
     def forms(self, ranked: Sequence[Screened]) -> list[BasisTerm]:
-        """Return the best of ranked terms, its shape refined, and where it is plain, other maxima among the first."""
+        """Return the best of ranked terms with its shape refined and, if its gain is large, other nearby maxima."""
         return [self.climb(term) for term in starts([s.term for s in ranked], ranked[0].nats)]
 
     def climb(self, term: T) -> T:
-        """Return the term at the nearest maximum over its shape, from approximate columns, where it has any."""
+        """Return the term at the nearest maximum of the approximate gain; unchanged if it is an effect with memory."""
         if isinstance(term, LibraryTerm) and term.remembers:
             return term
         return self._climb(term, self.coarse_gains, _COARSE)
 
     def maximise(self, term: T) -> T:
-        """Return the term at the nearest maximum, all numbers of its shape moved at once, from exact columns."""
+        """Return the term at the nearest maximum over all shape parameters jointly, from exact columns."""
         if not len(term.shape):
             return term
         return term.with_shape(
@@ -174,20 +173,20 @@ class ShapeSearch:
         )
 
     def _highest(self, family: Sequence[LibraryTerm]) -> tuple[float, LibraryTerm]:
-        """Return the nats and the term at the highest maximum that a family leads to."""
-        if len(family) > _LARGE:
-            family = [family[i] for i in np.argsort(-self.coarse_gains(family), kind="stable")[:_LARGE]]
+        """Return gain and term of the highest maximum found from the members of a family."""
+        if len(family) > _MOST_EXACT:
+            family = [family[i] for i in np.argsort(-self.coarse_gains(family), kind="stable")[:_MOST_EXACT]]
         ranked = sorted(((self.gain(term), term) for term in family), reverse=True, key=itemgetter(0))
         begin = starts([term for _, term in ranked], ranked[0][0])
         return max((self._refined(term) for term in begin), key=itemgetter(0))
 
     def _nearly(self, family: Sequence[LibraryTerm]) -> tuple[float, LibraryTerm]:
-        """Return the nats and the term about where `_highest` begins to climb by exact columns."""
+        """Return gain and term from which `_highest` would continue with exact columns."""
         if family[0].remembers:
             return max(((self.gain(term), term) for term in family), key=itemgetter(0))
         nats = self.coarse_gains(family)
         order = np.argsort(-nats, kind="stable")
-        begin = starts([family[i] for i in order[:_LARGE]], float(nats[order[0]]))
+        begin = starts([family[i] for i in order[:_MOST_EXACT]], float(nats[order[0]]))
         return max(((self.gain(term), term) for term in map(self.climb, begin)), key=itemgetter(0))
 
     def _refined(self, term: LibraryTerm) -> tuple[float, LibraryTerm]:
@@ -210,13 +209,13 @@ class ShapeSearch:
 
 
 def starts(ranked: Sequence[T], nats: float) -> list[T]:
-    """Return terms to refine, the best first: one, or where it explains plainly, some that lead to other maxima.
+    """Return terms to refine, the best first: one, or if its gain is large, some that may lead to other maxima.
 
-    nats : what the best explains
+    nats : gain of the best
     """
     chosen = [ranked[0]]
     for term in ranked[1:]:
-        if len(chosen) == _STARTS or nats < _PLAIN_NATS:
+        if len(chosen) == _STARTS or nats < _LARGE_NATS:
             break
         if all(_apart(term, other) for other in chosen):
             chosen.append(term)
@@ -233,9 +232,9 @@ def _apart(one: Term, other: Term) -> bool:
 
 
 def maximise(gain: Callable[[Array], float], start: Array, steps: Array) -> Array:
-    """Return where a gain (nats) of a shape (s,) has the maximum nearest to a start.
+    """Return the shape (s,) at the maximum of a gain (nats) nearest to a start.
 
-    By a simplex, because edges have no slope (Nelder and Mead 1965, Computer Journal 7, 308); `steps` (s,) span it.
+    By a simplex with first `steps` (s,), as edges have no gradient (Nelder and Mead 1965, Computer Journal 7, 308).
     """
     found = minimize(
         lambda moved: -gain(start + steps * moved),

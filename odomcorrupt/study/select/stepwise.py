@@ -1,9 +1,9 @@
-"""Stepwise selection: include the term that explains most, refit, drop what it made redundant, until nothing is left.
+"""Stepwise selection: include the term with the largest gain, refit, drop redundant terms, until no term is admitted.
 
-Three kinds of terms compete in every step: effects of the library, correlated noise, and basis functions of one
-regressor. A known effect is the likelier a priori, so a basis function has to explain plainly more to come before one,
-and noise more than either, because whatever is not in the model looks like noise. Basis functions are screened only
-where they may come next: where no effect is admitted, or noise would be.
+Three kinds of terms compete in every step: library effects, correlated noise, and basis functions of one regressor. A
+known effect is likelier a priori, so a basis function needs a clearly larger gain to precede one. Noise needs a larger
+gain than either, because any missing term looks like noise. Basis functions are screened only if no effect is admitted
+or if noise would be included next.
 """
 
 from __future__ import annotations
@@ -71,10 +71,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Learned", "Step", "learn"]
 
-_LIKE_SKIDS_S = 0.02
-"""An offset of a clock up to which what wheels do at changes of speed may be mistaken for it."""
-_LIKE_CLOCKS = ("accel_slip", "backlash")
-"""What wheels do at changes of speed."""
+_AMBIGUOUS_CLOCK_S = 0.02
+"""Largest clock offset, seconds, that wheel effects at changes of speed can imitate."""
+_CLOCK_LIKE_EFFECTS = ("accel_slip", "backlash")
+"""Wheel effects at changes of speed."""
 
 
 def learn(
@@ -86,16 +86,16 @@ def learn(
     most: int | None = None,
     work: Work | None = None,
 ) -> Learned:
-    """Return the model that recordings of one robot select, starting from the given effects.
+    """Return the model selected from recordings of one robot, beginning with the given effects.
 
     Parameters
     ----------
-    recordings : of one robot, odometry with truth
+    recordings : odometry and truth of one robot
     start : effects that are in the model from the beginning and are not dropped
     law_name : the noise law, see `odomcorrupt.model.noise_laws`
-    decisions : every number that decides what is included, kept, replaced or dropped
-    most : how many effects are included at most, default `decisions.max_effects`
-    work : takes note of every stage
+    decisions : thresholds of inclusion, replacement and removal
+    most : largest number of included effects, default `decisions.max_effects`
+    work : progress callbacks of the stages
     """
     (work := work or Work()).begin_clocks()
     if most is not None:
@@ -143,17 +143,17 @@ def learn(
 
 @dataclass(slots=True)
 class _Selection:
-    """A model on its way through the selection.
+    """State of a selection in progress.
 
-    fit, noise : the model as it is, and its random effects
-    given, work : names of effects that are not dropped; what takes note of every step
-    clocks : as they are in the model, and what speaks for others
-    steps : so far
-    included, open : dependences that are in the model, and those that it leaves
-    contradictions : effects that would explain the data with a sign that physics forbids
-    withdrawn : names of effects that were admitted, and did not last beside the model as it is
-    compared, compared_at : included effects of the library against basis functions in their place, and in which fit
-    seen : terms of the models so far
+    fit, noise : the current model, and its random effects
+    given, work : names of effects that are not dropped; progress callbacks
+    clocks : clocks of the model, and the evidence for alternatives
+    steps : steps so far
+    included, open : dependences in the model, and those that it does not explain
+    contradictions : effects that fit the data only with a physically impossible sign
+    withdrawn : names of effects that were admitted to the current model and removed again
+    compared, compared_at : comparisons of library effects with basis functions, and the fit in which they were made
+    seen : terms of all models so far
     """
 
     fit: Fit
@@ -175,7 +175,7 @@ class _Selection:
         self.noise = list(self.noise)
 
     def run(self) -> _Selection:
-        """Take steps until one changes nothing, then finish; return itself."""
+        """Take steps until the model no longer changes, then finish; return self."""
         self._replace_leading_clock()
         while self._step() or self._name_laws() or self._swap_clock() or self._replace_leading_clock():
             pass
@@ -183,17 +183,17 @@ class _Selection:
         return self
 
     def _include(self, proposal: Proposal, candidates: Sequence[Candidate]) -> None:
-        """Include a dependence, and drop what it makes redundant."""
+        """Include a dependence, and drop terms that it makes redundant."""
         self.included.append(proposal.dependence)
         self._record(candidates, dependence=proposal.dependence)
         if proposal.candidate.fit is not None:
             self._continue_from(without_redundant(proposal.candidate.fit, self.given, self.decisions))
 
     def _name_laws(self) -> bool:
-        """Put known effects in the place of laws that do no more than copy them; return whether the model changed."""
+        """Replace a dependence by a known effect with about the same gain; return whether the model changed."""
         for law in list(self.included):
             name = name_for(self.fit, law, self.decisions)
-            if name is None or self._had(name.fit):
+            if name is None or self._already_seen(name.fit):
                 continue
             self.included.remove(law)
             if name.fit is None:
@@ -206,16 +206,16 @@ class _Selection:
         return False
 
     def _contradicted(self) -> set[str]:
-        """Return the channels that causes of impossible signs act on: an error there depends on what the data lack."""
+        """Return the channels of effects with impossible signs: errors there have a cause outside the data."""
         return {channel for one in self.contradictions for channel in channels_of(self.fit, one.score.effect)}
 
     def _continue_from(self, fit: Fit) -> None:
-        """Take a model that has one more term."""
+        """Continue from a model with one more term."""
         self.withdrawn.clear()
         self.noise, self.fit = eliminate_random(self.noise, fit, self.decisions)
 
     def _step(self) -> bool:
-        """Include the term that explains most, and return whether there was one."""
+        """Include the term with the largest gain, and return whether the selection goes on."""
         decisions, self.open = self.decisions, []
         self.seen.add(terms_of(self.fit))
         self.work.begin_step()
@@ -238,10 +238,10 @@ class _Selection:
             self._record(candidates)
             return False
         self.work.within_step("refits")
-        # robust weights are estimated again, because what looked like outliers may be explained now
+        # robust weights are re-estimated, because the term may explain intervals that were outliers before
         larger = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
         larger = without_redundant(larger, self.given, decisions)
-        if best.name not in {effect.name for effect in larger.effects} or self._had(larger):
+        if best.name not in {effect.name for effect in larger.effects} or self._already_seen(larger):
             self.withdrawn.add(best.name)
             return True
         self._record(candidates, added=best.name)
@@ -257,14 +257,14 @@ class _Selection:
         ))  # fmt: skip
 
     def _correlated(self, gain: float) -> RandomCoefficient | None:
-        """Return the random coefficient that explains plainly more than the best effect, if there is room for one."""
+        """Return the random coefficient with a clearly larger gain than the best effect, if another one is allowed."""
         if len(self.fit.random) >= self.decisions.max_correlated or is_pulled(self.fit):
             return None
         found = random_coefficients(self.fit, self.decisions)
         return found[0] if found and found[0].nats > gain + self.decisions.alternative_nats else None
 
     def _propose(self, *, alone: bool) -> Proposal | None:
-        """Return the dependence that may come next; where no effect is left (`alone`), in place of one first."""
+        """Return the dependence to include next; if no effect is admitted (`alone`), preferably as a replacement."""
         decisions, design = self.decisions, CoarseDesign(self.fit.problem)
         found = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
         found = [
@@ -279,16 +279,16 @@ class _Selection:
             return None
         compared = list(self.compared.values()) if alone else []
         if len(compared) > 1:
-            # several effects may stand in for one cause together, and none of them gives way to it alone
+            # several effects may explain one cause together; replacing only one of them would then gain nothing
             together = [e for own in compared for e in own.effects]
             compared.append(compare_with_basis(self.fit, together, decisions, design))
-        # what the data contradict in one place is no better in another: it would come and go
+        # no replacement on contradicted channels either: it would be included and removed in turn
         replacement = best_replacement(self.fit, compared, decisions, self._contradicted())
         proposal = replacement or best_dependence(self.fit, self.open, decisions)
-        return None if proposal is None or self._had(proposal.candidate.fit) else proposal
+        return None if proposal is None or self._already_seen(proposal.candidate.fit) else proposal
 
-    def _had(self, fit: Fit | None) -> bool:
-        """Return whether a model has the terms of an earlier one: a search that comes back would never end."""
+    def _already_seen(self, fit: Fit | None) -> bool:
+        """Return whether a model has the terms of an earlier one: to return to it would be an endless loop."""
         return fit is not None and terms_of(fit) in self.seen
 
     def _compare(self, design: CoarseDesign) -> None:
@@ -298,7 +298,7 @@ class _Selection:
         self.compared_at = self.fit
 
     def _include_correlated(self, one: RandomCoefficient, explained: float) -> bool:
-        """Include a random coefficient, if it gains plainly more than a dependence would; return whether it did."""
+        """Include a random coefficient if it gains clearly more than `explained` nats; return whether it did."""
         calmer = self.fit.refit(random=(*self.fit.random, one.effect))
         if not gain_in_refit(one, self.fit, calmer) > explained + self.decisions.alternative_nats:
             return False
@@ -307,7 +307,7 @@ class _Selection:
         return True
 
     def _finish(self) -> None:
-        """Note what contradicts physics, name outliers, and drop what is redundant; compare what was included."""
+        """Record contradictions of physics, classify outliers, drop redundant terms and compare the included ones."""
         decisions = self.decisions
         against = [one for one in self.steps[-1].candidates if one.contradicts_physics(decisions)]
         self.contradictions += [one for one in against if one.score.robust_nats > decisions.replacement_nats]
@@ -319,23 +319,23 @@ class _Selection:
         self.noise += outliers
         self.fit = eliminate_untested(one_heading(self.fit, self.given, decisions), self.given, decisions)
         if bursts := [one.effect for one in outliers if one.effect.name == "slip_burst"]:
-            # what they do is no noise of every step
+            # their error is an effect and not noise of every step
             self.fit = self.fit.refit((*self.fit.effects, *bursts))
         if self.compared_at is not self.fit:
             self._compare(CoarseDesign(self.fit.problem))
 
     def rivals(self) -> list[Dependence]:
-        """Return of each included effect the dependence that explains about as much in its place, if one does."""
+        """Return for each included effect the dependence that explains about as much in its place, if there is one."""
         nearly = -self.decisions.alternative_nats
         found = {name: own.better(self.decisions, nearly)[:1] for name, own in self.compared.items()}
         return [replace(one, instead_of=name) for name, nearest in found.items() for one in nearest]
 
     def _replace_leading_clock(self) -> bool:
-        """Put motors that follow commands late in the place of a clock that is ahead, where that explains more."""
+        """Replace the lead of the odometry's clock by a motor lag if that gains more; return whether it did."""
         found = late_motors(self.fit, self.decisions)
         if found is None:
             return False
-        better = found.more_nats > self.decisions.replacement_nats and not self._had(found.fit)
+        better = found.more_nats > self.decisions.replacement_nats and not self._already_seen(found.fit)
         if not better:
             rivals = (*self.clocks.rival_nats, clock_nats(self.fit) - abs(found.more_nats))
             self.clocks = replace(self.clocks, rival_nats=rivals)
@@ -348,17 +348,17 @@ class _Selection:
         return True
 
     def _swap_clock(self) -> bool:
-        """Put a clock in the place of what wheels do at changes of speed, or that in its, where it explains more.
+        """Replace a clock offset by a wheel effect at changes of speed, or conversely, if that gains more.
 
-        Clocks come before everything else, and a small offset does about what a wheel does that skids, or whose play is
-        crossed, whenever the speed changes. What it leaves of that is a dependence on the acceleration. Where there is
-        no clock, what resembles one may be its own: stamps that are rounded are late by half of what they are rounded
-        to. Of the two the one that is left out stays a rival.
+        Clocks are estimated first, and a small offset has nearly the same errors as slip or backlash at changes of
+        speed. If the wheel effect is real, a dependence on the acceleration remains beside the clock. If no clock
+        is free, a selected wheel effect may be an offset: rounded stamps are late by half of the rounding step. The
+        hypothesis that is left out remains a rival.
         """
         fit, clocked = self.fit, bool(np.any(self.fit.free_clocks))
         late = {one.name for one in (*self.included, *self.open) if one.follows_acceleration}
-        like = {e.name for e in fit.effects if e.name in _LIKE_CLOCKS and e.name not in self.given}
-        small = max(abs(clock.offset_s) for clock in fit.problem.clocks) < _LIKE_SKIDS_S
+        like = {e.name for e in fit.effects if e.name in _CLOCK_LIKE_EFFECTS and e.name not in self.given}
+        small = max(abs(clock.offset_s) for clock in fit.problem.clocks) < _AMBIGUOUS_CLOCK_S
         if not (late and small if clocked else like):
             return False
         others = [e for e in fit.effects if e.name not in (late if clocked else like)]
@@ -369,7 +369,7 @@ class _Selection:
         if best is not None and best.fit is not None:
             other = with_shape_refined(best.fit.refit(), best.score, self.decisions)[0]
         more = more_nats(other, fit) + self._penalty(fit) - self._penalty(other)
-        better = more > 0.0 and not self._had(other)
+        better = more > 0.0 and not self._already_seen(other)
         if better:
             self.clocks = replace(self.clocks, clocks=other.problem.clocks, free=free, ambiguous_nats=0.0)
             if best is not None:
@@ -380,13 +380,13 @@ class _Selection:
             rivals = (*self.clocks.rival_nats, clock_nats(self.fit) - abs(more))
             self.clocks = replace(self.clocks, rival_nats=rivals)
         else:
-            gains = (step.candidates[0].gain for step in self.steps if step.added in _LIKE_CLOCKS)
+            gains = (step.candidates[0].gain for step in self.steps if step.added in _CLOCK_LIKE_EFFECTS)
             nats = max(gains, default=0.0) - abs(more)
             self.clocks = replace(self.clocks, ambiguous_nats=max(nats, self.clocks.ambiguous_nats, 0.0))
         return better
 
     def _penalty(self, fit: Fit) -> float:
-        """Return the nats that the effects of a model must gain."""
+        """Return the sum of the penalties of the effects and free clocks of a model, nats."""
         forms = {one.name: one.best.score.penalty for one in self.included if one.best is not None}
         motions, count = fit.problem.motions, len(fit.problem.nodes)
         clocks = 0.5 * float(np.log(count) * np.sum(fit.free_clocks))

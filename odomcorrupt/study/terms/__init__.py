@@ -1,6 +1,6 @@
-"""Terms of the regression: what may explain the residual of odometry against truth.
+"""Terms of the regression: hypotheses that may explain the residual of odometry against truth.
 
-`regressors` (the smooth motion that everything is a function of), `basis` (functions of one regressor) and `channels`
-(what they act on), `splines` (curves), and `term` (effects of the library and basis functions as one kind of
-hypothesis).
+`regressors` (the smooth motion on which all terms depend), `basis` (functions of one regressor), `channels` (their
+actions on the body or on wheels), `splines` (curves), `term` (library effects and basis functions under one protocol),
+and `drive_type` and `heading_source` (effects that the robot can have).
 """

@@ -1,4 +1,4 @@
-"""What a basis function acts on: a channel of the body, on the rim of one wheel or of both; and what moves it there."""
+"""Actions of basis functions: a channel of the body, or the rim of one wheel or both, and a factor of motion."""
 
 from __future__ import annotations
 
@@ -24,23 +24,22 @@ MOVES: dict[str, Callable[[Motion], Array]] = {
     "omega": lambda m: m.omega,
     "1": lambda m: np.ones(len(m)),
 }
-"""What an error is proportional to; 1 for one that grows with time."""
+"""Factors of motion that multiply an error; 1 for an error that grows with time."""
 _BODY, _RIGHT, _LEFT = "body", "right", "left"
 _GROUND, _TOWARD = "ground", 6
-"""What carries the robot where it is, and the directions, over half a turn, in which it may."""
+"""Target of errors along a direction in the world, and the number of directions, over half a turn, that are tried."""
 _TWIST = "twist"
-"""Travel and turn by the same factor, as of two wheels that err alike: what they do at one time needs no track."""
+"""Target of errors that scale travel and turn alike: equal errors of both wheels, which need no track."""
 
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """What a basis function adds to, and what it multiplies.
+    """Target of a basis function, and the motion by which the function is multiplied.
 
-    target : one of the channels, or of the sides, of expressions; or "ground": along and across at once; or "twist":
-        along and yaw at once
+    target : a channel or side of expressions; or "ground": along and across at once; or "twist": along and yaw at once
     move : key of `MOVES`
-    heading : where the odometry's heading comes from; with a gyro, wheels do not turn it
-    toward : direction in the world, rad, in which the ground carries the robot
+    heading : source of the odometry's heading, "wheels" or "gyro"; with a gyro, errors of wheels do not turn it
+    toward : direction in the world, rad, of the displacement for the target "ground"
     """
 
     target: str
@@ -50,14 +49,14 @@ class Action:
 
     @property
     def by_wheel(self) -> bool:
-        """Whether it acts on single wheels, each as it moves itself."""
+        """Whether the action is on single wheels, each with its own motion."""
         return self.target in SIDES
 
     @property
     def reaches(self) -> frozenset[str]:
-        """What it reaches: the "body", "one" wheel or "both"; the heading over time, a "bias"; "ground" or "twist".
+        """Classes of the target: "body", "one" wheel, "both", "bias", "ground", "twist" or "heading".
 
-        What turns the body as it travels may be an error of its "heading".
+        "bias" is a heading error over time; "heading" is a yaw error per travel, which an error of a compass may cause.
         """
         if self.move == "1":
             return frozenset({"bias"})
@@ -69,23 +68,23 @@ class Action:
 
     @property
     def channel(self) -> str:
-        """The channel of the body where it shows most: the heading, where one wheel is not like the other."""
+        """Channel of the body with the largest error: yaw, if the wheels turn the heading and their errors differ."""
         if not self.by_wheel:
             return "along" if self.target in (_GROUND, _TWIST) else self.target
         return "along" if self.target == "wheels" or self.heading == "gyro" else "yaw"
 
     @property
     def per(self) -> str:
-        """What its error is an error per: "m" driven, "rad" turned, or "s"."""
+        """Unit of motion to which the error refers: "m" driven, "rad" turned, or "s"."""
         return {"omega": "rad", "1": "s"}.get(self.move, "m")
 
     @property
     def turn(self) -> float:
-        """First step of a search over its direction, rad; 0 where it has none."""
+        """First step of a search over the direction, rad; 0 if the target has none."""
         return 0.5 * np.pi / _TOWARD if self.target == _GROUND else 0.0
 
     def written(self, function: str) -> str:
-        """Return a function as an expression."""
+        """Return the expression of an effect for a function given as text."""
         if self.move == "1":
             return f"{self.target} += {function}"
         if self.target == _TWIST:
@@ -96,7 +95,7 @@ class Action:
         return f"along += {along} * ({function}); across += {across} * ({function})"
 
     def rates(self, seen: View, track_m: float | None) -> list[tuple[str, Array]]:
-        """Return the views it looks at, and how fast (n, 3) a function of one there moves the odometry."""
+        """Return the views that the action reads, each with the residual's rate (n, 3) for a function equal to 1."""
         if self.target == _TWIST:
             still = np.zeros(len(seen[_BODY]))
             return [(_BODY, -np.stack((seen[_BODY].v, still, seen[_BODY].omega), axis=1))]
@@ -114,16 +113,16 @@ class Action:
 
 
 def every_action() -> list[Action]:
-    """Return everything that basis functions are tried on."""
+    """Return every action that basis functions are tried with."""
     body = [Action(c, m) for c in CHANNELS for m in MOVES if c == "yaw" or m in ("v", "abs(v)")]
     wheels = [Action("wheels", "v"), Action("wheels", "v", "gyro"), Action("left", "v"), Action("right", "v")]
     return [*body, *wheels, *(Action(_GROUND, "abs(v)", toward=np.pi * i / _TOWARD) for i in range(_TOWARD))]
 
 
 def actions_on(motions: Sequence[Motion]) -> list[Action]:
-    """Return what basis functions can be tried on here: single wheels need a track.
+    """Return the actions that are possible on these motions: those on single wheels need a track.
 
-    Without one, what both do at a time is tried on the twist: that both are worn, or carry more, at any track.
+    Without a track, equal errors of both wheels over time (wear, load) are tried on the twist instead.
     """
     if all(m.track_m is not None for m in motions):
         return every_action()
@@ -131,11 +130,11 @@ def actions_on(motions: Sequence[Motion]) -> list[Action]:
 
 
 View = dict[str, "Motion"]
-"""One motion, as the body and as each wheel see it."""
+"""The motion of the body and of each wheel, by name."""
 
 
 def views(motion: Motion) -> View:
-    """Return the motion of the body, and of the wheels where the track is known."""
+    """Return the motion of the body and, if the track is known, of the wheels."""
     if motion.track_m is None:
         return {_BODY: motion}
     right, left = wheel_motions(motion, motion.track_m)

@@ -1,10 +1,9 @@
-"""Drive type: how the wheels steer a robot, as it was given or guessed from its motion; and the effects it can have.
+"""Drive type of a robot, given or guessed from its motion, and the library effects that it can have.
 
-A robot whose wheels are steered turns only as it travels, within a radius that no speed changes, and where it drives
-slowly its wheels are often turned as far as they go: a fifth of it is at one and the same large curvature. One that
-turns by the difference of its wheels has no such stop, even where its planner never turns it on the spot. Many effects
-of the two kinds are one and the same function of the motion (an offset of the steering, and one wheel larger than the
-other): the drive type then chooses the name.
+A steered robot turns only while it travels, with a smallest radius that does not depend on speed. When it drives
+slowly, its steering is often at the stop: at least a fifth of slow driving has the same large curvature. A differential
+drive has no such stop, even if its planner never turns it on the spot. Many effects of the two types are the same
+function of the motion (steering offset and unequal wheels); the drive type then decides the name.
 """
 
 from __future__ import annotations
@@ -43,44 +42,45 @@ if TYPE_CHECKING:
 __all__ = ["MOUNTING", "DriveType", "drive_type_of", "library_families", "mountings", "readings_of"]
 
 MOUNTING = ("lever_arm", "mount_yaw")
-"""Where on the robot sits what the truth follows, see `mountings`."""
+"""Effects of the position and yaw of the tracked point on the robot, see `mountings`."""
 
 _FAST, _SLOW, _STILL = 0.6, 0.4, 0.03
-"""Parts of the usual speed: the largest curvature is seen above one, tested below one; and those of a robot at rest."""
+"""Fractions of the usual speed: the largest curvature is measured above the first and tested below the second; below
+the third the robot is at rest."""
 _USUAL, _LARGEST = 0.9, 0.995
-"""Quantiles: of the speed while it moves, and of the curvature on the way."""
+"""Quantiles that define the usual speed of a moving robot, and the largest curvature at speed."""
 _SHARPER = 1.3
-"""A steered robot's curvature is no larger than so many times the largest that it has at speed."""
+"""Largest curvature of a steered robot, relative to the largest at speed."""
 _LEAST_RADIUS_M = 0.3
-"""What turns within less is taken to turn on the spot."""
+"""Turning radius below which a robot counts as turning on the spot, m."""
 _TURNED_RAD = 4.0 * np.pi
-"""Less turning in all says nothing of how a robot turns."""
+"""Least total turn for a guess of the drive type, rad."""
 _SLOW_S, _SPELLS = 3.0, 3
-"""Seconds of slow driving, and times that a robot slowed down, that it takes to see how it turns then."""
+"""Least time of slow driving, s, and least number of slow spells for a guess."""
 _CREEP = 0.05
-"""Part of the usual speed below which ticks make the curvature."""
+"""Fraction of the usual speed below which encoder ticks dominate the curvature."""
 _STOP, _STOP_SHARE, _STOP_QUANTILE = 1.15, 0.2, 0.95
-"""Steering has a stop where so large a share of slow driving is within this factor of the curvature's quantile, which
-a late steering angle exceeds for moments. Robots with two driven wheels have a tenth of it there (a mower that never
-turned on the spot), steered ones a third and more."""
+"""Steering has a stop if this share of slow driving is within this factor of this quantile of the curvature (a delayed
+steering angle exceeds the quantile briefly). The share was a tenth for a robot with two driven wheels (a mower that
+never turned on the spot), and a third or more for steered ones."""
 _SPOT_RAD = 0.1
-"""Turn in each slow spell beyond what the radius allows that filters and ticks may make, radians."""
-_REST_S = 2.0
+"""Largest turn per slow spell beyond the smallest radius that filters and ticks can cause, rad."""
+_REST_S = 2.0  # least time at rest that shows whether the odometry turns at rest, s
 _GYRO_RAD = 1e-4
-"""An odometry that turns by more while its wheels stand has a heading that is not theirs."""
+"""Turn at rest above which the heading of the odometry is not computed from its wheels, rad."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveType:
-    """How the wheels steer a robot.
+    """Drive type of a robot, with facts that decide which effects it can have.
 
     name : one of `drive_types.DRIVE_TYPES`
-    reason : why, where it was guessed; "" where it was given, or where nothing speaks against a differential drive
-    stated : whether it was given
-    gyro : whether the heading may be a gyro's; a steered robot's is not where the odometry does not turn at rest
-    heading_source : what a gyro in the bag shows the heading to come from: "wheels", "gyro", or ""
-    travel : whether a truth measured travel, and not headings alone
-    antenna : whether truths are positions alone of a point that may be anywhere on the robot
+    reason : evidence for a guessed type; "" if the type was given, or if differential drive is the default
+    gyro : whether the heading may come from a gyro; not for a steered robot with odometry that does not turn at rest
+    stated : whether the type was given
+    heading_source : source of the heading as shown by a gyro in the bag: "wheels", "gyro", or "" if unknown
+    travel : whether any truth measured travel, and not headings alone
+    antenna : whether truths are positions alone, of a point that may be anywhere on the robot
     """
 
     name: str
@@ -93,27 +93,27 @@ class DriveType:
 
     @property
     def known(self) -> bool:
-        """Whether it was given, or the motion shows it."""
+        """Whether the type was given or is evident from the motion."""
         return self.stated or bool(self.reason)
 
     @property
     def steered(self) -> bool:
-        """Whether a steering angle turns it."""
+        """Whether the robot turns by a steering angle."""
         return self.name in STEERED
 
     @property
     def sentence(self) -> str:
-        """What it is, and where it was guessed from the motion, why."""
+        """Name of the type and, if guessed from the motion, the evidence."""
         return f"{self.name} ({self.reason})" if self.reason else self.name
 
     def admits(self, kind: type[Effect]) -> bool:
-        """Tell whether a robot of this type can have an effect, twins and all."""
+        """Tell whether a robot of this type can have an effect; aliases included."""
         possible = (kind.drives is None or self.name in kind.drives) and (self.gyro or not kind.needs_gyro)
         return possible and is_nameable(kind, self.heading_source, travel=self.travel)
 
 
 def drive_type_of(recordings: Sequence[Recording]) -> DriveType:
-    """Return the drive type of the robot in recordings: as the first that names one says, or guessed from all."""
+    """Return the drive type of the robot: the one given in the first recording that has one, or guessed from all."""
     return replace(
         _stated_or_guessed(recordings),
         heading_source=heading_source_of(recordings),
@@ -147,7 +147,7 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
 
 
 def _has_stop(slow: Array) -> bool:
-    """Tell whether slow driving, curvatures and seconds (2, m), is again and again at one largest curvature."""
+    """Tell whether slow driving, as curvatures and durations (2, m), is often at the same largest curvature."""
     curvature, seconds = slow
     if not len(curvature):
         return False
@@ -159,15 +159,15 @@ def _has_stop(slow: Array) -> bool:
 def library_families(
     recordings: Sequence[Recording], motions: Sequence[Motion], have: Container[str]
 ) -> list[tuple[LibraryTerm, ...]]:
-    """Return every systematic effect of the library that a robot can have and that can be tested, at every shape.
+    """Return every systematic library effect that a robot can have and that can be tested, at every shape.
 
-    Clocks are apart, and a twin is named as another reading of the one with the same error; where that is no effect
-    of this drive type, the twin takes its place. Single wheels need a track, given or their own.
+    Clocks are excluded. Of aliases only one is tested and the others are reported as other readings; if that one is no
+    effect of this drive type, its alias is tested. Effects of single wheels need a track, given or as a parameter.
 
     Parameters
     ----------
-    recordings, motions : what is studied, and its smooth motion
-    have : names of effects that the model has
+    recordings, motions : the recordings, and their smooth motions
+    have : names of effects that are already in the model
 
     """
     drive = drive_type_of(recordings)
@@ -175,43 +175,43 @@ def library_families(
     sideways = drive.name == "omni" or (drive.name != "differential" and drives_sideways(motions))
     families = []
     for name, kind in registry().items():
-        wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _leads(kind, drive)
+        wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _is_tested(kind, drive)
         possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
         if name in MOUNTING and name not in mountings(recordings):
             continue
         if wanted and possible:
             family = with_known_heading(LibraryTerm.family(kind, motions), drive.heading_source)
-            if drive.steered:  # it has no two wheels that odometry compares
+            if drive.steered:  # its odometry does not compare two wheels
                 family = tuple(t for t in family if not (getattr(t.start, "track", 0.0) or kind.needs_track))
             families.append(family)
     return [family for family in families if family]
 
 
 def mountings(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Return which of `MOUNTING` can exist.
+    """Return the effects of `MOUNTING` that are possible.
 
-    None of it where a truth is of the odometry's own frame, or of a gyro, which has no place; and no mounting yaw where
-    there are positions alone, of which it changes nothing.
+    There are none if a truth is in the frame of the odometry, or is a gyro, whose position has no influence. A mounting
+    yaw has no influence on truths of positions alone.
     """
     if any(r.of_base or not r.positioned for r in recordings):
         return ()
     return MOUNTING if any(r.headed for r in recordings) else MOUNTING[:1]
 
 
-def _leads(kind: type[Effect], drive: DriveType) -> bool:
-    """Tell whether an effect is tested itself, and is not named as another reading of one that is."""
+def _is_tested(kind: type[Effect], drive: DriveType) -> bool:
+    """Tell whether an effect is tested itself, and not only reported as an alias of a tested one."""
     if not drive.admits(kind) or kind.in_place_of is not None:
         return False
-    # a lever arm has a second number, so what a steered robot's has one of is tested beside it; not of an antenna,
-    # which is likelier off the axle than the base frame is
+    # a lever arm has two parameters, so its one-parameter alias for steered robots is tested too; but not with an
+    # antenna, which is likelier off the axle than the base frame is
     of_steered = drive.steered and kind.drives is not None and not drive.antenna
     return kind.twin_of is None or of_steered or is_settled(kind, drive.heading_source)
 
 
 def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[str, ...]:
-    """Return the other readings of an effect that a robot of this type can have: names of the very same error.
+    """Return the aliases of an effect that a robot of this type can have: names of effects with the same error.
 
-    effect : with its values, which another reading has to admit; or its name
+    effect : an effect, whose values have to be within the bounds of an alias; or the name of an effect
     """
     kinds = registry()
     name = effect if isinstance(effect, str) else effect.name
@@ -219,7 +219,7 @@ def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[s
     twins = [other for other, kind in kinds.items() if kind.twin_of == name]
     either = (*twins, *([own] if own else []))
     guessed = drive is not None and drive.steered and not drive.stated
-    if guessed:  # and perhaps wrongly: the names for two driven wheels stay beside those of a steered robot
+    if guessed:  # perhaps wrongly, so the names for differential drives are reported too
         unsteered = kinds[name].unsteered if name in kinds else None
         either = (*either, *([unsteered] if unsteered else []))
     elif drive is not None:
@@ -228,19 +228,19 @@ def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[s
 
 
 def _admits(kind: type[Effect], effect: Effect | str) -> bool:
-    """Tell whether the values of an effect are within the bounds of a twin."""
+    """Tell whether the values of an effect are within the bounds of an alias."""
     return all(p.low <= getattr(effect, p.name, p.identity) <= p.high for p in parameters(kind))
 
 
 @dataclass(frozen=True, slots=True)
 class _SlowDriving:
-    """What one recording's odometry says of how the robot turns.
+    """Statistics of the turning of a robot, from the odometry of one recording.
 
-    along_m, across_m, turned : way forwards and sideways, and turn in all, m and rad
-    curvature : the largest at speed, 1/m
-    seconds, spells : how long, and how often, it drove slowly or stopped
-    beyond : turn in these that the largest curvature does not allow, rad
-    turned_at_rest, rest_s : turn while the wheels stood, rad, and for how long they did
+    along_m, across_m, turned : total travel forwards and sideways, m, and total turn, rad
+    curvature : largest curvature at speed, 1/m
+    seconds, spells : duration of slow driving, s, and number of slow spells or stops
+    beyond : turn in these beyond the largest curvature, rad
+    turned_at_rest, rest_s : turn while the wheels were at rest, rad, and duration of rest, s
     slow : (2, m) curvature, 1/m, and duration, s, of each interval of slow driving
     """
 
@@ -282,7 +282,7 @@ def _slow_driving(recording: Recording) -> _SlowDriving:
 
 
 def _settled(still: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return where something has been still for some increments on either side, too."""
+    """Return a mask (n,) of the increments at rest whose five neighbours on either side are also at rest."""
     both = still.copy()
     for shift in range(1, 6):
         both[shift:] &= still[:-shift]

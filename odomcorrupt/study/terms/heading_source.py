@@ -1,8 +1,8 @@
-"""Which effects may be named: what a gyro in the bag settles of the odometry's heading, and what it cannot see.
+"""Source of the odometry's heading, as shown by a gyro in the bag, and the effects that it rules out.
 
-The twins `wheelbase` and `gyro_scale` are one error of turns with two readings. A gyro beside the truth shows whether
-the odometry's heading comes from the wheels or from a gyro, and with it which of the two is meant. Where a gyro is the
-only witness, travel is not seen at all, and a bias of the yaw rate may as well be its own.
+The aliases `wheelbase` and `gyro_scale` are the same yaw gain. A gyro beside the truth shows whether the odometry's
+heading comes from the wheels or from a gyro, and so which of the two effects is meant. If a gyro is the only truth,
+travel is not measured, and a bias of the yaw rate may be the bias of that gyro.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ if TYPE_CHECKING:
 
 __all__ = ["GAINS_OF_TURNS", "heading_source_of", "is_nameable", "is_settled", "sees_travel", "with_known_heading"]
 
-GAINS_OF_TURNS = {"wheels": "wheelbase", "gyro": "gyro_scale"}
+GAINS_OF_TURNS = {"wheels": "wheelbase", "gyro": "gyro_scale"}  # yaw gain of each source of the heading
 _OF_TRAVEL = ("wheel_scale", "speed_scale", "scale_drift", "sideways_scale", "slope", "lever_arm", "mount_yaw")
 _GYROS = ("gyro_bias", "gyro_bias_walk")
 
 
 def heading_source_of(recordings: Sequence[Recording]) -> str:
-    """Return where the odometry's heading comes from, "wheels" or "gyro"; "" where not all recordings show the same."""
+    """Return the source of the odometry's heading, "wheels" or "gyro"; "" if unknown or different in recordings."""
     sources = {recording.heading_source for recording in recordings}
     return sources.pop() if len(sources) == 1 else ""
 
 
 def sees_travel(recordings: Sequence[Recording]) -> bool:
-    """Whether any truth measured travel."""
+    """Return whether any truth measured travel."""
     return any(recording.positioned for recording in recordings)
 
 
 def is_nameable(kind: type[Effect], source: str, *, travel: bool) -> bool:
-    """Whether a witness of turns lets an effect be named: of two gains of turns the one of the heading's source.
+    """Return whether an effect can be named: of the two yaw gains, only that of a known source of the heading.
 
-    travel : whether any truth measured travel
+    travel : whether any truth measured travel; otherwise effects of travel and biases of gyros are excluded
     """
     if not travel and kind.name in (*_OF_TRAVEL, *_GYROS):
         return False
@@ -47,12 +47,12 @@ def is_nameable(kind: type[Effect], source: str, *, travel: bool) -> bool:
 
 
 def is_settled(kind: type[Effect], source: str) -> bool:
-    """Whether an effect is the gain of turns that the heading's source has."""
+    """Return whether an effect is the yaw gain of a known source of the heading."""
     return kind.name == GAINS_OF_TURNS.get(source)
 
 
 def with_known_heading(family: tuple[LibraryTerm, ...], source: str) -> tuple[LibraryTerm, ...]:
-    """Return the shapes of an effect whose heading comes from where the odometry's does; all where that is unknown."""
+    """Return the shapes of an effect with the known source of the odometry's heading; all if it is unknown."""
     if not source:
         return family
     return tuple(t for t in family if "heading" not in choices(t.start) or getattr(t.start, "heading", "") == source)

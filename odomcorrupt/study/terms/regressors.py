@@ -1,8 +1,8 @@
-"""What drives the regressors: the smooth motion of a run, taken from the odometry or from the truth.
+"""Smooth motion of a run, from the odometry or from the truth, on which the regressors are computed.
 
-An error can be regressed only on a motion that does not contain it. The encoder of a real robot is smooth and the
-contact with the ground disturbs the truth: take the odometry. Odometry that was made noisy by us (or by a simulator)
-carries the noise itself, sample by sample: take the truth then. The odometry's own jitter shows which it is.
+An error can be regressed only on a motion that does not contain it. On a real robot encoders are smooth, and contact
+with the ground disturbs the true motion: the odometry is used. Odometry that was corrupted by this package or by a
+simulator contains the noise of every sample: the truth is used. The jitter of the odometry decides.
 """
 
 from __future__ import annotations
@@ -33,36 +33,36 @@ __all__ = ["MotionSmoother", "Side", "choose_side", "drives_sideways", "driving_
 Side = Literal["odometry", "truth"]
 
 TRUTH_SMOOTHING_S = (0.5, 2.0)
-"""Least and largest window for the truth: as short as its noise allows, because starts and stops are blurred by it."""
+"""Least and largest smoothing window of the truth: as short as its noise allows, because it blurs starts and stops."""
 _SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
-"""Noise left in a driving speed, m/s and rad/s: more of it would pass for motion while the robot does not move so."""
-_JITTER_S = 0.2
+"""Noise allowed in a smoothed speed, m/s and rad/s; more would look like motion of a robot at rest."""
+_JITTER_S = 0.2  # least time step for estimates of the odometry's noise, s
 _SIDEWAYS = 0.1
-"""Part of the travelled distance that a holonomic robot moves sideways, at least."""
-_BIAS = 0.002
-_LEAST_BIAS, _PLAIN_SIDE = 2e-4, 3.0
-_FEW = 50
-_SHARED, _PLAINLY = 0.7, 3.0
-"""Roughness of which the truth shows less than this part, beyond so many standard errors, is the odometry's own."""
+"""Least fraction of the travelled distance that a holonomic robot moves sideways."""
+_BIAS = 0.002  # relative bias of a gain above which the truth is used
+_LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0  # the same if the odometry has this many times the truth's noise variance
+_FEW = 50  # least number of samples in motion
+_SHARED, _ERRORS = 0.7, 3.0
+"""Roughness is noise of the odometry if the truth shares less than this fraction, by this many standard errors."""
 
 
 def drives_sideways(motions: Sequence[Motion]) -> bool:
-    """Tell whether a robot can drive sideways; a differential one's sideways speed is an artefact of smoothing."""
+    """Tell whether a robot drives sideways; a small sideways speed is an artefact of smoothing."""
     along = sum(float(np.abs(m.v * m.dt_s).sum()) for m in motions)
     across = sum(float(np.abs(m.vy * m.dt_s).sum()) for m in motions)
     return across > _SIDEWAYS * along
 
 
 class MotionSmoother:
-    """Smooth motions over the odometry's intervals, whatever effects are taken out of it: its stamps stay the same.
+    """Smooth motions of a run over the odometry's intervals, also for odometry with effects removed (same stamps).
 
-    They are for regressors and noise laws alone: they cannot be composed exactly.
+    The motions serve regressors and noise laws only; their composition is not exact.
 
     Parameters
     ----------
-    stretches : of one run, as they were recorded, on the truth's clock: the odometry of each is that of the run from
-        its beginning, and where the robot was in its time is its truth's to say
-    side : of which side's poses the speeds are local slopes
+    stretches : recorded stretches of one run, on the truth's clock: each has the odometry from the beginning of the
+        run, and the truth of its own time
+    side : the poses of which speeds are local slopes, "odometry" or "truth"
 
     """
 
@@ -71,7 +71,7 @@ class MotionSmoother:
         self.recording = whole = max(stretches, key=lambda r: len(r.odometry))
         t_s = whole.odometry_s
         self._ends_s, self._dt_s, middle = t_s[1:], np.diff(t_s), (t_s[:-1] + t_s[1:]) / 2.0
-        # slopes and regions lie in the world
+        # slopes and patches of the floor are fixed in the world, so places come from the truth
         shared = _by_truth(self.stretches, middle)
         at = np.concatenate([_where(stretch.truth, part, whole.origin_ns) for stretch, part in shared])
         self._x, self._y, self._theta = np.ascontiguousarray(at.T)
@@ -89,7 +89,7 @@ class MotionSmoother:
 
     @cached_property
     def recorded(self) -> Motion:
-        """The smooth motion of the recording as it was recorded."""
+        """Smooth motion of the unchanged recording."""
         return self.motion(self.recording)
 
     def motion(self, recording: Recording) -> Motion:
@@ -111,7 +111,7 @@ class MotionSmoother:
         )
 
     def acceleration(self, recording: Recording) -> Array:
-        """Return the acceleration (n, 3) of `motion` alone."""
+        """Return only the acceleration (n, 3) of `motion`."""
         return self._accelerations(self._twist(recording))
 
     def _accelerations(self, twist: Array) -> Array:
@@ -126,7 +126,7 @@ class MotionSmoother:
 
 @dataclass(frozen=True, slots=True)
 class _Slopes:
-    """Line fits to the poses of a path at some times, and where on the path these times are."""
+    """Line fits to the poses of a path at given times, and the position of these times among its stamps."""
 
     path: Trajectory
     lines: LineFits
@@ -135,7 +135,7 @@ class _Slopes:
 
     @classmethod
     def of(cls, path: Trajectory, at_s: Array, origin_ns: int, width_s: float) -> Self:
-        """Return the fits to a path at times (m,), in windows of a width."""
+        """Return the fits to a path at times (m,), s, in windows of a given width, s."""
         own = path.seconds_since(origin_ns)
         left, fraction = path.place_of(np.clip(at_s, own[0], own[-1]), origin_ns)
         return cls(path, LineFits(own, at_s, width_s), left, fraction)
@@ -148,7 +148,7 @@ class _Slopes:
 
 
 def _by_truth(stretches: Sequence[Recording], at_s: Array) -> list[tuple[Recording, Array]]:
-    """Return the stretches of a run in order, and of growing times (m,) those that are nearest to the truth of each."""
+    """Return the stretches of a run in order of time, each with those of ascending times (m,) nearest to its truth."""
     ordered = sorted(stretches, key=lambda r: int(r.truth.stamps_ns[0]))
     ends = [r.truth.seconds_since(r.origin_ns)[[0, -1]] for r in ordered]
     between = [(before[1] + after[0]) / 2.0 for before, after in pairwise(ends)]
@@ -156,41 +156,41 @@ def _by_truth(stretches: Sequence[Recording], at_s: Array) -> list[tuple[Recordi
 
 
 def _where(path: Trajectory, at_s: Array, origin_ns: int) -> Array:
-    """Return the poses (m, 3) of a path at times (m,), of its ends beyond them."""
+    """Return the poses (m, 3) of a path at times (m,), s; before and after the path those of its ends."""
     own = path.seconds_since(origin_ns)
     return path.at(np.clip(at_s, own[0], own[-1]), origin_ns)
 
 
 def driving_motion(recording: Recording, side: Side) -> Motion:
-    """Return the motion over the odometry's intervals, speeds being local slopes of the poses of one side."""
+    """Return the motion over the odometry's intervals, with speeds from local slopes of the poses of one side."""
     return MotionSmoother([recording], side).recorded
 
 
 def truth_noise(truth: Trajectory) -> Array:
-    """Return the deviation (3,) of the truth's white noise, m and rad: second differences cancel smooth driving."""
+    """Return the standard deviation (3,) of the truth's white noise, m and rad, from its second differences."""
     rough = np.diff(np.nan_to_num(truth.xyt), n=2, axis=0)
     noise: Array = np.sqrt(np.median(rough**2, axis=0) / 0.4549 / 6.0)  # 0.4549 is the median of chi-square with 1
     return noise
 
 
 def _truth_window(truth: Trajectory) -> float:
-    """Return the window (s) in which the truth's white noise leaves `_SLOPE_NOISE` of a slope."""
+    """Return the window, s, for which the truth's white noise causes slope errors of `_SLOPE_NOISE`."""
     rate = 1.0 / float(np.median(np.diff(truth.stamps_ns)) * 1e-9)
-    # a line through N samples in a window T has a slope of deviation sqrt(12 / N) noise / T
+    # the slope of a line through N samples in a window T has the standard deviation sqrt(12 / N) noise / T
     windows = (truth_noise(truth) * np.sqrt(12.0 / rate) / _SLOPE_NOISE) ** (2.0 / 3.0)
     return float(np.clip(windows.max(), *TRUTH_SMOOTHING_S))
 
 
 def choose_side(recording: Recording, node_s: float) -> Side:
-    """Return the side whose own noise would bias a regression of gains the less, the odometry unless it is plainly bad.
+    """Return the side with the smaller bias by its own noise in a regression of gains; by default the odometry.
 
-    Noise of variance q per second inside a regressor of speed v biases a gain by q / (v^2 node_s). Below `_BIAS` nobody
-    sees it; above, the truth drives. Second differences of increments over 0.2 s show the odometry's own noise with its
-    full size (smooth driving cancels, ticks hardly count), and clipping passes over starts and stops. What the truth
-    shows, too, is no noise: motors hunt, and on a drive that hardly turns that is all the turning there is.
+    Noise of variance q per second in a regressor of speed v biases a gain by q / (v^2 node_s). A bias below `_BIAS` is
+    negligible; above it the truth is used. The noise is estimated from second differences of increments over 0.2 s,
+    which cancel smooth driving and hardly contain ticks; clipping suppresses starts and stops. Roughness shared by the
+    truth is motion and not noise, such as speed oscillations of motors on a drive with hardly any turns.
 
-    Where all the noise there is plainly lives in the odometry, a tenth of that is enough: on straights, where there
-    is no motion beside it, a basis function would find it.
+    If the odometry is significantly noisier than the truth, a tenth of that bias suffices: on straights, with no other
+    motion, a basis function would fit the noise.
     """
     t_s = recording.odometry_s
     grid = np.arange(t_s[0], t_s[-1], max(_JITTER_S, 2.0 * float(np.median(np.diff(t_s)))))
@@ -200,45 +200,45 @@ def choose_side(recording: Recording, node_s: float) -> Side:
         return "odometry"
     rough = np.diff(step, n=2, axis=0)[moving]
     square = np.minimum(rough**2, 9.0 * np.median(rough**2, axis=0) + 1e-15)
-    # a drive that never turns has no noise of turns either
+    # the lower bound prevents 0 / 0 in a channel without motion, whose noise is zero too
     per_noise = (grid[1] - grid[0]) / node_s / np.maximum((step**2).mean(axis=0), 1e-30)
     noisy = square.mean(axis=0) / 6.0 * per_noise > _BIAS
     shared = _shared(recording, moving, grid)
     if shared is None:
         return "truth" if noisy.any() else "odometry"
-    noisy &= shared.part + _PLAINLY * shared.error < _SHARED
-    lives_here = shared.odometrys > _PLAIN_SIDE * np.maximum(shared.truths, 0.0)
-    lives_here &= shared.odometrys > _PLAINLY * shared.noise_error
-    noisy |= lives_here & (shared.odometrys * per_noise > _LEAST_BIAS)
+    noisy &= shared.part + _ERRORS * shared.error < _SHARED
+    only_odometry = shared.odometry_noise > _NOISE_RATIO * np.maximum(shared.noise_of_truth, 0.0)
+    only_odometry &= shared.odometry_noise > _ERRORS * shared.noise_error
+    noisy |= only_odometry & (shared.odometry_noise * per_noise > _LEAST_BIAS)
     return "truth" if noisy.any() else "odometry"
 
 
 def _steps(path: Trajectory, grid: Array, origin_ns: int) -> Array:
-    """Return travel and turn (n, 2) from one time of a grid to the next."""
+    """Return travel and turn (n, 2) between successive times of a grid, m and rad."""
     steps = increments(path.at(grid, origin_ns))
     return np.stack((steps.ds_m, steps.dtheta_rad), axis=1)
 
 
 class _Shared(NamedTuple):
-    """Of travel and turn (2,): which part of the odometry's roughness the truth has, too, and what is each one's own.
+    """Roughness of travel and turn (2,) that odometry and truth share, and the noise of each.
 
-    part, error : and its standard error
-    odometrys, truths : variance of a step that is noise of the one alone
-    noise_error : standard error of the odometry's
+    part, error : fraction of the odometry's roughness that the truth shares, and its standard error
+    odometry_noise, noise_of_truth : noise variance of a step of the odometry, and of the truth
+    noise_error : standard error of `odometry_noise`
     """
 
     part: Array
     error: Array
-    odometrys: Array
-    truths: Array
+    odometry_noise: Array
+    noise_of_truth: Array
     noise_error: Array
 
 
 def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Shared | None:
-    """Return what the sides' roughness has in common; None where the truth has no headings or too little is seen.
+    """Return the roughness shared by both sides; None if the truth has no headings or too few samples.
 
-    Noise of either side is in one of the factors alone, so their mean product is what they have in common. A truth
-    with no such difference is too noisy as regressor; one without headings is not tested.
+    The noise of one side is uncorrelated with the other side, so the mean product of both estimates the shared part. If
+    the truth shows no significant difference, it is too noisy as a regressor itself.
     """
     seen = aligned(recording, coarse_clock(recording))
     truth_s = seen.truth.seconds_since(recording.origin_ns)
@@ -255,7 +255,7 @@ def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Sh
     return _Shared(
         part=common.mean(axis=0) / whole,
         error=common.std(axis=0) / np.sqrt(len(common)) / whole,
-        odometrys=alone.mean(axis=0),
-        truths=(other**2 - own * other).mean(axis=0) / 6.0,
+        odometry_noise=alone.mean(axis=0),
+        noise_of_truth=(other**2 - own * other).mean(axis=0) / 6.0,
         noise_error=alone.std(axis=0) / np.sqrt(len(alone)),
     )

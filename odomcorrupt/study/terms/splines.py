@@ -1,4 +1,4 @@
-"""What an error may depend on, as curves: hats over a regressor, waves of the heading, tiles of a floor."""
+"""Curves of an error over one regressor: piecewise linear hats, harmonics of the heading, tiles of the floor."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["curve_regressors"]
 
-_HATS = {
+_HATS = {  # number of hats of each regressor
     "speed": 6,
     "yaw_rate": 6,
     "acceleration": 6,
@@ -23,13 +23,13 @@ _HATS = {
     "time": 8,
     "distance": 8,
 }
-_GRID = 4
+_GRID = 4  # grid lines of the floor along each axis
 _FINEST = 0.05
-"""Part of the range of a regressor that hats are apart: noise of the odometry is in both, it and the error."""
+"""Least distance of hats, as a fraction of the regressor's range: noise of the odometry enters regressor and error."""
 
 
 def curve_regressors(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
-    """Return for each regressor a function to its hats (n, m) over a motion, and their centres."""
+    """Return for each regressor a function from a motion to the hats (n, m) and their centres."""
     of: dict[str, Callable[[Motion], Array]] = {
         "speed": lambda m: m.v,
         "yaw_rate": lambda m: m.omega,
@@ -54,7 +54,7 @@ def curve_regressors(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], 
 
 
 def _apart(knots: Array) -> Array:
-    """Return ascending knots without those that lie too near to the one before."""
+    """Return ascending knots without those too close to the previous one."""
     least, kept = _FINEST * (knots[-1] - knots[0]), [knots[0]]
     for knot in knots[1:]:
         if knot - kept[-1] > least:
@@ -76,13 +76,13 @@ def _hats(value: Callable[[Motion], Array], knots: Array) -> Callable[[Motion], 
 
 
 def _linear_hats(values: Array, knots: Array) -> Array:
-    """Return piecewise linear hats (n, m) that sum to one, flat beyond the outer knots."""
+    """Return piecewise linear hats (n, m) with sum one, constant beyond the outer knots."""
     clipped = np.clip(values, knots[0], knots[-1])
     return np.stack([np.interp(clipped, knots, unit) for unit in np.eye(len(knots))]).T
 
 
 def _harmonics(motion: Motion) -> tuple[Array, Array]:
-    """Return cosines and sines of the heading and of twice the heading (n, 4), and their numbers."""
+    """Return cosines and sines of the heading and of twice the heading (n, 4), and their indices."""
     angles = np.stack([np.cos(motion.theta), np.sin(motion.theta), np.cos(2 * motion.theta), np.sin(2 * motion.theta)])
     return angles.T, np.arange(4.0)
 

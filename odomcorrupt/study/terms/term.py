@@ -1,9 +1,8 @@
-"""A term: one hypothesis about what the model lacks, as the selection sees it.
+"""Terms: hypotheses of the selection about a missing part of the model.
 
-A term has columns in the design matrix at a working point of its shape, a shape that may be refined, a size of the
-family it was selected from (which its penalty charges), and it becomes an effect of the model when it is included. The
-effects of the library and basis functions of one regressor are both terms; nothing in the selection asks which it is
-except where the two differ in fact.
+A term has design-matrix columns at a working point of its shape, shape parameters that may be refined, and the size of
+the family that it was selected from, which determines its penalty. Once included, it becomes an effect of the model.
+Library effects and basis functions of one regressor are both terms, with one protocol.
 """
 
 from __future__ import annotations
@@ -32,43 +31,43 @@ T = TypeVar("T", bound="Term")
 __all__ = ["BasisTerm", "LibraryTerm", "Term", "neighbours"]
 
 _KINDS = (len(VALUES) + 2) * len(every_action())
-"""Regressors, places and headings among them, times what they act on: a basis function is one of all these."""
-_PLAINEST = 2.0
-"""Half of the prior odds of a family of basis functions go to its plainest member."""
+"""Number of kinds of basis functions: regressors, including place and heading, times actions."""
+_SIMPLEST = 2.0
+"""Factor on the size of a family: half of its prior probability goes to its simplest member."""
 _STEP = 0.4
-"""First step of a shape search, in parts of a parameter's typical size."""
+"""First step of a shape search, as a fraction of a parameter's typical size."""
 _LEAST_OPTIONAL = 0.1
-"""What an optional shape parameter is at least once it is there, in parts of its typical size."""
+"""Least value of an optional shape parameter in a search, as a fraction of its typical size."""
 _SEVERAL_MAXIMA = 3
-"""From so many numbers in its shape (a place) on, a basis function is likely to have several maxima."""
+"""Number of shape parameters from which on (a place) a basis function is likely to have several maxima."""
 
 
 class Term(Protocol):
-    """What the selection needs to know of a hypothesis."""
+    """Protocol of a hypothesis of the selection."""
 
     @property
     def name(self) -> str:
-        """Name of the effect that it becomes."""
+        """Name of the effect that the term becomes."""
 
     @property
     def start(self) -> Effect:
-        """The effect that it becomes, its coefficients at their identity."""
+        """The effect that the term becomes, with its coefficients at their identity."""
 
     @property
     def width(self) -> int:
-        """How many coefficients it has, a column each."""
+        """Number of coefficients, with one column each."""
 
     @property
     def charged(self) -> int:
-        """How many of its numbers the penalty charges."""
+        """Number of fitted numbers that the penalty counts."""
 
     @property
     def trials(self) -> int:
-        """How many members of its family it is selected from."""
+        """Size of the family that the term is selected from."""
 
     @property
     def unusual(self) -> bool:
-        """Whether it says something of the robot that few robots are: a heading that the wheels do not turn."""
+        """Whether the term assumes a rare kind of robot: one with a heading that its wheels do not turn."""
 
     @property
     def several_maxima(self) -> bool:
@@ -76,27 +75,27 @@ class Term(Protocol):
 
     @property
     def shape(self) -> Array:
-        """Its shape parameters (s,); there may be none."""
+        """Shape parameters (s,); possibly none."""
 
     @property
     def steps(self) -> Array:
-        """First step (s,) of a search over each of them."""
+        """First step (s,) of a search over each shape parameter."""
 
     def with_shape(self, shape: Sequence[float]) -> Self:
         """Return the term with other shape parameters, kept within their bounds."""
 
     def columns(self, problem: Problem) -> Array:
-        """Return (K, 3, p): what a unit of each of its coefficients does to the residuals."""
+        """Return the change (K, 3, p) of the residuals per unit of each coefficient."""
 
     def effect(self, coefficients: Sequence[float]) -> Effect:
         """Return the effect of the model with these coefficients (p,), kept within their bounds."""
 
     def share(self, coefficients: Sequence[float], motions: Sequence[Motion]) -> float:
-        """Return the largest part of the robot's own motion that the term would be; 0 where it is no part of it."""
+        """Return the term's largest fraction of the robot's motion; 0 if it is not proportional to the motion."""
 
 
 def neighbours(term: T, scale: float) -> Iterator[T]:
-    """Yield the term with one number of its shape a step of this scale down or up."""
+    """Yield the term with one shape parameter at a time decreased and increased by `scale` of its step."""
     for i, step in enumerate(term.steps):
         for sign in (-1.0, 1.0):
             shape = term.shape.copy()
@@ -106,10 +105,10 @@ def neighbours(term: T, scale: float) -> Iterator[T]:
 
 @dataclass(frozen=True)
 class LibraryTerm:
-    """A registered effect as a term; its shape parameters are those that are no amplitudes.
+    """A library effect as a term; its shape parameters are all that are no amplitudes.
 
-    start : the effect at its working point, amplitudes at their identity
-    trials : size of the family of shapes that it is selected from
+    start : the effect at its working point, with amplitudes at their identity
+    trials : size of the family of shapes that the term is selected from
     """
 
     start: Effect
@@ -120,13 +119,13 @@ class LibraryTerm:
 
     @classmethod
     def family(cls, kind: type[Effect], motions: Sequence[Motion]) -> tuple[LibraryTerm, ...]:
-        """Return a kind of effect at every shape worth trying on these motions; none where it cannot act."""
+        """Return terms of an effect at every shape to be tried on these motions; none if it cannot act."""
         scanned = tuple(kind.scan(motions))
         return tuple(cls(effect, len(scanned)) for effect in scanned)
 
     @classmethod
     def of(cls, effect: Effect, motions: Sequence[Motion]) -> LibraryTerm:
-        """Return the term of an effect that a model has, at the effect's shape."""
+        """Return the term of an effect that is in a model, at the shape of that effect."""
         at_identity = replace(effect, **{p.name: p.identity for p in amplitudes(effect)})  # type: ignore[type-var]
         return cls(at_identity, max(len(type(effect).scan(motions)), 1))
 
@@ -137,22 +136,22 @@ class LibraryTerm:
 
     @property
     def remembers(self) -> bool:
-        """Whether what it does depends on the motion before, so that its columns need all of it."""
+        """Whether the effect has memory, so that its columns require the whole motion."""
         return self.start.start(stream(0, 0, self.name)) is not None
 
     @property
     def width(self) -> int:
-        """How many amplitudes it has."""
+        """Number of amplitudes."""
         return len(amplitudes(self.start))
 
     @property
     def charged(self) -> int:
-        """All parameters, those of the shape among them."""
+        """Number of all parameters, including those of the shape."""
         return self.width + len(shapes(self.start))
 
     @property
     def shape(self) -> Array:
-        """Values (s,) of the parameters that are no amplitudes."""
+        """Values (s,) of the shape parameters."""
         return np.array([getattr(self.start, p.name) for p in shapes(self.start)])
 
     @property
@@ -167,7 +166,7 @@ class LibraryTerm:
         return replace(self, start=replace(self.start, **values))  # type: ignore[type-var]  # effects are dataclasses
 
     def with_words(self, words: Sequence[str]) -> list[LibraryTerm]:
-        """Return the terms in which each of these words (a source of the heading, say) is each other one it may be."""
+        """Return a term for every other option of each of these word-valued parameters, such as the heading source."""
         options = [(word, option) for word in words for option in choices(self.start).get(word, ())]
         return [
             replace(self, start=replace(self.start, **{word: option}))  # type: ignore[type-var]
@@ -176,7 +175,7 @@ class LibraryTerm:
         ]
 
     def columns(self, problem: Problem) -> Array:
-        """Return (K, 3, p), a column for each amplitude."""
+        """Return columns (K, 3, p), one for each amplitude."""
         return problem.columns(self.start)
 
     def effect(self, coefficients: Sequence[float]) -> Effect:
@@ -186,16 +185,16 @@ class LibraryTerm:
         return replace(self.start, **values)  # type: ignore[type-var]  # effects are dataclasses
 
     def share(self, coefficients: Sequence[float], motions: Sequence[Motion]) -> float:  # noqa: ARG002 - of the protocol
-        """Return 0: what is possible for an effect of the library is said by its parameters' bounds."""
+        """Return 0, because the bounds of its parameters already limit a library effect."""
         return 0.0
 
 
 @dataclass(frozen=True)
 class BasisTerm:
-    """A basis function of one regressor, acting somewhere, as a term.
+    """A basis function of one regressor, with its action, as a term.
 
-    function : how the error depends on the regressor
-    action : on what it acts, and what it multiplies
+    function : the error as a function of the regressor
+    action : the target of the error, and the motion that multiplies it
     """
 
     function: BasisFunction
@@ -203,7 +202,7 @@ class BasisTerm:
 
     @cached_property
     def name(self) -> str:
-        """Name of the effect: what it acts on and what it depends on."""
+        """Name of the effect: target and regressor."""
         return f"{self.action.target}_over_{self.function.regressor}"
 
     @property
@@ -213,32 +212,32 @@ class BasisTerm:
 
     @property
     def width(self) -> int:
-        """How many coefficients it has."""
+        """Number of coefficients."""
         return len(self.function.parts)
 
     @property
     def charged(self) -> int:
-        """Its coefficients; its shape is charged by the family that it is selected from."""
+        """Number of coefficients; shape parameters are counted by the size of the family."""
         return self.width
 
     @property
     def trials(self) -> int:
-        """Size of its family, times all regressors and actions that might have come first."""
-        return int(_PLAINEST * self.function.trials * _KINDS)
+        """Size of the family times the number of all regressors and actions."""
+        return int(_SIMPLEST * self.function.trials * _KINDS)
 
     @property
     def unusual(self) -> bool:
-        """Whether it needs a heading that the wheels do not turn."""
+        """Whether the term assumes a heading that the wheels do not turn."""
         return self.action.heading == "gyro"
 
     @property
     def several_maxima(self) -> bool:
-        """Whether it is a place."""
+        """Whether the term has as many shape parameters as a place."""
         return len(self.shape) >= _SEVERAL_MAXIMA
 
     @property
     def shape(self) -> Array:
-        """Shape of the function (s,), and the direction of the action, if it has one."""
+        """Shape parameters (s,) of the function and, if the action has one, its direction."""
         return np.array([*self.function.shape, *self._toward], dtype=np.float64)
 
     @property
@@ -258,7 +257,7 @@ class BasisTerm:
         return BasisTerm(function, action)
 
     def columns(self, problem: Problem) -> Array:
-        """Return (K, 3, p), a column for each coefficient."""
+        """Return columns (K, 3, p), one for each coefficient."""
         errors: list[list[Array]] = [[] for _ in self.function.parts]
         for motion in problem.motions:
             seen = views(motion) if self.action.by_wheel else {"body": motion}
@@ -274,14 +273,14 @@ class BasisTerm:
         return user_effect(self.name, self.action.written(self.function.text), named, words=words)
 
     def expression(self, coefficients: Sequence[float]) -> str:
-        """Return the expression with its coefficients filled in, ready to be edited."""
+        """Return the expression with its coefficients filled in, for the user to edit."""
         text = self.function.text
         for name, value in zip(COEFFICIENTS, coefficients, strict=False):
             text = text.replace(f"{name} *", f"{float(value):.4g} *")
         return self.action.written(text)
 
     def share(self, coefficients: Sequence[float], motions: Sequence[Motion]) -> float:
-        """Return the largest part of the travel or of the turn that the error would be, where it is a part of it."""
+        """Return the largest ratio of error to travel or turn; 0 if the error is not proportional to them."""
         of_turn = self.action.move == "omega"
         of_travel = self.action.move != "1" and self.action.target != "yaw"
         if not (of_turn or of_travel) or self.function.wavelength_m:

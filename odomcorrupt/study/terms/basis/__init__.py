@@ -1,8 +1,8 @@
-"""Basis functions: what an error may depend on where no effect of the library explains it.
+"""Basis functions of one regressor, for errors that no library effect explains.
 
-Each is a rate: what moves (travel, its size, or turn) times a function of one regressor, such as the speed, a place or
-the time. What it acts on, a channel of the body or the wheels, is chosen apart. Thresholds, places and moments are
-families with shape parameters; selecting one of many is charged for.
+An error rate is a motion (travel, its absolute value, or turn) times a basis function of one regressor, such as speed,
+place or time. Its target, a channel of the body or the wheels, is a separate choice. Thresholds, places and moments are
+families with shape parameters; the penalty accounts for the size of the family.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["COEFFICIENTS", "VALUES", "BasisFunction", "basis_functions"]
 
 
 def basis_functions(motions: Sequence[Motion]) -> list[BasisFunction]:
-    """Return every basis function that is tried on these motions."""
+    """Return every basis function to be tried on these motions."""
     return [
         *functions_of_heading(),
         *functions_of_place(motions),

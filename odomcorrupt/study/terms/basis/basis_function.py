@@ -1,4 +1,4 @@
-"""A basis function: how an error may depend on one regressor, with one coefficient free, or two for a direction."""
+"""Basis function: an error as a function of one regressor with one free coefficient, or two for a phase."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ __all__ = ["COEFFICIENTS", "REFINING", "BasisFunction"]
 COEFFICIENTS = ("k", "m")
 """Names of the coefficients in an expression."""
 REFINING = 2
-"""By how much each shape parameter that may be refined multiplies the size of a family."""
+"""Factor on the size of a family for each shape parameter that may be refined."""
 
 
 @dataclass(frozen=True, slots=True)
 class BasisFunction:
     """A function of one regressor.
 
-    regressor : what the error depends on
-    text : in the language of expressions, its coefficients named as in `COEFFICIENTS`
-    parts : what each coefficient multiplies, of a motion of n intervals (n,)
-    trials : size of the family that it is selected from
-    wavelength_m : of a wave over the travelled distance, else 0
-    form : "step" or "hinge" at a threshold, which are searched apart; else ""
-    reaches : what it may act on, see `Action.reaches`; not where the library has that effect
+    regressor : name of the regressor
+    text : expression of an effect, with coefficients named as in `COEFFICIENTS`
+    parts : one function per coefficient, from a motion of n intervals to values (n,)
+    trials : size of the family that the function is selected from
+    wavelength_m : wavelength of a wave over the travelled distance, m; else 0
+    form : "step" or "hinge" at a threshold, which are searched separately; else ""
+    reaches : classes of targets, see `Action.reaches`, except those for which the library has the effect
     shape, steps : shape parameters that may be refined, and the first step of a search over each
     with_shape : returns the function with other shape parameters
-    related : functions of other shapes to try where this one explains much
-    place : where in the truth's plane it acts, in words; "" if it is not confined
+    related : functions of other shapes to be tried if this one has a large gain
+    place : region in the plane of the truth, in words; "" if it is not confined
     """
 
     regressor: str

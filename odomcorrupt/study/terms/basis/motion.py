@@ -1,4 +1,4 @@
-"""Basis functions of how the robot moves: proportional, beyond a threshold, from a hinge on, one way, or at rest."""
+"""Basis functions of the motion: proportional, step, hinge, saturation, in one direction only, or at rest only."""
 
 from __future__ import annotations
 
@@ -28,38 +28,38 @@ VALUES: dict[str, tuple[str, Of]] = {
     "distance": ("distance", lambda m: m.distance),
 }
 _SIGNED = ("acceleration", "yaw_acceleration", "time")
-"""Regressors of which what lies below a threshold is as likely to matter as what lies above."""
+"""Regressors for which values below a threshold are as likely to have an error as values above."""
 _OF_WHEELS = ("speed", "acceleration", "time")
-"""Regressors that a wheel has of its own; and time, which may load one side."""
+"""Regressors with a separate value for each wheel; and time, because a load may change on one side."""
 _OF_A_BIAS = ("speed", "yaw_rate", "time")
-"""Regressors that a rate of the heading may depend on which is there at rest, too: a gyro's."""
+"""Regressors of a heading rate that also acts at rest, as a gyro bias does."""
 _LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
-"""m/s^2 and rad/s^2 below which noise crosses a threshold, of ticks say: correction sees no smooth truth."""
+"""Least thresholds, m/s^2 and rad/s^2: noise (of ticks) crosses smaller ones, and a correction has no smooth truth."""
 _TOP, _WITHIN = 0.99, 0.9
-"""A threshold lies below this part of the regressor's largest, which is this quantile. What exceeds the speed that a
-robot drives at is the noise of the odometry, which is in the error as well."""
-_HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")
+"""A threshold is at most `_WITHIN` times the `_TOP` quantile of the regressor: what exceeds the cruising speed of a
+robot is odometry noise, which is part of the error as well."""
+_HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")  # regressors with hinges
 _STILL = 0.02
-"""m/s and rad/s below which a robot stands."""
-_CUTS = np.linspace(0.05, 0.95, 19)
+"""Rates below which a robot is at rest, m/s and rad/s."""
+_CUTS = np.linspace(0.05, 0.95, 19)  # quantiles at which thresholds are tried
 
 
 def functions_of_motion(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield every function of how the robot moves that is tried on these motions."""
+    """Yield every function of the motion to be tried on these motions."""
     for regressor, (text, value) in VALUES.items():
         yield BasisFunction(regressor, f"k * {text}", (value,), reaches=_reaches(regressor, "one"))
-        if regressor != "distance":  # that is time, by another name
+        if regressor != "distance":  # nearly the same as a threshold of time
             yield from _thresholds(regressor, motions)
         if regressor in _HINGED:
             yield from _hinges(regressor, motions)
-    yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # a gyro that feels it
+    yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # g-sensitive gyro
     yield from _saturations(motions)
     yield from _one_way()
     yield from _at_rest()
 
 
 def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
-    """Return what a function of this regressor may act on; wheels where they have a value of their own."""
+    """Return the targets of functions of this regressor; `wheels` only if each wheel has a value of the regressor."""
     both = ("twist",) if regressor == "time" else ()
     return (
         "body",
@@ -70,7 +70,7 @@ def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
 
 
 def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield thresholds of a regressor, spread evenly over what it was while the robot moved."""
+    """Yield steps at thresholds of a regressor, at quantiles of its values while the robot moved."""
     ways = (True, False) if regressor in _SIGNED else (True,)
     within = (-_latest(regressor, motions, -1.0) if len(ways) > 1 else 0.0, _latest(regressor, motions))
     cuts = _cuts(regressor, motions)
@@ -81,7 +81,7 @@ def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunc
 
 
 def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
-    """Return values of a regressor while the robot moved, evenly spread; and of a speed, where it begins to move."""
+    """Return quantiles of a regressor while the robot moved; for a speed also the limit of rest."""
     value = VALUES[regressor][1]
     seen = np.concatenate([value(m)[(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL)] for m in motions])
     cuts = np.quantile(seen, _CUTS) if len(seen) else np.zeros(0)
@@ -115,7 +115,7 @@ def _threshold(
 
 
 def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield what grows from a threshold on: grip that gives way; of what has two sides, on either."""
+    """Yield functions that grow linearly from a threshold, as of lost grip; for signed regressors on both sides."""
     cuts = [cut for cut in _cuts(regressor, motions)[1::3] if cut > 0.0]
     two_sided = regressor in _SIGNED
     signs = (1.0, -1.0) if two_sided else (1.0,)
@@ -128,9 +128,9 @@ def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction
 
 
 def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> float:
-    """Return the largest threshold of a speed beyond which enough of the data and of its range is left.
+    """Return the largest threshold of a speed above which enough data and range are left.
 
-    Not so of an acceleration, which is near nothing most of the time, or of time.
+    Infinity for other regressors: an acceleration, for example, is near zero most of the time.
     """
     if regressor not in ("speed", "yaw_rate"):
         return float("inf")
@@ -157,7 +157,7 @@ def _hinge(
 
 
 def _saturations(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield what a gyro loses of the yaw rate beyond the largest that it can show all of."""
+    """Yield saturations of a gyro: the part of the yaw rate above its measuring range."""
     most = _latest("yaw_rate", motions)
     cuts = [float(cut) for cut in _cuts("yaw_rate", motions)[1::3] if 0.0 < cut <= most]
     for cut in cuts:
@@ -179,14 +179,14 @@ def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...],
 
 
 def _one_way() -> Iterator[BasisFunction]:
-    """Yield what is there in reverse only, or in turns to the right."""
+    """Yield errors in reverse only, and in turns to the right only."""
     for regressor, name, value in (("speed", "v", lambda m: m.v), ("yaw_rate", "omega", lambda m: m.omega)):
         text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
         yield BasisFunction(regressor, text, (_below(value, -_STILL),), reaches=_reaches(regressor, "one", "both"))
 
 
 def _at_rest() -> Iterator[BasisFunction]:
-    """Yield what is there while the robot stands, does not drive, or does not turn."""
+    """Yield errors only while the robot is at rest, does not drive, or does not turn."""
     for regressor in ("speed", "yaw_rate"):
         text, value = VALUES[regressor]
         yield BasisFunction(

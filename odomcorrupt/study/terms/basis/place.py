@@ -1,4 +1,4 @@
-"""Basis functions of place and heading: discs, rectangles, strips across what was visited, iron near a compass."""
+"""Basis functions of place and heading: discs, rectangles and strips of floor, and iron that deflects a compass."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 __all__ = ["functions_of_heading", "functions_of_place"]
 
-_PLACES = 7
-_RADII_M = (0.8, 1.3, 2.0)
+_PLACES = 7  # grid lines along each axis
+_RADII_M = (0.8, 1.3, 2.0)  # radii of discs, m
 _OUTER = (0.03, 0.97)
-"""Quantiles of the path between which places are tried."""
-_STRIPS = 12
-_STRIP_APART_M, _MOST_STRIPS = 0.8, 25
+"""Quantiles of the path's coordinates between which places are tried."""
+_STRIPS = 12  # directions of strips over half a turn
+_STRIP_APART_M, _MOST_STRIPS = 0.8, 25  # spacing of parallel strips, m, and their largest number
 _THIN = 10
-"""Of so many places one is enough to see where the robot was."""
-_HALF_WIDTHS_M = (0.4, 0.8)
-_BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)
+"""One of this many poses is used to find where strips contain the path."""
+_HALF_WIDTHS_M = (0.4, 0.8)  # of strips, m
+_BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)  # of rectangles, rad
 
 
 def functions_of_heading() -> Iterator[BasisFunction]:
-    """Yield waves of the heading, one and two to a turn."""
+    """Yield waves of the heading with one and two periods per turn."""
     for times, inner in ((1, "theta"), (2, "2 * theta")):
         yield BasisFunction(
             "heading", f"k * cos({inner}) + m * sin({inner})", (_wave(np.cos, times), _wave(np.sin, times)), 2
@@ -39,7 +39,7 @@ def functions_of_heading() -> Iterator[BasisFunction]:
 
 
 def functions_of_place(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield every function of where the robot is that is tried on these motions."""
+    """Yield every function of the place to be tried on these motions."""
     xs, ys = (_spread(np.concatenate([getattr(m, axis) for m in motions])) for axis in ("x", "y"))
     for x, y, radius in product(xs, ys, _RADII_M):
         yield _disc((float(x), float(y), radius))
@@ -64,7 +64,7 @@ def _disc(shape: tuple[float, ...]) -> BasisFunction:
 
 
 def _iron(shape: tuple[float, ...]) -> BasisFunction:
-    """Return what draws a compass nearby, by an angle that falls off as a bell and so changes as the robot moves."""
+    """Return the yaw error per travel of a compass near iron, with a deflection that is bell-shaped in the distance."""
     x, y, reach = shape[0], shape[1], max(shape[2], 0.1)
 
     def nearing(m: Motion) -> Array:
@@ -87,7 +87,7 @@ def _iron(shape: tuple[float, ...]) -> BasisFunction:
 
 
 def _strips(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield strips across what was visited, each turned about the middle of where the robot was in it."""
+    """Yield strips across the visited area; each is turned, in a search, about the mean of the path inside it."""
     x, y = (np.concatenate([getattr(m, axis)[::_THIN] for m in motions]) for axis in ("x", "y"))
     for angle in np.pi * np.arange(_STRIPS) / _STRIPS:
         c, s = _axis(float(angle))
@@ -102,7 +102,7 @@ def _strips(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
 
 
 def _strip(shape: tuple[float, ...]) -> BasisFunction:
-    """Return a strip: the angle of what points across it, a place on its middle line, and half its width."""
+    """Return a strip from the angle of its normal, a point on its centre line, and half its width."""
     angle, x, y, half = *shape[:3], max(shape[3], 0.05)
     axis = _axis(angle)
     return BasisFunction(
@@ -119,7 +119,7 @@ def _strip(shape: tuple[float, ...]) -> BasisFunction:
 
 
 def _box(shape: tuple[float, ...]) -> BasisFunction:
-    """Return a rectangle: angle of its first axis, middle, and half of either side."""
+    """Return a rectangle from the angle of its first axis, its centre, and half the length of each side."""
     angle, x, y = shape[0], shape[1], shape[2]
     half, side = max(shape[3], 0.1), max(shape[4], 0.1)
     c, s = along = _axis(angle)
@@ -139,19 +139,19 @@ def _box(shape: tuple[float, ...]) -> BasisFunction:
 
 
 def _axis(angle: float) -> tuple[float, float]:
-    """Return the axis at this angle; what is nothing but rounding is not written into an expression."""
+    """Return the unit vector at an angle, rounded so that expressions contain no floating-point residue."""
     c, s = np.round((np.cos(angle), np.sin(angle)), 6) + 0.0
     return float(c), float(s)
 
 
 def _ahead(axis: tuple[float, float], x: float, y: float) -> str:
-    """Return how far along an axis something is from a place."""
+    """Return the expression of the coordinate along an axis, relative to a place."""
     (c, s), sign = axis, "-" if axis[1] < 0.0 else "+"
     return f"{c:.4g} * (x {_less(x)}) {sign} {abs(s):.4g} * (y {_less(y)})"
 
 
 def _less(metres: float) -> str:
-    """Return a number to be taken away, to a millimetre: some maps begin half a million metres away."""
+    """Return the text that subtracts a length, to a millimetre: some maps have coordinates of 500 km."""
     return f"{'-' if metres >= 0.0 else '+'} {round(abs(metres), 3):.10g}"
 
 

@@ -1,4 +1,4 @@
-"""Basis functions of time: what warms up or dies away, what comes and goes in minutes, what was there for a while."""
+"""Basis functions of time: exponential settling, slow oscillations of minutes, and spells between two moments."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
 
 __all__ = ["functions_of_time"]
 
-_SETTLE_S = (30.0, 80.0, 200.0)
+_SETTLE_S = (30.0, 80.0, 200.0)  # settling times on the grid, s
 _QUICKEST_S, _SLOWEST_S = 10.0, 1e4
-"""Times in which something may settle: what does so at once was never otherwise."""
+"""Least and largest settling time that is tried, s; faster settling leaves nothing to observe."""
 _SHORTEST_SWING_S, _SWING_STEP = 40.0, 0.2
-"""The quickest swing of minutes, and the step of the logarithm of its period."""
+"""Shortest period of an oscillation, s, and the step of the logarithm of the period."""
 _SPELLS, _SPELL_PARTS = 10, (0.08, 0.16)
-"""How many middles of a spell are tried, and half its length in parts of the whole time."""
-_ANYWHERE = ("body", "one", "both", "twist")
+"""Number of centres of a spell that are tried, and half its length as fractions of the whole time."""
+_ANYWHERE = ("body", "one", "both", "twist")  # targets of functions of time
 
 
 def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield every function of time that is tried on these motions."""
+    """Yield every function of time to be tried on these motions."""
     yield from _settlings()
     yield from _swings(motions)
     yield from _spells(motions)
 
 
 def _settlings() -> Iterator[BasisFunction]:
-    """Yield what dies away, and what comes up: tyres, motors and sensors that warm up."""
+    """Yield exponential decays and rises, as of tyres, motors and sensors that warm up."""
     for tau_s, rising in product(_SETTLE_S, (False, True)):
         yield _settling((float(np.log(tau_s)),), rising=rising)
 
@@ -54,7 +54,7 @@ def _settling(shape: tuple[float, ...], *, rising: bool) -> BasisFunction:
 
 
 def _swings(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield what comes and goes in minutes: sun and shade, a load that is shared."""
+    """Yield oscillations with periods of minutes, as of sun and shade or a shared load."""
     longest_s = max(float(np.ptp(m.t_s)) for m in motions)
     count = int(np.ceil(np.log(max(longest_s / _SHORTEST_SWING_S, 1.0)) / _SWING_STEP)) + 1
     for i in range(count):
@@ -76,7 +76,7 @@ def _swing(shape: tuple[float, ...], count: int) -> BasisFunction:
 
 
 def _spells(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield what was there from one moment to another: a load that was carried, a tyre that was soft for a while."""
+    """Yield errors between two moments, as of a load that was carried or a tyre that was soft for a while."""
     start_s, whole_s = min(float(m.t_s[0]) for m in motions), max(float(np.ptp(m.t_s)) for m in motions)
     for part, i in product(_SPELL_PARTS, range(_SPELLS)):
         yield _spell((start_s + (i + 0.5) / _SPELLS * whole_s, part * whole_s), 0.25 * whole_s / _SPELLS)
