@@ -33,7 +33,7 @@ _SPIKE, _NEIGHBOURS, _NEAR_S = 6.0, 3, 0.7
 """Threshold for a spike, in usual deviations from its neighbours' median prediction; number of neighbours per side;
 time within which they count, s: over it the odometry is accurate to a few millimetres."""
 _AROUND_S, _NEW_VIEW_M, _TURN_M = 0.5, 0.1, 0.3
-"""Half the time over which motion is measured, s; motion after which the view is new, m; and metres per radian in it."""
+"""Half the time over which motion is measured, s; motion after which the view is new, m; metres per radian in it."""
 _VIEW_M, _VIEW_RAD = 1e-3, 2e-4
 """Standard deviations of errors that change with the view; their scale is estimated with that of the matches."""
 _LEAST_M, _LEAST_RAD = 1e-4, 2e-5
