@@ -1,4 +1,4 @@
-"""One test for each trap that was met before: sections 7, 12 and 13 of the notes on method, by their numbers.
+"""One test for each known pitfall: sections 7, 12 and 13 of the notes on method, by their numbers.
 
 | trap | what it was | test |
 |---|---|---|
