@@ -106,7 +106,7 @@ def _start(model: Path, judged: Drive, learned: Drive) -> list[str]:
 
 
 def _after(judged: Drive, corrected: Path, model: dict[str, Any]) -> float:
-    """Return the 10 s error (m) of corrected odometry, with what [setup] says of clock, lever arm and mounting."""
+    """Return the 10 s error (m) of corrected odometry, with the clock, lever arm and mounting of [setup] applied."""
     stamps, xyt = read_odometry(corrected)
     setup = model.get("setup", {})
     clocks = setup.get("clock", [])

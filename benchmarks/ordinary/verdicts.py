@@ -41,7 +41,7 @@ def names(row: Row) -> list[tuple[str, float | None]]:
 
 
 def grade(name: str, row: Row) -> str:
-    """Return "right", "equal" (the same effect on this robot by another physics), "present" or "wrong"."""
+    """Return "right", "equal" (same effect on this robot by another physical cause), "present" or "wrong"."""
     case = row["case"]
     cause = CAUSES.get(case["cause"])
     if cause is not None and matches(name, cause.accepted):

@@ -37,7 +37,7 @@ __all__ = ["RobotFit", "effects_to_fit", "fit_every_law", "fit_robot", "model_of
 class RobotFit:
     """A robot's model with the fit and the clocks from which it was made.
 
-    intervals : the noise coefficients with their 95 % intervals
+    intervals : the noise coefficients with their 95 % confidence intervals
     ten_second_error_m : RMS position error after 10 s on the fitted recordings: a description, not a test
     """
 

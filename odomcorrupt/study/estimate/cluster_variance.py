@@ -41,9 +41,8 @@ def _elapsed(end_s: Array, length: float) -> NDArray[np.int64]:
 def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Array, Array]:
     """Return observed over predicted variance of estimates between blocks, and its degrees of freedom, (p,) each.
 
-    block : (m,) block index of each innovation
+    block, r : (m,) block index of each innovation, and the innovations
     pull : (m, p) weight of each innovation in each estimate
-    r : (m,) the innovations
     """
     moved, known = block_sums(block, pull * r[:, None]), block_sums(block, pull**2)
     whole = np.maximum(known.sum(axis=0), 1e-300)

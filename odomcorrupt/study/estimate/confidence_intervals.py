@@ -51,11 +51,9 @@ class Interval:
 
 
 def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
-    """Return the interval of every coefficient of the noise law, in the order of `NAMES`.
+    """Return the interval of each coefficient of the noise law, in the order of `NAMES`; columns are those of the fit.
 
     A coefficient that the drive does not excite (noise of turns without any turn) has no upper bound.
-
-    columns : (K, 3, q) design matrix of the fit
     """
     problem, noise = fitted.problem, fitted.noise
 

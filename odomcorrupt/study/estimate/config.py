@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["NODE_S", "Approach", "choose_approach"]
 
 NODE_S = 0.5
-"""Spacing of nodes for a good truth, seconds."""
+"""Spacing of nodes for an accurate truth, seconds."""
 _COARSE_NODE_S = 1.0
 _COARSE_TRUTH_M = 0.008
 """Noise per sample above which a truth has correlated errors (AMCL, SLAM), so that nodes are spaced farther apart."""

@@ -102,9 +102,9 @@ class Fit:
         Parameters
         ----------
         effects, random : systematic effects at their starting values, and random ones; default those of this fit
-        weights : (K,) robust weights to keep, so that likelihoods can be compared; default estimated again
-        clocks : (R,) to start from, and to stay at where they are not free
-        free_clocks : (R, 2), default as in this fit
+        weights : (K,) robust weights to keep, so that likelihoods can be compared; default: re-estimated
+        clocks : (R,) starting values of the clocks, kept for those that are not free
+        free_clocks : (R, 2) whether offset and rate are free; default: as in this fit
 
         """
         problem = self.problem

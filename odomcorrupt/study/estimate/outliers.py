@@ -256,10 +256,7 @@ def _comes_back(fit: Fit, group: NDArray[np.int64], flagged: NDArray[np.int64], 
 
 
 def _slip(lost: Array, path: Array, track_m: float | None) -> float:
-    """Return the fraction of its distance that a wheel lost, from the odometry's error and motion (along, across, yaw).
-
-    With a known track, it is that of the wheel that lost more; 0 if the wheels cannot be told apart.
-    """
+    """Return the fraction of distance lost, with a known track by the wheel that lost more; 0 if that is ambiguous."""
     if track_m is None:
         return _part(float(lost[0]), float(path[0]))
     lost_by, gone = rims_of(lost[0], lost[2], track_m), rims_of(path[0], path[2], track_m)

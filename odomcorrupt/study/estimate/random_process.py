@@ -68,7 +68,7 @@ class Root:
 
     @property
     def columns(self) -> Array:
-        """The columns (3 K, m) multiplied out."""
+        """The root S M as a dense matrix (3 K, m)."""
         columns: Array = self.spread @ self.mixing
         return columns
 
@@ -77,8 +77,7 @@ class Root:
 class Process:
     """A gain or bias as a Gaussian process.
 
-    kind : the effect that it becomes in a model file
-    fixed : parameters of that effect that are given
+    kind, fixed : the effect that it becomes in a model file, and the parameters given
     scale : name of the effect's parameter that is the process's scale
     unit : function that returns the error twist (n, 3) of a unit gain
     tau : correlation time, s; None for a random walk of unit density
@@ -149,7 +148,7 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
 
 
 def joined(roots: Sequence[Root]) -> Root:
-    """Return several processes as one."""
+    """Return the root of several independent processes together."""
     if len(roots) == 1:
         return roots[0]
     return Root(csr_array(hstack([root.spread for root in roots])), block_diag(*(root.mixing for root in roots)))

@@ -77,8 +77,7 @@ def _moved_shape(problem: Problem, effect: Effect, p: Parameter) -> Array:
 def _between_blocks(problem: Problem, pull: Array, r: Array) -> Array:
     """Return the ratio (q,) of the estimates' variances between blocks to those of the model, at least 1.
 
-    pull : (3 K, q) weight of each innovation in each estimate
-    r : (3 K,) the innovations
+    pull : (3 K, q) weight of each innovation `r` (3 K,) in each estimate
     """
     variance, dof = between_blocks(np.repeat(block_of(problem), 3), pull, r)
     return inflation(variance, dof, shared_variance(variance, dof))

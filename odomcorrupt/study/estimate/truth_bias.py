@@ -31,8 +31,7 @@ LOCAL_BIAS = 1e-3
 """Standard deviation of the scale of a map cell: keyframes half a metre apart have errors of one or two millimetres."""
 CELL_M = 2.0
 GYRO_WANDER_RADPS, _WANDER_S = 1.5e-4, 30.0
-"""Standard deviation of a gyro's bias about its mean, typical of MEMS (0.009 deg/s), and length of the stretches in
-which it is constant, s."""
+"""Standard deviation of a gyro's bias about its mean, 0.009 deg/s as usual for MEMS, and duration of each bias, s."""
 SHARED = 6
 """Number of leading columns that belong to the instrument; a noise fit treats them as free."""
 _MOST_CELLS = 150

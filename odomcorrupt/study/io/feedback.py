@@ -7,7 +7,7 @@ earlier error is taken some time before, so that the truth's noise is not in bot
 
 Errors of a localisation are correlated for longer than that and mean-reverting, too: odometry minus truth then decays
 because the *truth* is corrected. The two differ across: a filter with position input moves its odometry sideways
-towards the positions, wheels never do. For a robot that drives sideways, they cannot be told apart. A single slip must
+towards the positions, wheels never do. This does not separate them for a robot that drives sideways. A single slip must
 not pass for a filter: the decay has to occur all along the drive, so standard errors are those of clustered data
 (Liang & Zeger 1986), with stretches of the drive as clusters.
 
