@@ -1,1 +1,1 @@
-"""The hidden-effect laboratory: its protocol, its cases, what is asked of each, and the page of its figures."""
+"""The hidden-effect laboratory: its protocol, its cases, their runs, and the page of results."""

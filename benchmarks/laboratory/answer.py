@@ -1,4 +1,4 @@
-"""What was learned, as plain numbers: the only place that depends on the form of a search result."""
+"""Results of a search as plain numbers: the only module that depends on the classes of the study."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 __all__ = ["errors_of", "plain_answer"]
 
 KEPT_AS = {"e": "depth"}
-"""Parameters of a cause that simulate holds apart, by the name that the library's effect has for them."""
+"""Parameters of the simulator's causes and their names in the library's effect."""
 SURE = float(np.sqrt(chi2.isf(1e-4, 1)))
 
 
 def plain_answer(learned: Learned) -> dict[str, Any]:
-    """Return names in order, the alternatives of each, confidences, values with errors, noise and what is unknown."""
+    """Return names in order, their alternatives, confidences, values with errors, noise and unknown dependences."""
     clock_names, values = _clocks(learned)
     position = 0
     for effect in learned.fit.effects:
@@ -48,9 +48,9 @@ def plain_answer(learned: Learned) -> dict[str, Any]:
 
 
 def errors_of(truth: dict[str, Any], cause: str, found: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the relative error of what was found of a cause, and for each parameter whether its interval covers.
+    """Return the relative error of a cause's estimate, and for each parameter whether its interval covers the truth.
 
-    What points somewhere is compared as a vector; twins share their parameters.
+    Parameters that are a direction or vector are compared as a vector; twins share their parameters.
     """
     name = cause if cause in found else same_class(cause)
     if name not in found:
@@ -87,7 +87,7 @@ def _gains(candidates: Any) -> dict[str, float]:
 
 
 def _clocks(learned: Learned) -> tuple[list[str], dict[str, Any]]:
-    """Return which clock is off, the plainer first, and both numbers with errors; of several runs the plainest."""
+    """Return significant clock errors, largest z-score first, and values with errors; each from its clearest run."""
     found: dict[str, tuple[float, str, float, float]] = {}
     for run, free in enumerate(learned.clocks.free):
         clock, error = learned.fit.problem.clocks[run], learned.fit.clock_errors[run]

@@ -1,4 +1,4 @@
-"""What is asked of each case: one function for each kind of arm, plain numbers out."""
+"""Run of each case: one function per kind of arm, with plain numbers as results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["ask"]
 
 
 def ask(case: Case, real: str) -> dict[str, Any]:
-    """Return what a case shows."""
+    """Return the results of a case."""
     if case.arm == "planted":
         return planted(case, Path(real))
     if case.arm == "body":
@@ -60,7 +60,7 @@ def _learned(recording: Recording) -> tuple[Learned, float]:
 
 
 def _errors(learned: Learned, judged: Recording, floor: Recording) -> dict[str, float]:
-    """Return 10 s errors (m) of another drive: as it came, after adding what was learned, and without the flaw."""
+    """Return 10 s errors (m) of another drive: uncorrected, with the learned effects, and without the fault."""
     clock = learned.fit.problem.clocks[0]
     return {
         "before": ten_second_error([judged]),
@@ -70,9 +70,9 @@ def _errors(learned: Learned, judged: Recording, floor: Recording) -> dict[str, 
 
 
 def _offered(learned: Learned, judged: Recording) -> float | None:
-    """Return the 10 s error when the first offered expression is added, too; None where none is offered.
+    """Return the 10 s error with the first offered expression added as well; None if none is offered.
 
-    A law that is believed has been added already.
+    An expression that is part of the model has been added already.
     """
     if not learned.unknown:
         return None
@@ -86,7 +86,7 @@ def _offered(learned: Learned, judged: Recording) -> float | None:
 
 
 def _body(case: Case) -> dict[str, Any]:
-    """Learn from a body in MuJoCo."""
+    """Return the answer learned from a body simulated in MuJoCo."""
     from mujocosim import simulate_body  # noqa: PLC0415 - heavy, and needed here alone
 
     run = simulate_body(case.seed, case.causes[0], duration_s=300.0)

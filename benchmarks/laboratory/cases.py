@@ -1,7 +1,7 @@
-"""Which drives are made, fixed before any of them is: arms, causes, sizes, routes and seeds.
+"""Design of the study, fixed before any run: arms, causes, sizes, routes and seeds.
 
-The order within an arm is such that any beginning of it is balanced over causes, sizes and routes; the arms are mixed
-in proportion to their lengths. So a run that is cut short is a smaller sample of the same design.
+The order within an arm is such that any initial part is balanced over causes, sizes and routes. The arms are mixed in
+proportion to their lengths, so that a run that is cut short is a smaller sample of the same design.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ __all__ = ["ARMS", "CLOCKS", "LENGTHS", "PILOT", "RANDOM", "SYSTEMATIC", "Case",
 RANDOM = ("gauss_markov", "gyro_bias_walk", "heavy_tails", "lost_increments", "quantization", "slip_burst")
 CLOCKS = ("clock_skew", "time_offset")
 SYSTEMATIC = tuple(sorted(set(CAUSES) - set(RANDOM)))
-"""Causes of the library that act always: geometry, sensors, contact and clocks."""
+"""Causes in the library that are always active: geometry, sensors, contact and clocks."""
 KNOWN_AS = {"wet_patch": "region_slip", "eccentric_wheel": "flat_spot"}
-"""Causes that simulate holds apart, and the name that the library has for them."""
+"""Causes that are separate in the simulator, and their name in the library."""
 SINGLE = (*SYSTEMATIC, *KNOWN_AS)
 UNKNOWN = tuple(sorted(set(OUTSIDE) - set(KNOWN_AS)))
-"""Causes that no library has."""
+"""Causes without an effect in the library."""
 FIRST_SEED = {
     "controls": 250_000, "rtk": 250_300, "single": 251_000, "noise": 251_300, "outside": 251_400, "mixtures": 251_500,
     "noisy_mixtures": 251_600, "invariance": 251_700, "planted": 251_800, "body": 251_900,
 }  # fmt: skip
-"""Seeds that no test, no fixture, no pilot and no earlier run has used."""
+"""First seed of each arm, not used by any test, fixture, pilot or earlier run."""
 LENGTHS = {
     "controls": 200, "rtk": 60, "single": 180, "noise": 36, "outside": 42, "mixtures": 60, "noisy_mixtures": 20,
     "invariance": 5, "planted": 12, "body": 7,
@@ -39,9 +39,9 @@ FIRST = {
     "controls": 102, "rtk": 30, "single": 60, "noise": 18, "outside": 21, "mixtures": 42, "noisy_mixtures": 6,
     "invariance": 5, "planted": 12, "body": 7,
 }  # fmt: skip
-"""How many of each arm come before all others; where time is short these are what matters."""
+"""Number of cases of each arm that are run before all others, in case the run is cut short."""
 PILOT = 9_000 - 250_000
-"""What a pilot adds to a seed, so that it never meets a fresh one."""
+"""Offset of a pilot's seeds, so that they are never fresh ones."""
 PLANTS = ("wheel_scale", "unequal_wheels", "gyro_bias", "wheelbase")
 BODIES = (
     "larger_right_wheel", "larger_wheels", "wider_axle", "soft_tyres", "one_sided_load", "slippery_patch",
@@ -53,8 +53,8 @@ BODIES = (
 class Case:
     """One drive to be learned from.
 
-    causes : what is wrong with the robot; of the arm "planted" the effect that is put in, of "body" what is built
-    size : a key of the laboratory's sizes, or "" where there is nothing to size
+    causes : faults of the robot; the planted effect in the arm "planted", the built cause in "body"
+    size : a key of the laboratory's sizes, or "" if not applicable
     """
 
     arm: str
@@ -70,26 +70,26 @@ class Case:
 
     @property
     def key(self) -> str:
-        """What the results file calls it."""
+        """Name of the case in the results file."""
         return f"{self.arm}/{self.number}"
 
 
 def same_class(name: str) -> str:
-    """Return the name that stands for all effects with the very same f."""
+    """Return the common name of all effects with exactly the same f."""
     name = KNOWN_AS.get(name, name)
     kind = registry().get(name)
     return (kind.twin_of if kind is not None else None) or name
 
 
 def cases(*, pilot: bool = False) -> list[Case]:
-    """Return all cases in the order in which they are run."""
+    """Return all cases in the order of the run."""
     shift = PILOT if pilot else 0
     made = [_case(arm, i, FIRST_SEED[arm] + shift + i) for arm in ARMS for i in range(LENGTHS[arm])]
     return sorted(made, key=_turn)
 
 
 def _turn(case: Case) -> tuple[bool, float, int]:
-    """Return when a case is run: the first of all arms in proportion, then the rest likewise."""
+    """Return the sort key of a case: first parts of all arms in proportion, then the rest likewise."""
     first = FIRST[case.arm]
     late = case.number >= first
     part = (case.number - first) / (LENGTHS[case.arm] - first) if late else (case.number + 0.5) / first
@@ -126,13 +126,13 @@ def _case(arm: str, i: int, seed: int) -> Case:
 
 
 def _heading(causes: tuple[str, ...], turn: int) -> str:
-    """Return a source of turns with which all of these show; where both do, by turns."""
+    """Return a heading source with which all of these causes are visible; alternating if both would do."""
     usable = [source for source in ("encoders", "gyro") if all(source in EVERY[c].shows_with for c in causes)]
     return usable[turn % len(usable)]
 
 
 def _pair(i: int, *, noisy: bool) -> tuple[str, str]:
-    """Draw two causes that show with one source of turns and are not the same thing by another name."""
+    """Return two random causes that are visible with the same heading source and are not aliases."""
     rng = np.random.default_rng((51, i, noisy))
     while True:
         first, second = (str(n) for n in (rng.choice(SYSTEMATIC), rng.choice(RANDOM if noisy else SYSTEMATIC)))

@@ -1,4 +1,4 @@
-"""The drives of a case: the one that is learned from, the one that judges, and the same without the flaw."""
+"""The drives of a case: the one learned from, the judging one, and both without the fault."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["judges", "learning_run", "noiseless_pair", "quiet_run"]
 
 JUDGED_S = 300.0
 JUDGE_SEED = 400_000
-"""What is added to a seed for another drive of the same robot."""
+"""Offset of the seed for another drive of the same robot."""
 QUIET = Rig(ticks_per_turn=None)
 
 
@@ -28,19 +28,19 @@ def learning_run(case: Case) -> SimulatedRun:
 
 
 def quiet_run(case: Case) -> SimulatedRun:
-    """Return the same drive, had the robot no flaw."""
+    """Return the same drive of the robot without the fault."""
     return simulate_without(case.seed, case.causes, duration_s=case.duration_s, **_options(case))
 
 
 def noiseless_pair(case: Case) -> tuple[SimulatedRun, SimulatedRun]:
-    """Return the drive with its flaw and without, both without ticks and without noise of the truth."""
+    """Return the drive with and without the fault, both without encoder ticks and truth noise."""
     still = replace(TRACKERS[case.truth], noise_m=0.0, noise_rad=0.0, wander_m=0.0)
     options = _options(case) | {"truth": still, "rig": QUIET, "duration_s": case.duration_s}
     return simulate(case.seed, case.causes, **options), simulate_without(case.seed, case.causes, **options)
 
 
 def judges(case: Case) -> tuple[Recording, Recording]:
-    """Return another drive of the same robot, with its flaw and without."""
+    """Return another drive of the same robot, with and without the fault."""
     options = _options(case) | {"duration_s": JUDGED_S, "robot_seed": case.seed}
     seed = case.seed + JUDGE_SEED
     with_flaw, without = simulate(seed, case.causes, **options), simulate_without(seed, case.causes, **options)

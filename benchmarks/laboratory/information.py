@@ -1,9 +1,9 @@
-"""What a drive can tell of its cause, computed from its design alone, before anything is learned.
+"""Expected information of a drive about its cause, computed from its design alone, before anything is learned.
 
-The same drive with and without the flaw, both without ticks and without noise of the truth, differ in their residuals
-by what the flaw does and nothing else. Whitened with the noise of the flawless drive, half the squared length of that
-difference is the log likelihood (nats) that the true cause is expected to gain, and its root is the size of the flaw in
-standard errors. What is left of it beside another effect's column is what tells the cause from that effect.
+The residuals of the same drive with and without the fault, both without encoder ticks and truth noise, differ only by
+the contribution of the fault. Half the squared norm of that difference, whitened with the noise of the fault-free
+drive, is the expected log-likelihood gain (nats) of the true cause; the norm itself is the size of the fault in
+standard errors. Its part orthogonal to another effect's column separates the cause from that effect.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
 __all__ = ["EXCITED_NATS", "expected_information"]
 
 EXCITED_NATS = 8.0
-"""A cause is excited where it is expected to gain this many nats beyond its price, and separable where it does so
-beyond every other effect: then chance alone names another first in 2 % of drives."""
+"""Expected gain beyond the penalty, nats, from which a cause is excited; it is separable if it gains as much beyond
+every other effect: then chance alone names another one first in 2 % of drives."""
 
 
 def expected_information(case: Case) -> dict[str, float | str | bool]:
-    """Return expected nats (price taken off), size in standard errors, the nearest rival and what tells it apart."""
+    """Return expected nats (minus the penalty), size in standard errors, the nearest rival and nats beyond it."""
     flawless = as_recording(quiet_run(case))
     base = fit([flawless], approach=choose_approach([flawless]))
     flawed, clean = (as_recording(run) for run in noiseless_pair(case))
     shift = _residual(flawed, clean, base.problem.approach.spacing_s) - _residual(
         clean, clean, base.problem.approach.spacing_s
     )
-    # an offset of the clock makes the ends of the drive hang over
+    # with a clock offset, odometry and truth do not overlap at the ends of the drive
     shift[:2], shift[-2:] = 0.0, 0.0
     white = base.noise.whitener.whiten(shift)
     total = 0.5 * float(white @ white)

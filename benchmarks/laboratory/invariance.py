@@ -1,4 +1,4 @@
-"""The same drive transformed: another frame, later, half as often, with holes, in every format of bag."""
+"""Variants of one drive: other frames, later, at half rate, with gaps, and in every bag format."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ __all__ = ["variants"]
 
 LATER_NS = 10**18
 ELSEWHERE = np.array([13.0, -7.0, 2.1]), np.array([-31.0, 4.0, -1.3])
-"""Where the frames of odometry and truth are moved to."""
+"""Poses to which the frames of odometry and truth are moved."""
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Stamps (n,), positions (n, 3) and quaternions (n, 4), as the writer of bags wants them."""
+    """Stamps (n,), positions (n, 3) and quaternions (n, 4), as needed by the bag writer."""
 
     stamps_ns: np.ndarray
     xyz: np.ndarray
@@ -44,12 +44,12 @@ class _Rows:
 
 
 def variants(case: Case, run: SimulatedRun) -> dict[str, Any]:
-    """Return the answers of all variants by name, and of how a recording compares that should be the very same."""
+    """Return the answers of all variants by name, and the true causes."""
     answers: dict[str, Any] = {}
     seen: dict[bytes, str] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, recording in _transformed(case, run, Path(folder)):
-            # the very same numbers need not be learned from again
+            # identical recordings are learned from only once
             before = seen.setdefault(_fingerprint(recording), name)
             answers[name] = answers[before] if before in answers else plain_answer(learn([recording]))
     return {"answers": answers, "truth": run.answer["causes"]}

@@ -1,4 +1,4 @@
-"""The page of figures: docs/hidden_effects.md from a file of results."""
+"""Page of results: docs/hidden_effects.md from a results file."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Goals are printed beside the figures, and every miss is listed.
 
 
 def page(rows: Rows, before: Rows, advice: Rows) -> str:
-    """Return the whole page; `before` are the results of the run before, `advice` those of the arm of that name."""
+    """Return the whole page; `before` has the results of the previous run, `advice` those of the advice arm."""
     arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
     good = {name: [row for row in own if "failed" not in row] for name, own in arm.items()}
     excited = [row for row in good["single"] if is_excited(row)]

@@ -1,6 +1,6 @@
-"""Real noise with a known cause: an effect is put into the odometry of real recordings; the difference must come back.
+"""Planted causes: a known effect is added to the odometry of real recordings, and must be recovered.
 
-The corruption is the package's own, without noise, on the increments of the recorded odometry.
+The effect is applied by the package's own corruption, without noise, to the increments of the recorded odometry.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ROBOTS = (
     ("optiodom_diff_free_030120210001_run1", 0.2), ("polimi_mecanum_bag1", None),
     ("optiodom_tricyc_free_140120211508_run1", None),
 )  # fmt: skip
-"""Recordings, and the track where the robot has one."""
+"""Recordings, and the robot's track width or None."""
 SIZES = {
     "wheel_scale": {"e": 0.02},
     "unequal_wheels": {"curvature": 0.03},
@@ -43,7 +43,7 @@ SIZES = {
 
 
 def plant(recording: Recording, effect: Effect) -> Recording:
-    """Return the recording with an effect put into its odometry."""
+    """Return the recording with an effect added to its odometry."""
     model = MotionModel(
         Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)), effects=(effect,), track_m=recording.track_m
     )
@@ -53,7 +53,7 @@ def plant(recording: Recording, effect: Effect) -> Recording:
 
 
 def planted(case: Case, folder: Path) -> dict[str, Any]:
-    """Return what is learned of a recording as it is and with an effect planted."""
+    """Return the results learned from a recording with and without a planted effect."""
     name, track_m = ROBOTS[case.number // 4 % len(ROBOTS)]
     file = folder / f"{name}.mcap"
     if not file.exists():
@@ -65,7 +65,7 @@ def planted(case: Case, folder: Path) -> dict[str, Any]:
     if not np.isfinite(with_it.odometry.xyt).all():
         raise ValueError(f"{name}: planting {case.causes[0]} gives no numbers")
     plain, planted = learn([recording]), learn([with_it])
-    # what the plain recording says of the same effects: a difference needs both sides of one model
+    # fit the same effects to the original recording: differences need the same model on both sides
     same = fit(
         [recording],
         planted.fit.effects,

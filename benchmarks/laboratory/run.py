@@ -1,4 +1,4 @@
-"""Run cases side by side; every result is a line of a file, written as soon as it is there."""
+"""Run cases in parallel; each result is a line of a file, written as soon as it is available."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["read_results", "run"]
 
 
 def read_results(path: Path) -> list[dict[str, Any]]:
-    """Return the results in a file, a line that was cut left out, of repeated cases the last one."""
+    """Return the results in a file, without truncated lines; the last one of repeated cases."""
     found = {}
     for line in path.read_text().splitlines() if path.exists() else ():
         try:
@@ -35,7 +35,7 @@ def read_results(path: Path) -> list[dict[str, Any]]:
 def run(
     cases: Sequence[AnyCase], results: Path, ask: Callable[[Any], dict[str, Any]], *, jobs: int, minutes: float
 ) -> None:
-    """Ask the cases that the results do not have yet; start none after so many minutes."""
+    """Run the cases that are not in the results yet; start none after `minutes`."""
     done = {row["key"] for row in read_results(results)}
     left = [(case, ask) for case in cases if case.key not in done]
     end = time.monotonic() + 60.0 * minutes

@@ -1,4 +1,4 @@
-"""Tables of the arms that compare answers with each other, and of the body."""
+"""Tables of the arms that compare answers with each other, and of the simulated body."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Rows = list[dict[str, Any]]
 
 
 def sames(rows: Rows) -> list[str]:
-    """Return how often each transformation of a drive gave the same result."""
+    """Return a table of how often each transformation of a drive gave the same result."""
     hits: dict[str, list[bool]] = {}
     worst: dict[str, float] = {}
     lines = []
@@ -32,7 +32,7 @@ def sames(rows: Rows) -> list[str]:
 
 
 def _moved(first: dict[str, Any], other: dict[str, Any]) -> float | None:
-    """Return the largest change of a parameter in its standard errors; None where names differ."""
+    """Return the largest change of a parameter in its standard errors; None if names differ."""
     if _words(first) != _words(other):
         return None
     changes = [0.0]
@@ -49,7 +49,7 @@ def _words(answer: dict[str, Any]) -> str:
 
 
 def plants(rows: Rows) -> list[str]:
-    """Return what came back of what was planted in real recordings."""
+    """Return a table of planted effects in real recordings and their estimates."""
     there = [row for row in rows if "planted" in row]
     if not there:
         return ["The recordings were not there.", ""]
@@ -71,7 +71,7 @@ def plants(rows: Rows) -> list[str]:
 
 
 def bodies(rows: Rows) -> list[str]:
-    """Return what was named of causes that were built."""
+    """Return a table of the names found for causes built into the simulated body."""
     out = []
     for row in rows:
         truth = ", ".join(f"{name} {_numbers(values)}" for name, values in row["truth"].items()) or "none"

@@ -24,7 +24,7 @@ SHAMS = (
 
 
 def sham(case: Case, recording: Recording, judged: Recording) -> dict[str, Any]:
-    """Return the effect added to a robot without a fault, and the 10 s error of another drive over that before."""
+    """Return the effect added to a fault-free robot, and the ratio of another drive's 10 s errors after and before."""
     name = SHAMS[int(np.random.default_rng((52, case.number)).integers(len(SHAMS)))]
     added = fit([recording], [registry()[name]()], approach=choose_approach([recording]))
     return {"effect": name, "ratio": ten_second_error([judged], added.effects) / ten_second_error([judged])}

@@ -1,4 +1,4 @@
-"""The tables of the page: one function for each arm, rows of results in, lines of markdown out."""
+"""Tables of the page: one function per arm that turns rows of results into lines of Markdown."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Lines = list[str]
 
 
 def part(hits: Sequence[bool], goal: str = "") -> str:
-    """Return hits of tries as text, with the percentage."""
+    """Return the number of hits out of all tries as text, with the percentage."""
     if not len(hits):
         return "none ran"
     share = f"{sum(hits)} of {len(hits)} ({100.0 * np.mean(hits):.0f} %)"
@@ -41,13 +41,13 @@ def part(hits: Sequence[bool], goal: str = "") -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> Lines:
-    """Return a table in markdown."""
+    """Return a table in Markdown."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return [*lines, *("| " + " | ".join(str(cell) for cell in row) + " |" for row in rows), ""]
 
 
 def controls(rows: Rows, goal: str) -> Lines:
-    """Return what was named where there is no cause, by kind."""
+    """Return a table of the names found in controls, by kind."""
     kinds = {
         "an effect": [bool(row["answer"]["added"]) for row in rows],
         "a clock": [bool(row["answer"]["clocks"]) for row in rows],
@@ -62,7 +62,7 @@ def controls(rows: Rows, goal: str) -> Lines:
 
 
 def single(rows: Rows) -> Lines:
-    """Return names, alternatives, parameters and intervals by size."""
+    """Return a table of hits of names, alternatives, parameters and intervals by size."""
     goals = {"strong": ("99 %", "100 %"), "medium": ("98 %", "99 %"), "weak": ("90 %", "96 %")}
     out = []
     for size, (first_goal, listed_goal) in goals.items():
@@ -87,7 +87,7 @@ def single(rows: Rows) -> Lines:
 
 
 def _errors_of(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the parameter errors of the causes that were found, judged again: a run keeps what was found, too."""
+    """Return the parameter errors of the causes found, recomputed from the stored answers."""
     if "found" not in row.get("answer", {}):
         return []
     found = row["answer"]["found"]
@@ -103,7 +103,7 @@ def _errors(rows: Rows) -> str:
 
 
 def falls(rows: Rows, title: str) -> list[object]:
-    """Return a row: held-out error after adding over that without the fault, and before."""
+    """Return a table row: ratios of the held-out error after and before correction to that without the fault."""
     errors = [row["error"] for row in rows if "error" in row]
     if not errors:
         return [title, 0, "", "", ""]
@@ -116,7 +116,7 @@ def falls(rows: Rows, title: str) -> list[object]:
 
 
 def confusion(rows: Rows) -> Lines:
-    """Return a list of causes with what was named first, which is the matrix without its zeros."""
+    """Return a list of causes with the names found first: the confusion matrix without its zeros."""
     out = []
     for cause in sorted({row["case"]["causes"][0] for row in rows}):
         own = [row for row in rows if row["case"]["causes"][0] == cause]
@@ -130,7 +130,7 @@ def confusion(rows: Rows) -> Lines:
 
 
 def misses(rows: Rows) -> Lines:
-    """Return a line for every drive whose first name is not right, excited or not."""
+    """Return a line for each drive whose first name is not right, excited or not."""
     lines = []
     for row in rows:
         if right(first_name(row), row):
@@ -146,7 +146,7 @@ def misses(rows: Rows) -> Lines:
 
 
 def outside(rows: Rows) -> Lines:
-    """Return regressors, known names and expressions."""
+    """Return a table of regressors, known names and expressions found for causes outside the library."""
     regressor = [
         any(u[0] == row["depends_on"] for u in row["answer"]["unknown"][:1]) for row in rows if "answer" in row
     ]
@@ -168,7 +168,7 @@ def outside(rows: Rows) -> Lines:
 
 
 def mixtures(rows: Rows) -> Lines:
-    """Return how many of two causes were named, noise among them."""
+    """Return a table of how many of two causes were named, including noise causes."""
     hits = []
     for row in rows:
         found = [*names(row), *(n for n, _ in row.get("answer", {"noise": []})["noise"])]
@@ -183,7 +183,7 @@ def mixtures(rows: Rows) -> Lines:
 
 
 def noise(rows: Rows) -> Lines:
-    """Return which noise causes were named as noise."""
+    """Return a table of noise causes and the noise named."""
     out = []
     for cause in sorted({row["case"]["causes"][0] for row in rows}):
         own = [row for row in rows if row["case"]["causes"][0] == cause and "answer" in row]
@@ -194,7 +194,7 @@ def noise(rows: Rows) -> Lines:
 
 
 def reliability(rows: Rows) -> Lines:
-    """Return how often names were right, by their confidence."""
+    """Return a table of how often names were right, by their confidence."""
     pairs = [(c, right(name, row)) for row in rows if "answer" in row for name, c in _confidences(row) if c is not None]
     edges = (0.0, 0.5, 0.8, 0.9, 0.99, 0.999, 1.0 + 1e-9)
     out = []

@@ -1,4 +1,4 @@
-"""From an answer to right and wrong, case by case."""
+"""Grading of each case's answer as right or wrong."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from laboratory.cases import same_class
 __all__ = ["HIGH", "alternatives", "extras", "first_name", "is_excited", "is_separable", "names", "right"]
 
 HIGH = 0.9
-"""Confidence from which on a name counts as certain."""
+"""Confidence from which a name counts as certain."""
 
 
 def names(row: dict[str, Any]) -> list[str]:
-    """Return everything systematic that was named, clocks first."""
+    """Return all systematic names found, clocks first."""
     answer = row.get("answer", {"clocks": [], "added": []})
     return [*answer["clocks"], *answer["added"]]
 
 
 def first_name(row: dict[str, Any]) -> str:
-    """Return the first thing named: systematic, or noise where nothing else is, or "nothing" ("unknown")."""
+    """Return the first name: systematic, or noise if there is no other, or "nothing" ("unknown")."""
     if "failed" in row:
         return "failed"
     found = [*names(row), *(name for name, _ in row["answer"]["noise"])]
@@ -29,12 +29,12 @@ def first_name(row: dict[str, Any]) -> str:
 
 
 def right(name: str, row: dict[str, Any]) -> bool:
-    """Tell whether a name is one of the causes, or a twin of one."""
+    """Return whether a name is one of the causes, or a twin of one."""
     return same_class(name) in {same_class(cause) for cause in row["case"]["causes"]}
 
 
 def alternatives(row: dict[str, Any]) -> list[str]:
-    """Return the first name and those listed beside it, one of each class of twins."""
+    """Return the first name and its alternatives, one of each class of twins."""
     found = names(row)
     if not found:
         return []
@@ -46,15 +46,15 @@ def alternatives(row: dict[str, Any]) -> list[str]:
 
 
 def extras(row: dict[str, Any]) -> list[str]:
-    """Return what was named systematically and is no cause."""
+    """Return the systematic names that are not causes."""
     return [name for name in names(row) if not right(name, row)]
 
 
 def is_excited(row: dict[str, Any]) -> bool:
-    """Tell whether the drive was expected to show the cause; without an expectation it was."""
+    """Return whether the drive was expected to show the cause; True without an expectation."""
     return bool(row.get("expected", {}).get("excited", True))
 
 
 def is_separable(row: dict[str, Any]) -> bool:
-    """Tell whether the drive was expected to tell the cause from all others."""
+    """Return whether the drive was expected to separate the cause from all others."""
     return is_excited(row) and bool(row.get("expected", {}).get("separable", True))

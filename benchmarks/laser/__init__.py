@@ -1,1 +1,1 @@
-"""The laser arm of the laboratory: drives whose answer is known, seen by a ray-cast laser instead of motion capture."""
+"""The laser arm of the laboratory: drives with known causes and a ray-cast laser as truth instead of motion capture."""

@@ -1,4 +1,4 @@
-"""What is asked of each drive: the same search taught by motion capture and by the laser, plain numbers out."""
+"""Run of each drive: the same search with motion capture and with the laser as truth, with plain numbers as results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ JUDGE_SEED, JUDGED_S = 400_000, 240.0
 
 
 def ask(case: Case) -> dict[str, Any]:
-    """Return what a case shows."""
+    """Return the results of a case."""
     options: dict[str, Any] = {
         "size": SIZES.get(case.size, 1.0),
         "route": case.route,
@@ -47,7 +47,7 @@ def ask(case: Case) -> dict[str, Any]:
     try:
         recordings, run = laser_recordings(seen)
     except RecordingError as error:
-        # nothing is named, and the message lists what is not testable
+        # nothing is named; the message lists the effects that are not testable
         return {"world": world_of(case), "refused": str(error)}
     matching_s = time.process_time() - begun
     mocap = learn([mocap_recording(seen)])
@@ -81,9 +81,9 @@ def ask(case: Case) -> dict[str, Any]:
 
 
 def _in_the_map(judged: Recording, seen: Seen, taught: Recording) -> Recording:
-    """Return a recording whose exact truth is in the frame of the laser's map, where places and slopes were learned.
+    """Return a recording with its exact truth in the frame of the laser's map, in which places and slopes were learned.
 
-    The frame is that of least squares over all poses of the drive that was taught: one pose errs by millimetres.
+    The frame is fitted by least squares to all poses of the learned drive: a single pose has errors of millimetres.
     """
     origin_ns = int(seen.exact.stamps_ns[0])
     exact = seen.exact.at((taught.truth.stamps_ns - origin_ns) * 1e-9 - seen.lag_s, origin_ns)[:, :2]
@@ -96,7 +96,7 @@ def _in_the_map(judged: Recording, seen: Seen, taught: Recording) -> Recording:
 
 
 def _robots(learned: Learned) -> list[Any]:
-    """Return the effects of the robot, without where the truth was taken."""
+    """Return the effects of the robot, without the set-up (mounting of the truth)."""
     return [effect for effect in learned.fit.effects if effect.kind != "setup"]
 
 

@@ -1,4 +1,4 @@
-"""A simulated drive with its ray-cast laser as a bag: Odometry, TF and LaserScan, and no truth."""
+"""A simulated drive with a ray-cast laser as a bag: Odometry, TF and LaserScan, without truth."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOST_M = 8.0
 
 
 def write_bag(path: Path, seen: Seen, *, sweep_s: float = 0.2) -> None:
-    """Write what the robot itself would have recorded."""
+    """Write the bag that the robot would have recorded."""
     messages = [*_odometry(seen), *_scans(seen, sweep_s)]
     messages.sort(key=lambda message: message[0])
     with path.open("wb") as stream:

@@ -1,4 +1,4 @@
-"""Which drives the laser arm makes, fixed before any of them is."""
+"""Design of the laser arm, fixed before any run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ LEARNED_S = 300.0
 MOUNTING = ("lever_arm", "mount_yaw", "icr_shift")
 CLOCKS = ("time_offset", "clock_skew")
 CAUSES = tuple(c for c in SYSTEMATIC if c not in (*MOUNTING, *CLOCKS))
-"""Without those that are the laser's own: where it sits (icr_shift is the same thing) and its clock."""
+"""Systematic causes except those aliased with the laser's mounting (as icr_shift is) and clock."""
 ROUTES = ("office", "loops", "slalom", "yard", "umbmark")
 SIZES = ("strong", "medium")
 LENGTHS = {"controls": 60, "single": 2 * len(CAUSES) * 5, "corridor": 20}
@@ -19,7 +19,7 @@ PILOT = -221_000
 
 
 def laser_cases(*, pilot: bool = False) -> list[Case]:
-    """Return all cases in the order in which they are run: the arms mixed in proportion."""
+    """Return all cases in the order of the run: the arms mixed in proportion."""
     made = [
         (i / LENGTHS[arm], arm, _case(arm, i, FIRST_SEED[arm] + i + (PILOT if pilot else 0)))
         for arm in LENGTHS
@@ -29,7 +29,7 @@ def laser_cases(*, pilot: bool = False) -> list[Case]:
 
 
 def world_of(case: Case) -> str:
-    """Return the kind of world of a case: rooms and offices by turns, for each route, cause and size."""
+    """Return the kind of world of a case: rooms and offices alternately, for each route, cause and size."""
     if case.arm == "corridor":
         return "corridor"
     if case.arm == "controls":

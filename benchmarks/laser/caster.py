@@ -1,4 +1,4 @@
-"""Rays against line segments and walking people: what a scanning laser measures while it moves."""
+"""Ray casting against line segments and walking people: ranges of a moving scanning laser."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SHOULDERS_M = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Laser:
-    """A scanning laser: beams over a full turn, turns per second, what goes wrong with its ranges."""
+    """A scanning laser: beams per full turn, turns per second, and errors of its ranges."""
 
     beams: int = 450
     rate_hz: float = 5.0
@@ -29,7 +29,7 @@ class Laser:
     noise_m: float = 0.02
     dropouts: float = 0.015
     mixed: float = 0.3
-    """Share of the rays at an edge that return something between the near and the far surface."""
+    """Fraction of the rays at an edge that return a range between the near and the far surface (mixed pixels)."""
 
 
 LASERS = {"cheap": Laser(), "good": Laser(beams=720, rate_hz=10.0, reach_m=20.0, noise_m=0.008)}
@@ -37,13 +37,13 @@ LASERS = {"cheap": Laser(), "good": Laser(beams=720, rate_hz=10.0, reach_m=20.0,
 
 @dataclass(frozen=True, slots=True)
 class People:
-    """Walkers that go from place to place: corners (p, k, 2) of their ways, and when each is reached (p, k)."""
+    """Walking people: corners (p, k, 2) of their paths, m, and the times (p, k) of reaching each, s."""
 
     places: Array
     at_s: Array
 
     def where(self, t_s: float) -> Array:
-        """Return where they are (p, 2)."""
+        """Return their positions (p, 2) at a time, m."""
         found = [
             [np.interp(t_s, at, places[:, i]) for i in (0, 1)]
             for at, places in zip(self.at_s, self.places, strict=True)
@@ -52,7 +52,7 @@ class People:
 
 
 def walkers(count: int, low: Array, high: Array, duration_s: float, rng: np.random.Generator) -> People:
-    """Return people that walk about between two corners of the world."""
+    """Return people that walk about in the rectangle between two corners."""
     corners = int(duration_s / 4.0) + 2
     places = rng.uniform(low, high, (count, corners, 2))
     speed = rng.uniform(0.5, 1.3, (count, 1))
@@ -68,10 +68,10 @@ def ranges_of(
     start_s: float,
     rng: np.random.Generator,
 ) -> Array:
-    """Return the ranges (beams,) of one sweep that begins at a time, each ray shot from where the laser then is.
+    """Return the ranges (beams,) of one sweep, each ray from the laser's pose at its time; infinite without a return.
 
-    pose_at : the laser's poses (n, 3) at times (n,)
-    Nothing met is infinite.
+    pose_at : function that returns the laser's poses (n, 3) at times (n,)
+    start_s : start of the sweep, seconds
     """
     t_s = start_s + np.arange(laser.beams) / (laser.beams * laser.rate_hz)
     pose = pose_at(t_s)

@@ -1,4 +1,4 @@
-"""A simulated drive seen twice: by motion capture, and by a laser on the robot."""
+"""A simulated drive with two truths: motion capture, and a laser on the robot."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ PEOPLE = 3
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """One drive.
+    """One drive with all its measurements.
 
-    run : as motion capture sees it
-    exact : without any noise of the tracker
-    sweeps : as the laser sees it
-    scale, lag_s, mount : what is wrong with the laser: its ruler, its clock, where it sits
+    run : odometry and motion capture
+    exact : truth without noise of the tracker
+    sweeps : sweeps of the laser
+    scale, lag_s, mount : scale error, clock lag and mounting of the laser
     """
 
     run: SimulatedRun
@@ -55,7 +55,7 @@ def drive(
     seed: int, cause: str | Sequence[str] | None, kind: str, *, laser: str = "cheap", scale_error: float = 0.003,
     most_lag_s: float = 0.15, **options: Any,
 ) -> Seen:  # fmt: skip
-    """Simulate a drive and look at it with a laser in a world of some kind."""
+    """Return a simulated drive with laser sweeps in a world of the given kind."""
     run = simulate(seed, cause, **options)
     exact = _trajectory(simulate(seed, cause, truth=EXACT, **options))
     rng = np.random.default_rng([seed, 7])
@@ -96,7 +96,7 @@ def _trajectory(run: SimulatedRun) -> Trajectory:
 
 
 def odometry_samples(run: SimulatedRun) -> Samples:
-    """Return a run's odometry as it would be read from a bag."""
+    """Return a run's odometry in the form in which it is read from a bag."""
     xyz = np.column_stack((run.odom_xyt[:, :2], np.zeros(len(run.odom_xyt))))
     nothing = np.zeros(0)
     return Samples(
@@ -115,7 +115,7 @@ def mocap_recording(seen: Seen) -> Recording:
 
 
 def laser_recordings(seen: Seen, *, scale_error: float = 0.003) -> tuple[list[Recording], LaserRun]:
-    """Return the drive with the laser as its truth, as `learn --scan` would read it, and what the laser found."""
+    """Return the drive with the laser as its truth, as `learn --scan` reads it, and the laser's run."""
     odometry = odometry_samples(seen.run)
     found = match_run(odometry, seen.sweeps)
     recordings = [r for part in truth_of(found) for r in recordings_of("laser", odometry, part, seen.run.track_m)]

@@ -14,7 +14,7 @@ _CLOCKS = ("time_offset", "clock_skew")
 
 
 def tables(rows: list[dict[str, Any]]) -> str:
-    """Return all tables as text in Markdown, misses listed by name."""
+    """Return all tables in Markdown, with misses listed by name."""
     broken = [r["key"] for r in rows if "failed" in r]
     refused = [r for r in rows if "refused" in r]
     rows = [r for r in rows if "failed" not in r and "refused" not in r]
@@ -75,7 +75,7 @@ def _arm(rows: list[dict[str, Any]], arm: str) -> list[dict[str, Any]]:
 
 
 def _robots(row: dict[str, Any], who: str) -> list[str]:
-    """Return what was named of the robot: no clocks, which the laser has of its own."""
+    """Return the names found for the robot, without clocks: the laser has a clock error itself."""
     noise = [name for name, _ in row[who]["noise"]]
     return [n for n in names({"answer": row[who]}) if n not in _CLOCKS] + noise
 

@@ -27,7 +27,7 @@ def world_around(kind: str, path_xy: Array, rng: np.random.Generator) -> Array:
 
     room : one rectangle around everything, with boxes in it
     office : walls on a grid with doors where the path goes through, and boxes
-    corridor : two plain walls along the longest axis of the path, whose ends nobody sees
+    corridor : two plain walls along the longest axis of the path, with their ends out of sight
     """
     turn = float(rng.uniform(-0.5, 0.5)) if kind != "corridor" else _axis(path_xy)
     c, s = np.cos(turn), np.sin(turn)
@@ -57,7 +57,7 @@ def world_around(kind: str, path_xy: Array, rng: np.random.Generator) -> Array:
         length = np.linalg.norm(part[:, 1] - part[:, 0], axis=1)
         far = distance > _CLEAR_M + 0.5 * length
         if part.shape[0] == 4:
-            # a box stands as a whole or not at all
+            # keep a box completely or not at all
             far = np.full(4, bool(far.all() and tree.query(middle.mean(axis=0))[0] > _CLEAR_M + length.max()))
         kept.append(part[far])
     return _turned(np.concatenate(kept), frame)
@@ -80,7 +80,7 @@ def _rectangle(low: Array, high: Array) -> Array:
 
 
 def _box(rng: np.random.Generator, low: Array, high: Array) -> Array:
-    """Return the four sides of a box somewhere, turned anyhow."""
+    """Return the four sides of a box at a random place and angle."""
     half = rng.uniform(0.1, 0.6, 2)
     angle = rng.choice((0.0, rng.uniform(-np.pi, np.pi)))
     c, s = np.cos(angle), np.sin(angle)

@@ -1,1 +1,1 @@
-"""The ordinary laboratory: recordings as users have them, by a generator that shares no code with the package."""
+"""The ordinary laboratory: typical user recordings from a generator that shares no code with the package."""

@@ -1,4 +1,4 @@
-"""What is asked of each case, by the public command line alone: learn, then use what was written in every way."""
+"""Run of each case through the public command line: learn a model, then use it with every command."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ __all__ = ["ask", "write_case"]
 LONGEST_S = 900
 RUNS = 20
 LEFT_OUT = ("comparison", "candidates", "detectable", "next_drive")
-"""Keys of the answer that the results do not keep."""
+"""Keys of the answer that are not stored in the results."""
 
 
 def ask(case: Case, keep: str = "") -> dict[str, Any]:
-    """Return what a case shows; its files stay in the folder `keep`, if one is named."""
+    """Return the results of a case; its files are kept in the folder `keep`, if given."""
     if keep:
         folder = Path(keep) / case.key.replace("/", "_")
         folder.mkdir(parents=True, exist_ok=True)
@@ -42,7 +42,7 @@ def ask(case: Case, keep: str = "") -> dict[str, Any]:
 
 
 def write_case(case: Case, folder: Path) -> tuple[Drive, Drive, list[str]]:
-    """Write learned.mcap, judged.mcap and clean.mcap (odometry that is the truth); return drives and options."""
+    """Write learned.mcap, judged.mcap and clean.mcap (exact odometry); return drives and options."""
     learned, judged = drive(case), drive(case, judged=True)
     write_bag(folder / "learned.mcap", learned.odometry, learned.truth.messages)
     write_bag(folder / "judged.mcap", judged.odometry, judged.truth.messages)
@@ -73,7 +73,7 @@ def _asked(case: Case, folder: Path) -> dict[str, Any]:
 
 
 def _used(folder: Path, judged: Drive, learned: Drive, options: list[str]) -> tuple[dict[str, str], float | None]:
-    """Return what each use of the model complained of ("" for nothing), and the held-out error after correction (m)."""
+    """Return the error message of each use of the model ("" for none), and the held-out error after correction (m)."""
     model, clean, out = folder / "robot.toml", str(folder / "clean.mcap"), folder / "corrected.mcap"
     places = _start(model, judged, learned)
     uses = {
@@ -90,7 +90,7 @@ def _used(folder: Path, judged: Drive, learned: Drive, options: list[str]) -> tu
 
 
 def _start(model: Path, judged: Drive, learned: Drive) -> list[str]:
-    """Return where the judged drive begins in the frame of the learned truth, for models that hold a place."""
+    """Return options with the start of the judged drive in the frame of the learned truth, if the model has a place."""
     text = model.read_text()
     places = any(word in text for word in ("region_slip", "slope")) or any(
         f" {letter} " in line or f"({letter}" in line
@@ -99,14 +99,14 @@ def _start(model: Path, judged: Drive, learned: Drive) -> list[str]:
     if not places:
         return []
     x, y, theta = judged.exact(judged.odometry.time_s[:1])[0]
-    if learned.truth.sigma_rad is None:  # fixes are told from the first one of the recording that was learned
+    if learned.truth.sigma_rad is None:  # fixes are relative to the first one of the learned recording
         first = learned.truth.messages[0].stamp_s[:1]
         x, y = np.array([x, y]) - learned.exact(first)[0, :2]
     return ["--start", f"{x:.4f},{y:.4f},{theta:.4f}"]
 
 
 def _after(judged: Drive, corrected: Path, model: dict[str, Any]) -> float:
-    """Return the 10 s error (m) of corrected odometry, with what [setup] says of clock, lever arm and mounting."""
+    """Return the 10 s error (m) of corrected odometry, with the clock, lever arm and mounting of [setup] applied."""
     stamps, xyt = read_odometry(corrected)
     setup = model.get("setup", {})
     clocks = setup.get("clock", [])

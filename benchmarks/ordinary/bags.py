@@ -1,4 +1,4 @@
-"""Recordings as MCAP files with ROS 2 messages, by other libraries: mcap writes, rosbags packs one template."""
+"""Recordings as MCAP files with ROS 2 messages, independent of the package: mcap writes, rosbags packs one template."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TYPES = {
 
 @dataclass(frozen=True)
 class _Template:
-    """Packed bytes of a message, and where its stamp and its numbers are."""
+    """Serialised message, with the byte offsets of its stamp and its numbers."""
 
     data: bytes
     stamp_at: int

@@ -1,4 +1,4 @@
-"""Which drives are made, fixed before any of them is: situations, causes, robots, truths and seeds."""
+"""Design of the study, fixed before any run: situations, causes, robots, truths and seeds."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["LENGTHS", "SITUATIONS", "Case", "Setting", "cases"]
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One way in which ordinary recordings are made.
+    """One typical set-up of a recording.
 
-    present : names, and drivers of unknown dependences, that are true of the robot though nothing was planted, so that
-        naming them is no false alarm
+    present : effects, and regressors of unknown dependences, that every such robot has without a planted cause; naming
+        them is not a false alarm
     """
 
     platform: str
@@ -117,13 +117,13 @@ LENGTHS = {
     "amcl": 45, "slam": 36, "ekf": 32, "car": 40, "hobby": 40, "rtk": 40, "clock": 40, "event": 24, "dull": 30,
     "ground": 33,
 }  # fmt: skip
-"""How many drives of each situation are planned: 360."""
+"""Number of planned drives of each situation, 360 in all."""
 FIRST_SEED, PILOT_SEED = 740_000, 20_000
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A robot, a drive to learn from, and one that judges; cause "" is a control."""
+    """A robot with a drive to learn from and a judging one; a control has the cause ""."""
 
     situation: str
     number: int
@@ -133,17 +133,17 @@ class Case:
 
     @property
     def key(self) -> str:
-        """What the results file calls it."""
+        """Name of the case in the results file."""
         return f"{self.situation}/{self.number}"
 
     @property
     def how(self) -> Setting:
-        """The way in which it is recorded."""
+        """Setting in which the case is recorded."""
         return SITUATIONS[self.situation][self.setting]
 
 
 def cases(*, pilot: bool = False) -> list[Case]:
-    """Return all cases in the order in which they are run: situations in turn, two controls among five drives."""
+    """Return all cases in the order of the run: situations in turn, two controls in five drives."""
     made = []
     for place, (situation, settings) in enumerate(SITUATIONS.items()):
         begun = [0] * len(settings)

@@ -1,8 +1,8 @@
-"""What may be wrong with a robot: sizes it is drawn from, and which names count as right.
+"""Causes of odometry error: ranges of their sizes, and the names that count as right.
 
-`accepted` are the names of the library (or patterns of names it may have later) under which the cause is right;
-`equal` are names whose effect on this robot is the same though its physics is another (no miss that counts as wrong and
-sure, but not right either); `drivers` are what an unknown dependence may be said to depend on.
+`accepted` are library names (or patterns of names that it may have later) that count as right. `equal` are names with
+the same effect on this robot but another physical cause: they count neither as right nor as wrong and sure. `drivers`
+are the regressors with which an unknown dependence counts as right.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ __all__ = ["CAUSES", "Cause", "matches", "sizes_of"]
 
 
 LATE = ("*acceleration",)
-"""What an error depends on where a channel is late."""
+"""Regressors of an error due to a late channel."""
 SPEEDS = ("speed", "yaw_rate", "wheel_speed")
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """A cause: ranges of its parameters (log-uniform; a sign is drawn where `signed`), and its right names."""
+    """A cause: ranges of its parameters (log-uniform; with a random sign if `signed`), and its right names."""
 
     ranges: dict[str, tuple[float, float]]
     signed: bool = True
@@ -123,7 +123,7 @@ CAUSES: dict[str, Cause] = {
 
 
 def sizes_of(cause: str, rng: np.random.Generator) -> dict[str, float]:
-    """Return the parameters of a cause, drawn for one robot."""
+    """Return randomly drawn parameters of a cause for one robot."""
     kind = CAUSES[cause]
     sizes = {key: float(np.exp(rng.uniform(np.log(low), np.log(high)))) for key, (low, high) in kind.ranges.items()}
     for key, (low, high) in kind.fixed.items():
@@ -137,5 +137,5 @@ def sizes_of(cause: str, rng: np.random.Generator) -> dict[str, float]:
 
 
 def matches(name: str, patterns: tuple[str, ...]) -> bool:
-    """Tell whether a name is one of the patterns."""
+    """Return whether a name matches one of the patterns."""
     return any(fnmatch(name, pattern) for pattern in patterns)

@@ -1,4 +1,4 @@
-"""A case made: the robot, its two drives with the flaw and without, and what the generator knows of them."""
+"""Simulation of a case: a robot, its two drives with and without the fault, and their expected results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ JUDGED_S = 300.0
 JUDGED_SEED = 3_000_000
 WINDOW_S = 10.0
 EXCITED_GAIN, EXCITED_NATS = 1.15, 15.0
-"""A cause is excited where taking it out divides the held-out 10 s error by 1.15 at least, and is worth 15 nats."""
+"""A cause is excited if removing it divides the held-out 10 s error by at least 1.15 and it is worth 15 nats."""
 
 Flaw = tuple[str, dict[str, float]] | None
 Mark = tuple[float, float, float]
@@ -30,7 +30,7 @@ Mark = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A drive: its true motion, what is tracked of it, its odometry, the truth as recorded, the world in its frame."""
+    """A drive: true motion, start pose, tracked point, odometry, recorded truth, and frame of the truth."""
 
     body: Body
     start: np.ndarray
@@ -40,15 +40,15 @@ class Drive:
     frame: np.ndarray
 
     def exact(self, time_s: np.ndarray) -> np.ndarray:
-        """Return exact poses of what is tracked, in the truth's frame, shape (k, 3)."""
+        """Return exact poses of the tracked point, in the truth's frame, shape (k, 3)."""
         return tracked(self.body, self.mark, time_s, self.frame)
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What the generator expects of the held-out 10 s error (m), what the flaw is worth, and whether it is excited.
+    """Expected held-out 10 s errors (m) of a case, value of the fault in nats, and whether it is excited.
 
-    attainable_m : the floor and, beside it, what one parameter known as well as so many nats tell leaves of the flaw
+    attainable_m : root sum of squares of the floor and of the fault's part that remains after estimating one parameter
     """
 
     before_m: float
@@ -59,12 +59,12 @@ class Expected:
 
 
 def flaw_of(case: Case) -> Flaw:
-    """Return what is wrong with a case's robot, and how much."""
+    """Return the name and the sizes of the fault of a case's robot, None for a control."""
     return (case.cause, sizes_of(case.cause, stream(case.seed, "sizes"))) if case.cause else None
 
 
 def drive(case: Case, *, judged: bool = False, flawed: bool = True) -> Drive:
-    """Return a drive of a case: the one that is learned from or the one that judges, with the flaw or without."""
+    """Return a drive of a case: the one learned from or the judging one, with or without the fault."""
     how, seed = case.how, case.seed + (JUDGED_SEED if judged else 0)
     platform = PLATFORMS[how.platform]
     flaw = flaw_of(case) if flawed else None
@@ -73,7 +73,7 @@ def drive(case: Case, *, judged: bool = False, flawed: bool = True) -> Drive:
     seconds = JUDGED_S if judged else how.learned_s
     box = (how.route.width_m, how.route.height_m)
     start = np.zeros(3)
-    if judged and how.route.kind == "rooms":  # odometry begins at zero there, too: another origin
+    if judged and how.route.kind == "rooms":  # another start; the odometry also begins at zero there
         start = stream(seed, "start").uniform([0.2 * box[0], 0.2 * box[1], -3.0], [0.8 * box[0], 0.8 * box[1], 3.0])
     motion = driven(how.route, platform, seconds + 2.0, stream(seed, "driver"), start)
     body = body_motion(motion, flaw, platform, how.rig, seed, start)
@@ -87,7 +87,7 @@ def drive(case: Case, *, judged: bool = False, flawed: bool = True) -> Drive:
         place = stream(case.seed, "patch").uniform(0.25, 0.75, 2)
         patch = (place[0] * box[0], place[1] * box[1], flaw[1]["part"] * min(box))
     odometry = odometry_of(body, flaw, platform, how.rig, seed, patch)
-    # one frame of the truth for both drives of a robot
+    # the same truth frame for both drives of a robot
     turned = stream(case.seed, "frame")
     frame = np.array([turned.uniform(-5, 5), turned.uniform(-5, 5), turned.uniform(-3, 3)])
     truth = make_truth(how.truth, body, mark, odometry, seed, frame)
@@ -101,7 +101,7 @@ def _increments(stamps: np.ndarray, xyt: np.ndarray, knots: np.ndarray) -> np.nd
 
 
 def error_10s(made: Drive, stamps: np.ndarray, xyt: np.ndarray) -> float:
-    """Return the RMS position error (m) after 10 s of odometry, over windows that begin at the exact truth."""
+    """Return the RMS position error (m) of odometry at the end of 10 s windows that begin at the exact truth."""
     knots = np.arange(1.0, made.body.time_s[-1] - 2.0, WINDOW_S)
     said = _increments(stamps, xyt, knots)
     exact = made.exact(knots)
@@ -110,7 +110,7 @@ def error_10s(made: Drive, stamps: np.ndarray, xyt: np.ndarray) -> float:
 
 
 def _nats(flawed: Drive, clean: Drive) -> float:
-    """Return what the flaw is worth in nats at the best of three lengths of window, given the truth's noise."""
+    """Return the value of the fault in nats with the best of three window lengths, given the truth's noise."""
     best = 0.0
     for length in (2.0, 10.0, 30.0):
         knots = np.arange(1.0, flawed.body.time_s[-1] - 2.0, length)
@@ -129,7 +129,7 @@ def _nats(flawed: Drive, clean: Drive) -> float:
 
 
 def expected(case: Case) -> Expected:
-    """Return what can be expected of a case, from its design alone."""
+    """Return the expected results of a case, computed from its design alone."""
     judged, floor = drive(case, judged=True), drive(case, judged=True, flawed=False)
     before = error_10s(judged, judged.odometry.stamp_s, judged.odometry.xyt)
     least = error_10s(floor, floor.odometry.stamp_s, floor.odometry.xyt)

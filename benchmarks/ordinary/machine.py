@@ -1,8 +1,8 @@
-"""From what a body truly does to what its odometry says: wheels, steering, encoders, gyro, filter, clock.
+"""Simulation of odometry from the true motion of a body: wheels, steering, encoders, gyro, filter and clock.
 
-All formulas are those of rolling wheels: a rim that turns by an angle travels its radius times that angle less what it
-slips; the driver adds up counts with nominal numbers by the mid-point rule. Random numbers of every source come from a
-stream of their own, so that a robot with a flaw and the same robot without meet the same noise.
+All formulas are those of rolling wheels: a rim that turns by an angle travels its radius times that angle minus slip.
+The driver integrates counts with nominal parameters by the mid-point rule. Each source has its own stream of random
+numbers, so that the same robot with and without a fault has the same noise.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ Floats = np.ndarray
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """How the odometry is made.
+    """Properties of the odometry's computation.
 
-    heading : "wheels", "gyro" or "steering"
-    command : whether it adds up what was commanded instead of what was counted
+    heading : source of the heading: "wheels", "gyro" or "steering"
+    command : whether commands are integrated instead of counts
     filter_s : time constants of an EKF's travel and turn, s; zeros for none
-    pull : gain of steps per second towards a pose that localisation gave (an EKF that was given the truth), 0 for none
-    stamp_step_s : stamps are cut to multiples of it
-    stamp_jitter_s : mean of what arrival adds to a stamp, exponential
+    pull : gain of the correction, once a second, of an EKF with poses of a localisation as input; 0 for none
+    stamp_step_s : step to which stamps are truncated, s
+    stamp_jitter_s : mean of the exponential arrival delay in stamps, s
     """
 
     heading: str = "wheels"
@@ -46,7 +46,7 @@ class Rig:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A true motion at 200 Hz: times (n,), pose (n, 3) of the base, and speeds of base and wheels."""
+    """True motion at 200 Hz: times (n,), pose (n, 3) of the base, twist v, w of the wheels, and true yaw rate."""
 
     time_s: Floats
     xyt: Floats
@@ -56,13 +56,13 @@ class Body:
     event: dict[str, float] | None = None
 
     def at(self, time_s: Floats) -> Floats:
-        """Return the true pose at some times, shape (k, 3); before the first and after the last it stands."""
+        """Return the true poses (k, 3) at times (k,), held before the first and after the last."""
         return np.column_stack([np.interp(time_s, self.time_s, column) for column in self.xyt.T])
 
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """Times in truth's clock (s), stamps (s), poses (k, 3) and body twists (k, 2)."""
+    """Odometry: times on the truth's clock (s), stamps (s), poses (k, 3) and body twists (k, 2)."""
 
     time_s: Floats
     stamp_s: Floats
@@ -71,7 +71,7 @@ class Odometry:
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """Return the random numbers of one source of one drive."""
+    """Return the random generator of one source in one drive."""
     return np.random.default_rng([seed, *name.encode()])
 
 
@@ -83,7 +83,7 @@ def body_motion(
     seed: int,
     start: Floats,
 ) -> Body:
-    """Return the true motion of a body: what it was driven to do, and what the ground or a hand adds."""
+    """Return the true motion of a body: the driver's motion plus that caused by the ground or by an event."""
     t, v, w = motion.T
     name, p = flaw or ("", {})
     extra = np.zeros((len(t), 3))
@@ -122,10 +122,10 @@ def body_motion(
 
 
 def _contact_noise(v: Floats, w: Floats, platform: Platform, rig: Rig, seed: int) -> Floats:
-    """Return body twists (n, 3) by which the ground lets the body depart from its wheels: chance, per way of a wheel.
+    """Return random body twists (n, 3) relative to the wheels' motion, with variance per travel of each wheel.
 
-    It is the body that departs: wheels are held to their speeds by their controllers. A wheel that is driven without a
-    controller (odometry of commands) varies three times as much. A car has one driven axle and tyres that guide it.
+    The noise is in the body's motion, because controllers hold the wheels to their speeds. Without a controller
+    (odometry from commands) it is three times as large. A car has one driven axle, and tyres that guide it.
     """
     deviation = platform.noise_m * (3.0 if rig.command else 1.0) * np.sqrt(FINE_HZ)
     if platform.drive == "car":
@@ -141,12 +141,12 @@ def _contact_noise(v: Floats, w: Floats, platform: Platform, rig: Rig, seed: int
 
 
 def _summed(rate: Floats) -> Floats:
-    """Return the integral of a rate on the fine grid, by trapezoids as the body's own."""
+    """Return the integral of a rate on the fine grid by the trapezoidal rule."""
     return np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1])))) / FINE_HZ
 
 
 def _kicks(v: Floats, angle: float) -> Floats:
-    """Return the yaw rate that castors give as they swing round: after each reversal, within the next 0.1 m."""
+    """Return the yaw rate due to castors swinging round within 0.1 m after each reversal."""
     way = np.cumsum(np.abs(v)) / FINE_HZ
     sign = np.sign(np.where(np.abs(v) > 0.01, v, 0.0))
     moving = np.flatnonzero(sign)
@@ -166,7 +166,7 @@ def odometry_of(
     seed: int,
     patch: tuple[float, float, float] | None,
 ) -> Odometry:
-    """Return what the odometry says of a true motion."""
+    """Return the odometry of a true motion."""
     name, p = flaw or ("", {})
     t_end = body.time_s[-1]
     hz = platform.odometry_hz
@@ -218,7 +218,7 @@ def _differential(
     late: float,
     patch: tuple[float, float, float] | None,
 ) -> tuple[Floats, Floats]:
-    """Return increments of way and heading as a differential driver makes them from its two wheels."""
+    """Return increments of distance and heading computed by a differential-drive driver from two wheels."""
     track = platform.track_m * (1.0 + (p["e"] if name in ("wheelbase", "wide_contact") else 0.0))
     accel = np.gradient(body.v, 1.0 / FINE_HZ)
     ways, delayed = [], []
@@ -276,7 +276,7 @@ def _gyro(body: Body, name: str, p: dict[str, float], seed: int, times: Floats, 
 def _car(
     body: Body, name: str, p: dict[str, float], platform: Platform, seed: int, times: Floats, late: float
 ) -> tuple[Floats, Floats]:
-    """Return increments of a car: the way of the driven axle, the heading from the angle of the steering."""
+    """Return increments of a car: distance of the driven axle, and heading from the steering angle."""
     length = platform.track_m
     rolls = np.abs(body.v) > 0.03
     ratio = np.where(rolls, length * body.w / np.where(rolls, body.v, 1.0), np.nan)
@@ -299,7 +299,7 @@ def _car(
         way = way + play(ground, p["travel"])
     way = _counted(np.interp(times, body.time_s, way), platform, Rig())
     ds = np.diff(way, prepend=way[0])
-    middle = times - 0.5 / platform.odometry_hz  # the angle belongs to the middle of the step
+    middle = times - 0.5 / platform.odometry_hz  # the angle is taken at the middle of the step
     shown = np.interp(middle - late, body.time_s, angle)
     shown = shown + stream(seed, "steering").normal(0.0, 0.001, len(times))
     dt = 1.0 / platform.odometry_hz
@@ -309,7 +309,7 @@ def _car(
 
 
 def _low_pass(steps: Floats, times: Floats, tau: float) -> Floats:
-    """Return increments behind a first-order lag."""
+    """Return increments filtered by a first-order lag."""
     if tau <= 0.0:
         return steps
     a = float(np.exp(-np.median(np.diff(times)) / tau))
@@ -317,7 +317,7 @@ def _low_pass(steps: Floats, times: Floats, tau: float) -> Floats:
 
 
 def _pulled(xyt: Floats, body: Body, times: Floats, gain: float, seed: int) -> Floats:
-    """Return poses of a filter that once a second steps towards a pose it was given, good to 3 cm and 0.5 degrees."""
+    """Return poses of a filter corrected once a second towards external poses with errors of 3 cm and 0.5 degrees."""
     rng = stream(seed, "pull")
     truth = body.at(times) - body.at(times[:1])
     start = body.at(times[:1])[0, 2]

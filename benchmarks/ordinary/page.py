@@ -1,4 +1,4 @@
-"""The page of results: goals, a table by situation, the calibration, and every miss with what was planted."""
+"""Page of results: goals, a table by situation, calibration, and every miss with its planted cause."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0001)
 
 
 def page(rows: Rows) -> str:
-    """Return the page in markdown."""
+    """Return the page in Markdown."""
     order = list(SITUATIONS)
     rows = sorted(rows, key=lambda row: (order.index(row["case"]["situation"]), row["case"]["number"]))
     lines = [
@@ -73,7 +73,7 @@ def _causes(rows: Rows) -> Rows:
 
 
 def _judged(rows: Rows, over: str = "floor_m") -> list[float]:
-    """Return error after over floor of excited causes that last."""
+    """Return ratios of the error after correction to the floor, for excited causes that are not events."""
     own = [v.ratio(row, over) for row in _causes(rows) if not CAUSES[row["case"]["cause"]].event]
     return [one for one in own if one is not None]
 

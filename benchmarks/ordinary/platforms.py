@@ -1,4 +1,4 @@
-"""The robots: sizes, ticks, rates and speeds as their makers state them. Sources: protocol.md, section Platforms."""
+"""The robots: sizes, ticks, rates and speeds from manufacturers' data. Sources: protocol.md, section Platforms."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ __all__ = ["PLATFORMS", "Platform"]
 class Platform:
     """A kind of robot.
 
-    drive : "differential", "car" (steered front axle, the base frame on the rear axle)
-    track_m : distance between the wheels that the driver uses; of cars, the wheelbase
-    radius_m, ticks : of the wheel, and counts a turn; 0 where the controller reports a smooth speed
+    drive : "differential", or "car" (steered front axle, base frame on the rear axle)
+    track_m : nominal track width used by the driver; for cars, the wheelbase
+    radius_m, ticks : wheel radius, and encoder counts per turn; 0 if the controller reports a smooth speed
     odometry_hz : rate of the odometry
-    noise_m : deviation of a wheel's travel after one metre, m per sqrt(m)
-    top_speed, top_yaw_rate, accel, yaw_accel : limits of the motion, SI
-    turning_radius_m : of cars, else 0
+    noise_m : standard deviation of a wheel's travel after one metre, m per sqrt(m)
+    top_speed, top_yaw_rate, accel, yaw_accel : limits of the motion, SI units
+    turning_radius_m : smallest turning radius of cars, else 0
     """
 
     drive: str

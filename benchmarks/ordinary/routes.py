@@ -1,7 +1,7 @@
-"""How the robot is driven: the body's speed and yaw rate over time, by a driver who sees where the robot is.
+"""Driving: the body's speed and yaw rate over time, by a driver who knows the robot's pose.
 
-A driver at 20 Hz steers from goal to goal, with limits on accelerations, and stops now and then. The motion is what the
-robot truly does; what its odometry says of it is derived from it afterwards, with a flaw and without.
+A driver at 20 Hz steers from goal to goal, with limited accelerations, and stops now and then. The motion is the true
+one; the odometry is derived from it afterwards, with and without a fault.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ DRIVER_HZ = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Where the robot is sent.
+    """Goals of a drive.
 
-    kind : "rooms" goals anywhere in a rectangle; "corridor" to and fro between two ends; "left" round a rectangle,
-        always to the left
+    kind : "rooms": goals anywhere in a rectangle; "corridor": back and forth between two ends; "left": round a
+        rectangle, always to the left
     width_m, height_m : the rectangle
     stops : probability of a stop of 1 to 4 s at a goal
     reverse : probability that a goal is followed by backing up by 0.4 to 1 m
@@ -55,7 +55,7 @@ def driven(
 
 
 class _Driver:
-    """A driver who turns towards the goal, drives there, and slows down before it."""
+    """A driver who turns towards a goal, drives there, and slows down before it."""
 
     def __init__(self, route: Route, platform: Platform, rng: np.random.Generator, start: np.ndarray) -> None:
         self.route, self.platform, self.rng = route, platform, rng
@@ -66,7 +66,7 @@ class _Driver:
         self._next_goal()
 
     def step(self, dt: float) -> tuple[float, float]:
-        """Move on by one step; return speed and yaw rate."""
+        """Advance by one time step and return speed (m/s) and yaw rate (rad/s)."""
         v, w = self._wish()
         p = self.platform
         self.v += float(np.clip(v - self.v, -p.accel * dt, p.accel * dt))
@@ -94,7 +94,7 @@ class _Driver:
         bearing = math.remainder(math.atan2(dy, dx) - self.theta, 2.0 * math.pi)
         if self.car:
             slow = 0.4 if abs(bearing) > 0.6 else 1.0
-            # a goal inside of the turning circle is never reached
+            # a goal inside the turning circle cannot be reached
             if abs(bearing) > 1.0 and far < 2.2 * self.platform.turning_radius_m:
                 bearing = 0.0
             return self.speed * slow, 2.0 * bearing * max(self.v, 0.1) / max(2.0 * self.platform.turning_radius_m, 0.5)

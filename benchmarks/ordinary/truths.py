@@ -1,7 +1,7 @@
-"""What stands in a recording for the truth: motion capture, AMCL and SLAM as topics or over TF, RTK fixes.
+"""Simulated truths of a recording: motion capture, cameras, AMCL and SLAM as topics or over TF, RTK fixes.
 
-Each returns messages and how good they are (deviations of position and heading, for the generator's own judgement of
-what can be seen). Sources of rates, jumps and noise: protocol.md, section Truths.
+Each function returns messages and their standard deviations of position and heading, from which the generator computes
+whether a cause is excited. Sources of rates, jumps and noise: protocol.md, section Truths.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Messages:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Messages, the words of `--truth`, deviations of one reading (m, rad; None without headings)."""
+    """Messages, argument of `--truth`, and standard deviations of one reading (m; rad, None without headings)."""
 
     messages: list[Messages]
     option: str
@@ -52,15 +52,15 @@ def make_truth(
     kind
         A key of TRUTHS.
     mark
-        What is tracked, in the base frame: x, y (m), yaw (rad).
+        Tracked point in the base frame: x, y (m), yaw (rad).
     frame
-        Where the world's origin is in the truth's frame: x, y, yaw.
+        The world's origin in the truth's frame: x, y (m), yaw (rad).
     """
     return TRUTHS[kind](body, mark, odometry, stream(seed, kind), frame)
 
 
 def composed(a: Floats, b: Floats) -> Floats:
-    """Return poses a followed by b, both (n, 3) or broadcast."""
+    """Return the composition of poses a and b, both (n, 3) or broadcast."""
     a, b = np.atleast_2d(a), np.atleast_2d(b)
     c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
     return np.column_stack(
@@ -76,7 +76,7 @@ def inverse(a: Floats) -> Floats:
 
 
 def tracked(body: Body, mark: tuple[float, float, float], time_s: Floats, frame: Floats) -> Floats:
-    """Return true poses of what is tracked, in the truth's frame."""
+    """Return true poses of the tracked point in the truth's frame."""
     return composed(frame, composed(body.at(time_s), np.array(mark)))
 
 
@@ -100,7 +100,7 @@ def _cameras(
 
 
 def _updates(body: Body, rate_hz: float, least_m: float, least_rad: float, rng: np.random.Generator) -> Floats:
-    """Return when a localisation corrects: at a scan, after the robot has moved far enough."""
+    """Return the times of a localisation's corrections: scans after the robot has moved far enough."""
     scans = np.arange(0.5, body.time_s[-1] - 0.5, 1.0 / rate_hz) + rng.uniform(0.0, 1.0 / rate_hz)
     poses = body.at(scans)
     chosen, last = [0], poses[0]
@@ -113,7 +113,7 @@ def _updates(body: Body, rate_hz: float, least_m: float, least_rad: float, rng: 
 
 
 def _correlated(way: Floats, length: float, sigma: Floats, rng: np.random.Generator) -> Floats:
-    """Return errors that are alike over a length of way, shape (n, 3)."""
+    """Return errors (n, 3) with a correlation length along the path `way` (n,)."""
     errors = np.zeros((len(way), 3))
     errors[0] = rng.normal(0.0, sigma)
     for i in range(1, len(way)):
@@ -159,12 +159,12 @@ def _over_tf(
     sigma: tuple[float, float],
     rng: np.random.Generator,
 ) -> Truth:
-    """Return map -> odom as it was last corrected, sent again and again, and odom -> base as the odometry has it."""
+    """Return a truth over TF: map -> odom of the last correction, sent repeatedly, and odom -> base from odometry."""
     times, poses = estimates
     said = np.column_stack([np.interp(times, odometry.time_s, column) for column in odometry.xyt.T])
     offsets = composed(poses, inverse(said))
     sent = np.arange(times[0] + 0.05, odometry.time_s[-1], 1.0 / publish_hz) + rng.uniform(0.0, 0.02)
-    late = 0.03  # a scan takes so long to be matched
+    late = 0.03  # duration of matching a scan
     last = np.clip(np.searchsorted(times + late, sent, side="right") - 1, 0, len(times) - 1)
     map_odom = Messages("/tf", "tf", sent + ahead_s, sent + 0.001, offsets[last], ("map", "odom"))
     odom_base = Messages("/tf", "tf", odometry.stamp_s, odometry.stamp_s + 0.001, odometry.xyt, ("odom", "base_link"))

@@ -1,4 +1,4 @@
-"""From an answer to right and wrong, drive by drive, as protocol.md says."""
+"""Grading of each drive's answer as right or wrong, by the rules of protocol.md."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ __all__ = [
 SURE = 0.9
 HARM = 1.03
 EVENT_S = 5.0
-"""An event is found where the time that is said of it is within so many seconds of the planted one."""
+"""Largest difference between the reported and the planted time of an event that is found, seconds."""
 
 Row = dict[str, Any]
 
 
 def is_control(row: Row) -> bool:
-    """Tell whether nothing was planted."""
+    """Return whether the drive is a control, without a planted cause."""
     return not row["case"]["cause"]
 
 
 def is_excited(row: Row) -> bool:
-    """Tell whether the generator expects the cause to be seen."""
+    """Return whether the generator expects the cause to be detectable."""
     return bool(row.get("expected", {}).get("excited", False))
 
 
 def answered(row: Row) -> bool:
-    """Tell whether `learn` gave an answer."""
+    """Return whether `learn` gave an answer."""
     return "answer" in row
 
 
 def names(row: Row) -> list[tuple[str, float | None]]:
-    """Return names with their confidences in the order in which they are given."""
+    """Return the reported names with their confidences, in order."""
     return [(one["effect"], one["confidence"]) for one in row.get("answer", {}).get("found", [])]
 
 
 def grade(name: str, row: Row) -> str:
-    """Return "right", "equal" (the same effect on this robot by another physics), "present" or "wrong"."""
+    """Return "right", "equal" (same effect on this robot by another physical cause), "present" or "wrong"."""
     case = row["case"]
     cause = CAUSES.get(case["cause"])
     if cause is not None and matches(name, cause.accepted):
@@ -52,7 +52,7 @@ def grade(name: str, row: Row) -> str:
 
 
 def first(row: Row) -> str:
-    """Return the first thing named that is not merely true of every such robot; else a law, else "nothing"."""
+    """Return the first name that is not present in every such robot; else an unknown dependence, else "nothing"."""
     if not answered(row):
         return "no answer"
     left = [name for name, _ in names(row) if grade(name, row) != "present"]
@@ -63,14 +63,14 @@ def first(row: Row) -> str:
 
 
 def _unknown(row: Row) -> list[Row]:
-    """Return unknown dependences whose driver is not merely true of every such robot."""
+    """Return the unknown dependences whose regressor is not present in every such robot."""
     case = row["case"]
     present = SITUATIONS[case["situation"]][case["setting"]].present
     return [one for one in row.get("answer", {}).get("unknown", []) if not matches(one["depends_on"], present)]
 
 
 def right(row: Row) -> bool:
-    """Tell whether the first name, or driver of an unknown dependence, or the event, is that of the cause."""
+    """Return whether the first name, the regressor of an unknown dependence, or the event is that of the cause."""
     cause = CAUSES[row["case"]["cause"]]
     if cause.event:
         return event_found(row)
@@ -81,7 +81,7 @@ def right(row: Row) -> bool:
 
 
 def event_found(row: Row) -> bool:
-    """Tell whether an event is listed at about the time of the planted one."""
+    """Return whether an event is listed within `EVENT_S` of the planted one."""
     planted = row.get("event") or {}
     for key, listed in row.get("answer", {}).items():
         if "event" not in key or not isinstance(listed, list):
@@ -96,7 +96,7 @@ def event_found(row: Row) -> bool:
 
 
 def false_alarms(row: Row) -> list[str]:
-    """Return what was named of a robot without a flaw: names, and unknown dependences, in the model or offered."""
+    """Return the names and unknown dependences, in the model or offered, reported of a robot without a cause."""
     if not is_control(row):
         return []
     wrong = [_with(name, confidence) for name, confidence in names(row) if grade(name, row) == "wrong"]
@@ -118,17 +118,17 @@ def _with(name: str, confidence: float | None) -> str:
 
 
 def harmed(row: Row) -> bool:
-    """Tell whether the held-out error is above that without a model by more than 3 %."""
+    """Return whether the held-out error is more than 3 % above that without a model."""
     return row.get("after_m") is not None and row["after_m"] > HARM * row["expected"]["before_m"]
 
 
 def ratio(row: Row, over: str = "floor_m") -> float | None:
-    """Return the held-out error after, over the floor (or over what is attainable); None where there is none."""
+    """Return the ratio of the held-out error after correction to the floor (or the attainable); None without one."""
     return None if row.get("after_m") is None else row["after_m"] / row["expected"][over]
 
 
 def refusals(row: Row) -> list[str]:
-    """Return what the commands complained of."""
+    """Return the errors of the commands."""
     if "failed" in row:
         return [f"the laboratory broke: {row['failed'].strip().splitlines()[-1]}"]
     if "learn" in row:
@@ -137,6 +137,6 @@ def refusals(row: Row) -> list[str]:
 
 
 def reproduce(row: Row) -> str:
-    """Return the command that asks about this drive again."""
+    """Return the command that repeats this drive."""
     pilot = " --pilot" if row["case"]["seed"] < PILOT_SEED + 10_000 else ""
     return f"python benchmarks/ordinary.py run again.jsonl{pilot} --key {row['key']} --keep again"

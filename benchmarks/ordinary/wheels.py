@@ -1,4 +1,4 @@
-"""What a wheel's rim turns while the wheel moves over the ground: one function for each flaw of wheel or ground."""
+"""Rim speed of a wheel as a function of its ground speed: one function for each fault of wheel or ground."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ Sizes = dict[str, float]
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """A wheel's motion on the fine grid: its speed over the ground; the body's speed, acceleration and place.
+    """A wheel's motion on the fine grid: its ground speed, and the body's speed, acceleration and pose.
 
-    side : -1 of the left wheel, 1 of the right one
+    side : -1 for the left wheel, 1 for the right one
     patch : x, y and radius (m) of a slippery disc
-    chance : seed's random numbers for this wheel, by name
+    chance : random generator of this wheel by the name of the source
     """
 
     ground: Floats
@@ -42,7 +42,7 @@ class Wheel:
 
 
 def grown(ground: Floats, k: float) -> Floats:
-    """Return the rim's speed where the radius grows by 1 + k times that speed."""
+    """Return the rim's speed if the radius grows by a factor of 1 + k times that speed."""
     rim = ground
     for _ in range(6):
         rim = ground / (1.0 + k * np.abs(rim))
@@ -50,7 +50,7 @@ def grown(ground: Floats, k: float) -> Floats:
 
 
 def play(ground: Floats, travel: float) -> Floats:
-    """Return what the motor turns in the play of its gear: one travel at each reversal, within some 50 ms."""
+    """Return the motor's motion within the gear's backlash: one `travel` at each reversal, over about 50 ms."""
     sign = np.sign(np.where(np.abs(ground) > 0.002, ground, 0.0))
     last = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(sign)), 0))
     state = sign[last]
@@ -122,4 +122,4 @@ RIMS: dict[str, Callable[[Wheel, Sizes], Floats]] = {
     "slip_burst": _bursts,
     "gauss_markov": _wandering,
 }
-"""The rim's speed (m/s, in the driver's metres) by flaw; wheels without one turn as they move."""
+"""Rim speed (m/s, with the driver's nominal radius) by name of the cause; rims of wheels without one do not slip."""

@@ -1,8 +1,8 @@
-"""How a laser's clock and mounting relate to the odometry: from the motion between sweeps, with nothing known before.
+"""Calibration of a laser's clock lag and mounting against the odometry, from the motion between sweeps.
 
-Pairs of sweeps that lie a little way apart are matched; their turns against the odometry's give the lag between the two
-clocks, and whether the laser hangs upside down; then their displacements give the mounting (hand-eye calibration in the
-plane, linear in the position and in cosine and sine of the yaw).
+Pairs of sweeps a short way apart are matched. Comparing their turns with the odometry's gives the lag between the two
+clocks, and whether the laser is mounted upside down. Their displacements then give the mounting (planar hand-eye
+calibration, linear in the position and in cosine and sine of the yaw). No initial values are needed.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ _PLAIN_RATIO = 0.05
 _DIFFERS_RAD = np.radians(15.0)
 _FEWER = 0.8
 _BETTER = 0.93
-"""Times that sweeps do not say are taken where they make the deviation of matched pairs this share of it or less, and
-even stamps where they make that of the odometry so."""
+"""Ratio of misfits below which a correction is accepted: of matched pairs for estimated times within sweeps, and of the
+odometry between pairs for evenly spaced stamps."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What is known of a laser before its sweeps are put together.
+    """Calibration of a laser's times, mounting and orientation.
 
-    sweeps : with the times within them at which they fit each other best
-    motion : the odometry seen by the laser
-    mirrored : whether bearings run the other way round
-    turn_s : time that a whole turn of the laser takes, where the sweeps do not say or have it the wrong way round;
-        negative where it turns clockwise, 0 where the sweeps' own times are right
-    said : what was found, in words
+    sweeps : the sweeps, with the times within them that match best
+    motion : the odometry on the laser's clock, with the laser's mounting
+    mirrored : whether bearings are in the opposite sense
+    turn_s : duration of a full turn of the laser, s, if the sweeps' own times are missing or reversed; negative if the
+        laser turns clockwise, 0 if the sweeps' own times are right
+    said : messages about the findings
     """
 
     sweeps: Sweeps
@@ -58,15 +58,17 @@ class Calibration:
     turn_s: float = 0.0
 
     def deskewing(self) -> Deskewing:
-        """Return the sweeps put right for the motion within them."""
+        """Return the sweeps corrected for the motion within them."""
         return Deskewing(self.sweeps, self.motion, mirrored=self.mirrored, turn_s=self.turn_s)
 
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
-    """Matched pairs of sweeps: times (n,), the second seen from the first (n, 3), and how well they match.
+    """Matched pairs of sweeps.
 
-    deviation_m : (n,) of the returns from the surfaces
+    first_s, second_s : (n,) times of the sweeps, seconds
+    pose : (n, 3) pose of the second in the frame of the first
+    deviation_m : (n,) deviation of the returns from the surfaces
     ratio : (n,) smaller over larger eigenvalue of the information of the position
     """
 
@@ -78,12 +80,12 @@ class _Pairs:
 
 
 def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibration:
-    """Find lag, sense of rotation and mounting of a laser.
+    """Return the lag, sense of rotation, mounting and times within sweeps of a laser.
 
     Raises
     ------
     RecordingError
-        Where sweeps cannot be matched with each other.
+        If the sweeps cannot be matched with each other.
 
     """
     mount = np.zeros(3)
@@ -131,7 +133,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
 
 
 def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tuple[_Pairs, bool]:
-    """Return matched pairs, and whether the laser has to be mirrored for them to turn as the odometry does."""
+    """Return matched pairs, and whether bearings have to be mirrored so that sweeps turn like the odometry."""
     best: tuple[float, _Pairs, bool] | None = None
     for mirrored in (flipped, not flipped):
         pairs = _matched(sweeps, motion, mirrored=mirrored, free=not sure)
@@ -153,9 +155,9 @@ def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tupl
 
 
 def _refined(pairs: _Pairs, motion: Motion, *, by_tf: Array | None) -> tuple[Motion, Array | None]:
-    """Return the motion with lag and mounting by matched pairs, and the mounting (3,) that these show, if any.
+    """Return the motion with lag and mounting from matched pairs, and the mounting (3,) that they determine or None.
 
-    by_tf : (3,) the mounting by TF, which is kept where the pairs do not plainly contradict it
+    by_tf : (3,) the mounting from TF, kept unless its yaw differs from that of the pairs by more than 15 deg
     """
     motion = Motion(motion.odometry, motion.origin_ns, _lag(pairs, motion), motion.mount)
     found = _mounting(pairs, motion)
@@ -165,7 +167,7 @@ def _refined(pairs: _Pairs, motion: Motion, *, by_tf: Array | None) -> tuple[Mot
 
 
 class _Evenly(NamedTuple):
-    """Sweeps on even stamps, the motion and the mounting (3,) that go with them, and what is said of it."""
+    """Sweeps with evenly spaced stamps, the motion and mounting (3,) estimated with them, and a message."""
 
     sweeps: Sweeps
     motion: Motion
@@ -174,9 +176,9 @@ class _Evenly(NamedTuple):
 
 
 def _taken_evenly(pairs: _Pairs, plain: Calibration, *, by_tf: Array | None) -> _Evenly | None:
-    """Return what is known of a laser that is stamped on arrival and turns evenly; None where its stamps are as good.
+    """Return a calibration with evenly spaced stamps, for a laser stamped on arrival; None if its stamps are as good.
 
-    The odometry between matched pairs says which: it follows the stamps, or it does not.
+    The decision is by the misfit of the odometry's motion between matched pairs.
     """
     even = plain.sweeps.evened()
     if even is None:
@@ -191,7 +193,7 @@ def _taken_evenly(pairs: _Pairs, plain: Calibration, *, by_tf: Array | None) -> 
 
 
 def _said_of_mounting(topic: str, found: Array | None, motion: Motion, *, by_tf: Array | None) -> list[str]:
-    """Return what should be known of where the laser sits; by_tf and found (3,) by TF, None where it does not say."""
+    """Return messages about the laser's mounting; `found` and `by_tf` (3,) are from motion and TF, None if unknown."""
     if by_tf is None:
         where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
         return [f"{topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot"]
@@ -202,7 +204,7 @@ def _said_of_mounting(topic: str, found: Array | None, motion: Motion, *, by_tf:
 
 
 def _stated_turn_s(sweeps: Sweeps) -> float:
-    """Return the time of a whole turn by the sweeps' own times, negative where clockwise; 0 where they have none."""
+    """Return the duration of a full turn from the sweeps' own times, s; negative if clockwise, 0 without times."""
     turns = []
     for sweep in sweeps.sweeps[:: max(1, len(sweeps) // 50)]:
         if len(sweep) > 1:
@@ -213,11 +215,11 @@ def _stated_turn_s(sweeps: Sweeps) -> float:
 
 
 def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, stated_s: float, *, mirrored: bool) -> float:
-    """Return the time of a whole turn at which sweeps fit each other best; 0 where their own times do as well.
+    """Return the duration of a full turn (s, negative if clockwise) with the best matches; 0 to keep the sweeps' times.
 
-    Sweeps without times may have been taken either way round; those with times the other way round: drivers of lasers
-    that turn clockwise reverse the order of the ranges, and keep the sign of the time between them. Sweeps that have
-    a scan_time alone may have been taken at once, which stands where neither way round fits better.
+    Both senses of rotation are tested for sweeps without times. Only the opposite one is tested for sweeps with times,
+    because drivers of lasers that turn clockwise may reverse the ranges but not the time increment. Sweeps with a
+    scan_time alone count as simultaneous unless one sense matches better.
     """
     if not len(plain.pose):
         return 0.0
@@ -225,7 +227,7 @@ def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, stated_s: float
     best = known = _misfit(plain)
     turn_s = 0.0
     for candidate in (-stated_s,) if stated_s and not sweeps.by_scan_time else (period, -period):
-        # what a scan_time says needs no more evidence than that all beams are taken at once
+        # a stated scan_time needs no more evidence than simultaneous beams do
         share = 1.0 if candidate == stated_s else _BETTER
         pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=candidate)
         if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < min(best, share * known):
@@ -234,7 +236,7 @@ def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, stated_s: float
 
 
 def _astray(pairs: _Pairs, motion: Motion) -> float:
-    """Return how far the odometry's motion between the sweeps of a pair usually is from that of the match, m."""
+    """Return the median difference of motion between odometry and matches, m; a radian counts as 1.7 m."""
     if not len(pairs.pose):
         return np.inf
     miss = between(between(motion.laser(pairs.first_s), motion.laser(pairs.second_s)), pairs.pose)
@@ -242,14 +244,14 @@ def _astray(pairs: _Pairs, motion: Motion) -> float:
 
 
 def _misfit(pairs: _Pairs) -> float:
-    """Return the mean deviation of returns from surfaces, over pairs."""
+    """Return the mean deviation of returns from surfaces over pairs, m."""
     return float(np.mean(pairs.deviation_m))
 
 
 def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = False, turn_s: float = 0.0) -> _Pairs:
-    """Match pairs of sweeps a little way apart, spread over the drive.
+    """Return matched pairs of sweeps a short way apart, spread over the drive.
 
-    free : where the mounting is unknown, displacements in all directions are tried
+    free : whether the mounting is unknown; then displacements in all directions are tried
     """
     t_s = sweeps.middle_s(motion.origin_ns)
     poses = motion.laser(t_s)
@@ -285,7 +287,7 @@ def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = Fal
 
 
 def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:
-    """Return pairs of sweeps between which the odometry moves a little, those that turn most before others."""
+    """Return index pairs of sweeps with a short motion in between: half with the most turning, half evenly spread."""
     turned = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(poses[:, 2])))))
     gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))))
     measure = turned / _APART_RAD + gone / _APART_M
@@ -301,13 +303,13 @@ def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:
 
 
 def _turned(pairs: _Pairs, motion: Motion) -> Array:
-    """Return by how much the odometry turned between the sweeps of each pair (n,), rad."""
+    """Return the odometry's turn between the sweeps of each pair (n,), rad."""
     turned: Array = motion.robot(pairs.second_s)[:, 2] - motion.robot(pairs.first_s)[:, 2]
     return turned
 
 
 def _lag(pairs: _Pairs, motion: Motion) -> float:
-    """Return the lag at which the odometry turns as the sweeps do, seconds; 0 where nothing turns."""
+    """Return the lag at which turns of odometry and sweeps agree best, seconds; 0 if there is too little turning."""
     measured = pairs.pose[:, 2]
     if len(measured) < _LEAST_PAIRS or np.abs(measured).sum() < _TURNS_RAD:
         return 0.0
@@ -328,7 +330,7 @@ def _lag(pairs: _Pairs, motion: Motion) -> float:
 
 
 def _mounting(pairs: _Pairs, motion: Motion) -> Array | None:
-    """Return the laser's pose (3,) on the robot; None where the drive does not show it."""
+    """Return the laser's pose (3,) on the robot; None if the drive does not determine it."""
     plain = pairs.ratio > _PLAIN_RATIO
     if plain.sum() < _LEAST_PAIRS:
         return None
@@ -337,7 +339,7 @@ def _mounting(pairs: _Pairs, motion: Motion) -> Array | None:
 
 
 def hand_eye(own: Array, seen: Array) -> Array | None:
-    """Return the pose (3,) on the robot of a sensor whose motions are known beside the robot's; None where none fits.
+    """Return the pose (3,) of a sensor on the robot from motions of both; None if the result is implausible.
 
     With O the robot's motion, L the sensor's and X the mounting, O X = X L: t_O + (R_O - I) t_X = k R_X t_L. The scale
     k between the two is free.

@@ -1,4 +1,4 @@
-"""Where a drive ended, seen from where it began: its last sweeps matched with its first ones, without any map."""
+"""End pose of a drive relative to its start, from matching the last sweeps with the first, without a map."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ _REACH_M, _STEP_M = 0.6, 0.2
 _STEP_RAD = np.radians(5.0)
 _COARSE, _MOST = 60, 360
 _NEAR_M, _NEAR_RAD = 0.02, 0.02
-"""Matches of the same drive agree within this, or one of them is wrong."""
+"""Largest distance (m) and angle (rad) of a match from the median of the drive's matches; others are wrong."""
 
 
 class End(NamedTuple):
-    """The robot's last pose seen from its first (3,), m and rad, and how well the sweeps overlap there."""
+    """The robot's last pose relative to its first (3,), m and rad, and the median overlap of the matched sweeps."""
 
     pose: Array
     overlap: float
 
 
 def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
-    """Return where a drive ended by its first and last sweeps, carried to the odometry's own first and last pose.
+    """Return the odometry's last pose relative to its first, measured by the drive's first and last sweeps.
 
-    Each of the last five sweeps is matched with the first one, from all headings and within 0.6 m of where the drive
-    began; the median counts.
+    Each of the last five sweeps is matched with the first one, from all headings and within 0.6 m of the start; the
+    result is the median.
 
     Raises
     ------
     RecordingError
-        Where the last sweeps do not fit the first: the drive did not end where it began.
+        If the last sweeps do not match the first: the drive did not end near its start.
 
     """
     calibration = calibrate(sweeps, odometry, int(odometry.stamps_ns[0]))
@@ -66,7 +66,7 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
         if matched is None or matched.overlap < _OVERLAP or matched.ratio < WEAK:
             continue
         laser = compose(compose(motion.mount, matched.pose), inverse(motion.mount))
-        # from the sweeps to the drive's own ends, by what the odometry moved in between
+        # from the sweeps to the odometry's first and last pose, by the odometry's motion between them
         own = odometry.xyt[[0, -1]]
         robot = motion.robot(t_s[[first, last]])
         found.append(compose(compose(between(own[0], robot[0]), laser), between(robot[1], own[1])))
@@ -85,7 +85,7 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
 
 
 def _everywhere() -> Array:
-    """Return the guesses (g, 3): all headings, near the start."""
+    """Return guesses (g, 3) on a grid of positions near the start and of all headings."""
     steps = np.arange(-_REACH_M, _REACH_M + 0.5 * _STEP_M, _STEP_M)
     turns = np.arange(-np.pi, np.pi, _STEP_RAD)
     grid: Array = np.stack(np.meshgrid(steps, steps, turns, indexing="ij"), axis=-1).reshape(-1, 3)

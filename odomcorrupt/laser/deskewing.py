@@ -1,4 +1,4 @@
-"""Sweeps as they would be had all their returns been taken at once: the robot's motion within each is taken out."""
+"""Deskewing: sweeps corrected for the robot's motion during each sweep."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 __all__ = ["Deskewing", "Motion"]
 
 _KNOTS = 17
-"""Poses looked up within each sweep, an odd number: the middle is one of them. Between them motion is uniform: with 5
-in 0.2 s, headings err by 2e-4 s^2 times the angular acceleration, and that looks like slip at starts and stops."""
+"""Number of poses per sweep, odd so that the middle is one of them; motion between them is uniform. With 5 in 0.2 s,
+heading errors are 2e-4 s^2 times the angular acceleration, which resembles slip at starts and stops."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
     """Odometry as a function of the laser's time.
 
-    lag_s : what is added to the laser's times to get the odometry's
-    mount : (3,) the laser's pose on the robot
+    lag_s : offset added to the laser's times to get the odometry's, seconds
+    mount : (3,) the laser's pose on the robot, m and rad
     """
 
     odometry: Trajectory
@@ -47,13 +47,12 @@ class Motion:
 
 
 class Deskewing:
-    """Sweeps put right for the motion within them: returns as they would lie had all been taken in its middle.
+    """Sweeps corrected for motion: each return is moved to its position relative to the laser at the sweep's middle.
 
-    The laser's poses at the ends and inside of all chosen sweeps are looked up at once: one by one they cost more than
-    the rest.
+    The laser's poses within all chosen sweeps are interpolated in one call, which is much faster than one by one.
 
-    turn_s : see `Calibration`; the middle of each sweep stays at the same time
-    rows : (k,) which sweeps will be asked for, by default all
+    turn_s : see `Calibration`; the time of the middle of each sweep is unchanged
+    rows : (k,) indices of the sweeps that will be used; all by default
     """
 
     def __init__(
@@ -76,7 +75,7 @@ class Deskewing:
         self._relative = between(middle, poses.reshape(-1, 3)).reshape(-1, _KNOTS, 3)
 
     def __getitem__(self, row: int) -> Array:
-        """Return the returns (m, 2) of a sweep."""
+        """Return the corrected returns (m, 2) of a sweep, m."""
         sweep, place = self._sweeps[row], self._place[row]
         xy = sweep.xy.astype(np.float64)
         if self._mirrored:
@@ -91,7 +90,7 @@ class Deskewing:
         return np.stack((x + c * xy[:, 0] - s * xy[:, 1], y + s * xy[:, 0] + c * xy[:, 1]), axis=1)
 
     def _after_s(self, row: int) -> Array:
-        """Return the times (m,) of a sweep's returns after its stamp."""
+        """Return the times (m,) of a sweep's returns after its stamp, seconds."""
         sweep = self._sweeps[row]
         after_s = sweep.after_s.astype(np.float64)
         if self._turn_s == 0.0 or not len(after_s):
@@ -102,7 +101,7 @@ class Deskewing:
         return turned
 
     def _span(self, row: int) -> tuple[float, float]:
-        """Return when the first and the last return of a sweep were taken after its stamp; zeros where all at once."""
+        """Return the times of a sweep's first and last return after its stamp, s; zeros if all are simultaneous."""
         after_s = self._after_s(row)
         if not len(after_s) or after_s[0] == after_s[-1]:
             return 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Point-to-line scan matching: the pose of a sweep in a map of points with normals, and what is known of it.
+"""Point-to-line scan matching: the pose of a sweep in a map of points with normals, and its information matrix.
 
 Iterated closest points with the point-to-line metric (Censi, "An ICP variant using a point-to-line metric", ICRA 2008),
 a k-d tree for the nearest points, and Cauchy weights against people, glass and mixed pixels.
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 __all__ = ["LEAST_PAIRS", "WEAK", "Match", "Surface", "best_guess", "match", "surface_of"]
 
 LEAST_PAIRS = 20
-"""Fewer returns than this that meet a surface fix no pose."""
+"""Minimum number of returns matched to a surface for a pose."""
 WEAK = 0.15
-"""Smaller over larger eigenvalue of the normals' scatter, below which nothing is known along the smaller's axis."""
+"""Ratio of the smaller to the larger eigenvalue of the position's information below which the weak axis is unknown."""
 _GATES_M = (0.5, 0.3, 0.2, 0.15)
 _MOST_STEPS = 15
 _STEP_M, _STEP_RAD = 5e-4, 1e-4
@@ -32,10 +32,10 @@ _TUNING = 2.0
 _OVERLAP_M = 0.12
 _FLAT = 1e-3
 _PLAIN = 2.25 * _FLAT
-"""Determinant of a matrix with ones on its diagonal from which on no eigenvalue is below `_FLAT`: the product of the
-others is at most 9/4."""
+"""Determinant of a 3 x 3 matrix with unit diagonal above which no eigenvalue is below `_FLAT`, because the product of
+the other two is at most 9/4."""
 _HELD = 0.05
-"""The same ratio, below which the guess is kept along that axis."""
+"""Ratio of the eigenvalues, as for `WEAK`, below which the guess is kept along the weak axis."""
 
 
 class Surface(NamedTuple):
@@ -52,11 +52,11 @@ class Match:
 
     pose : (3,) m, m, rad
     information : (3, 3) of the pose in the surface's axes about the sweep's origin, for returns with independent errors
-    deviation_m : robust deviation of the returns from the surfaces, m
-    overlap : share of the returns that lie within 12 cm of a surface point
-    pairs : how many returns were used
-    ratio : smaller over larger eigenvalue of the position's information, the heading unknown
-    weak_axis : (2,) unit vector along which least is known, in the surface's axes
+    deviation_m : robust standard deviation of the returns from the surfaces, m
+    overlap : fraction of the returns within 12 cm of a surface point
+    pairs : number of returns used
+    ratio : smaller over larger eigenvalue of the position's information, with the heading free
+    weak_axis : (2,) unit vector of the smaller eigenvalue, in the surface's axes
     """
 
     pose: Array
@@ -69,14 +69,14 @@ class Match:
 
 
 def surface_of(points: Array, normals: Array) -> Surface:
-    """Return points and normals (n, 2) with their tree."""
+    """Return a surface of points and normals (n, 2) with a k-d tree."""
     return Surface(points, normals, cKDTree(points, leafsize=24, compact_nodes=False, balanced_tree=False))
 
 
 def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[float] = _GATES_M) -> Match | None:
-    """Return the pose of returns (m, 2) in a surface's frame that is nearest to a guess (3,); None where none is found.
+    """Return the matched pose of returns (m, 2) in a surface's frame, started at a guess (3,); None if matching fails.
 
-    gates_m : largest distance between a return and its surface point, iteration by iteration; the last one stays
+    gates_m : largest distance between a return and its surface point at each iteration; the last one is kept
     """
     if len(surface.points) < LEAST_PAIRS or len(returns) < LEAST_PAIRS:
         return None
@@ -121,7 +121,7 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
 def _axes(information: Array) -> tuple[tuple[float, float], Array]:
     """Return eigenvalues, the smaller first, and eigenvectors (2, 2) of the position's information.
 
-    Whatever the heading: one wall far aside fixes either, not both.
+    The heading is marginalised: a single distant wall determines position or heading, not both.
     """
     (a, b, x), (_, c, y), (_, _, z) = information.tolist()
     z = max(z, 1e-12)
@@ -133,7 +133,7 @@ def _axes(information: Array) -> tuple[tuple[float, float], Array]:
 
 
 def best_guess(returns: Array, surface: Surface, guesses: Array, within_m: float = 0.25) -> Array:
-    """Return the guess (3,) of several (g, 3) that lays most of some returns (m, 2) near the surface."""
+    """Return that one of the guesses (g, 3) with which returns (m, 2) are nearest to the surface."""
     c, s = np.cos(guesses[:, 2])[:, None], np.sin(guesses[:, 2])[:, None]
     x = c * returns[:, 0] - s * returns[:, 1] + guesses[:, 0, None]
     y = s * returns[:, 0] + c * returns[:, 1] + guesses[:, 1, None]
@@ -144,14 +144,14 @@ def best_guess(returns: Array, surface: Surface, guesses: Array, within_m: float
 
 
 def _step(information: Array, pull: Array) -> Array:
-    """Return the Gauss-Newton step (3,); along an axis of which nothing is known the guess stays."""
+    """Return the Gauss-Newton step (3,), which is zero along axes without information."""
     scale = np.sqrt(np.maximum(information.diagonal(), 1e-12))
     scaled, goal = information / np.outer(scale, scale), pull / scale
     (a, d, e), (_, b, f), (_, _, c) = scaled.tolist()
     ab, de, df = b * c - f * f, e * f - d * c, d * f - b * e
     determinant = a * ab + d * de + e * df
     if determinant > _PLAIN:
-        # no eigenvalue is near nothing: the inverse by cofactors is the same, and takes a fifth of the time
+        # no eigenvalue is near zero: the inverse by cofactors is the same and takes a fifth of the time
         inverse = np.array([[ab, de, df], [de, a * c - e * e, d * e - a * f], [df, d * e - a * f, a * b - d * d]])
         plain: Array = inverse @ goal / (determinant * scale)
         return plain
@@ -162,6 +162,6 @@ def _step(information: Array, pull: Array) -> Array:
 
 
 def _median(values: Array) -> float:
-    """Return the upper median of values (n,): without the copies and checks of numpy's own."""
+    """Return the upper median of values (n,), faster than numpy's median."""
     middle = len(values) // 2
     return float(np.partition(values, middle)[middle])

@@ -1,4 +1,4 @@
-"""The map while it is made: keyframes, relative poses between them, and local surfaces to match sweeps with."""
+"""The map under construction: keyframes, relative poses between them, and local surfaces for scan matching."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Edge", "KeyframeMap"]
 
 NEIGHBOURS = 8
-"""A keyframe is connected to at most so many of the nearest others when it is made."""
+"""Maximum number of nearest keyframes to which a new one is connected."""
 _NEAR_M = 3.0
 _LOCAL = 6
 _PAIR_OVERLAP, _LOOP_OVERLAP = 0.35, 0.55
@@ -33,7 +33,7 @@ _ODOMETRY_M, _ODOMETRY_RAD = 0.1, 0.05
 
 
 class Edge(NamedTuple):
-    """A relative pose: the second keyframe seen from the first, its information, and whether it comes from a match."""
+    """Pose of the second keyframe in the frame of the first, its information, and whether it is a match and a loop."""
 
     first: int
     second: int
@@ -44,7 +44,7 @@ class Edge(NamedTuple):
 
 
 class KeyframeMap:
-    """Keyframes with their poses (in one map frame), edges, and local surfaces."""
+    """Keyframes with their poses in one map frame, edges, and local surfaces."""
 
     def __init__(self, field_of_view_rad: float) -> None:
         self.narrow = field_of_view_rad < np.radians(300.0)
@@ -61,7 +61,7 @@ class KeyframeMap:
         return len(self.scans)
 
     def add(self, scan: Array, pose: Array) -> int:
-        """Add a keyframe with returns (m, 2) in its own frame at a pose (3,), and return its number."""
+        """Add a keyframe with returns (m, 2) in its frame at a pose (3,), and return its index."""
         self._own.append(lines_of(scan))
         self.scans.append(scan)
         self.poses = np.concatenate((self.poses, pose[None]))
@@ -78,13 +78,13 @@ class KeyframeMap:
             self._local.pop(edge.second, None)
 
     def single(self, k: int) -> Surface:
-        """Return the surface of one keyframe, in its own frame."""
+        """Return the surface of one keyframe in its frame."""
         if k not in self._single:
             self._single[k] = surface_of(*self._own[k])
         return self._single[k]
 
     def local(self, k: int) -> Surface:
-        """Return the surface of a keyframe and those it is connected with, in its frame."""
+        """Return the surface of a keyframe and its nearest connected ones, in its frame."""
         if k not in self._local:
             chosen = [k, *self.nearest(k, list(self._beside[k]))[:_LOCAL]]
             parts = []
@@ -97,18 +97,18 @@ class KeyframeMap:
         return self._local[k]
 
     def nearest(self, k: int, others: list[int]) -> list[int]:
-        """Return keyframes by how far they are from one; where the laser sees one side only, turned ones are far."""
+        """Return keyframes sorted by distance from keyframe `k`, see `distances`."""
         return self.nearest_to(self.poses[k], others)
 
     def nearest_to(self, pose: Array, others: list[int]) -> list[int]:
-        """Return keyframes by how far they are from a pose."""
+        """Return keyframes sorted by distance from a pose, see `distances`."""
         if not others:
             return []
         index = np.array(others)
         return [int(i) for i in index[np.argsort(self.distances(pose, index), kind="stable")]]
 
     def distances(self, pose: Array, index: Array) -> Array:
-        """Return how far keyframes are from a pose (n,), m; a radian of turn counts as a metre where it matters."""
+        """Return distances (n,) of keyframes from a pose, m; for a narrow field of view, a radian counts as a metre."""
         away = self.poses[index] - pose
         far: Array = np.hypot(away[:, 0], away[:, 1])
         if self.narrow:
@@ -116,7 +116,7 @@ class KeyframeMap:
         return far
 
     def reachable(self, k: int, hops: int = 2) -> list[int]:
-        """Return the keyframes at most so many edges away from one, itself among them."""
+        """Return the keyframes at most `hops` edges from keyframe `k`, including it."""
         found = {k}
         ring = {k}
         for _ in range(hops):
@@ -125,7 +125,7 @@ class KeyframeMap:
         return list(found)
 
     def tie(self, k: int, skip: set[int]) -> int:
-        """Match a new keyframe with its nearest others, and return how many loops that closed."""
+        """Match a new keyframe with the nearest others, and return the number of loops closed."""
         others = [i for i in range(len(self)) if i != k and i not in skip and i not in self._beside[k]]
         near = self.nearest(k, others)[:NEIGHBOURS]
         near = [i for i in near if float(self.distances(self.poses[k], np.array([i]))[0]) < _NEAR_M]
@@ -139,13 +139,13 @@ class KeyframeMap:
         return count
 
     def around(self, k: int, scan: Array, guess: Array) -> Array:
-        """Return the pose (3,) of a scan near a guess in a keyframe's frame that lays most of it on the surfaces."""
+        """Return the pose (3,) near a guess, in a keyframe's frame, at which a scan is nearest to the surfaces."""
         return best_guess(thinned(scan, _COARSE), self.local(k), guess + _STEPS * (_REACH_M, _REACH_M, _REACH_RAD))
 
     def pair(self, i: int, k: int, *, wide: bool) -> Match | None:
-        """Return the pose of keyframe k in keyframe i's frame; None where they do not fit.
+        """Return the match of keyframe k in keyframe i's frame; None if they do not match.
 
-        wide : look half a metre and 0.1 rad around first, and ask for more overlap
+        wide : whether to search within 0.5 m and 0.1 rad first, and require more overlap
         """
         surface = self.single(i)
         scan = self.scans[k]
@@ -164,7 +164,7 @@ class KeyframeMap:
         return found
 
     def settle(self) -> None:
-        """Optimise all poses, and forget the local surfaces that moved."""
+        """Optimise all poses, discard local surfaces that moved, and disconnect loops with a low weight."""
         if not self.edges:
             return
         before = self.poses
@@ -181,7 +181,7 @@ class KeyframeMap:
                         self._local.pop(one, None)
 
     def close(self) -> int:
-        """Match all pairs of near keyframes that are not connected yet, and return how many fitted."""
+        """Match all pairs of near keyframes that are not connected yet, and return the number of matches."""
         tried = {(min(e.first, e.second), max(e.first, e.second)) for e in self.edges if e.matched}
         count = 0
         for k in range(len(self)):
@@ -202,7 +202,7 @@ class KeyframeMap:
         return count
 
     def parts(self) -> Array:
-        """Return which connected part of the map each keyframe belongs to, (k,), by matches alone."""
+        """Return the index (k,) of the part of the map, connected by matches, to which each keyframe belongs."""
         label = np.full(len(self), -1)
         part = 0
         for k in range(len(self)):
@@ -226,21 +226,21 @@ class KeyframeMap:
         )
 
     def dead_reckoned(self, i: int, k: int, pose: Array) -> Edge:
-        """Return the edge that the odometry makes between two keyframes: so weak that it counts where matches fail."""
+        """Return an odometry edge between two keyframes, with so little weight that it matters only without matches."""
         far = 0.1 + float(np.hypot(pose[0], pose[1])) + 0.2 * abs(float(pose[2]))
         deviation = np.array([_ODOMETRY_M, _ODOMETRY_M, _ODOMETRY_RAD]) * far
         return Edge(i, k, pose, np.diag(1.0 / deviation**2), matched=False, loop=False)
 
 
 def thinned(scan: Array, count: int) -> Array:
-    """Return about so many returns of a scan, evenly spread."""
+    """Return about `count` returns of a scan, evenly spread."""
     return scan[:: max(1, len(scan) // count)]
 
 
 def edge_information(found: Match) -> Array:
-    """Return the information (3, 3) of a relative pose: that of the match, limited by what maps are good to.
+    """Return the information (3, 3) of a relative pose: the match's, limited by the accuracy of maps.
 
-    Along a weak axis little is kept of it.
+    Along a weak axis it is scaled down, see `_WEAK_AGAIN`.
     """
     xy = max(_EDGE_M, 0.5 * found.deviation_m)
     limit = np.diag([xy, xy, max(_EDGE_RAD, xy / 4.0)]) ** 2
@@ -254,6 +254,6 @@ def edge_information(found: Match) -> Array:
 
 
 def placed(poses: Array, k: Array, relative: Array) -> Array:
-    """Return poses (n, 3) given relative (n, 3) to keyframes (n,)."""
+    """Return map poses (n, 3) of poses relative (n, 3) to keyframes with indices `k` (n,)."""
     out: Array = compose(poses[k], relative)
     return out

@@ -1,4 +1,4 @@
-"""The map that falls out of scan matching, and what the same rays draw through odometry, with and without noise."""
+"""Occupancy maps of one drive's scans placed along the laser's trajectory, the odometry, and noisy odometry."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class LaserMaps:
     """Maps of one drive.
 
     trajectory : the robot's by the laser, on the odometry's clock, in the map's frame
-    surveys : through that trajectory, through the odometry, and through the odometry with noise on it
+    surveys : maps along that trajectory, along the odometry, and along the odometry with noise
     """
 
     trajectory: Trajectory
@@ -38,7 +38,7 @@ class LaserMaps:
 
 
 def largest_part(run: LaserRun) -> tuple[LaserRun, str]:
-    """Return the run by the largest connected part of its map alone, and a sentence on what that leaves out, or ""."""
+    """Return the run limited to the largest connected part of its map, and a sentence on the rest ("" if none)."""
     path = run.path
     parts, sizes = np.unique(path.part, return_counts=True)
     largest = parts[np.argmax(sizes)]
@@ -52,9 +52,9 @@ def largest_part(run: LaserRun) -> tuple[LaserRun, str]:
 
 
 def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMaps:
-    """Return the map through the laser's trajectory, and those through the odometry and a noisy one.
+    """Return the maps along the laser's trajectory, the odometry and the noisy odometry.
 
-    error_xyt : (n, 3) what noise adds to each pose of the odometry
+    error_xyt : (n, 3) error that noise adds to each pose of the odometry
     """
     motion, path = run.calibration.motion, run.path
     stamps = motion.origin_ns + np.round((path.t_s + motion.lag_s) * 1e9).astype(np.int64)
@@ -84,7 +84,7 @@ def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMap
 
 
 def tum_text(trajectory: Trajectory) -> str:
-    """Return a trajectory as TUM writes it: seconds, x y z, quaternion."""
+    """Return a trajectory in TUM format: seconds, x y z, quaternion."""
     lines = []
     for stamp, (x, y, yaw) in zip(trajectory.stamps_ns.tolist(), trajectory.xyt.tolist(), strict=True):
         seconds, nanoseconds = divmod(stamp, 1_000_000_000)
@@ -95,14 +95,14 @@ def tum_text(trajectory: Trajectory) -> str:
 
 
 def _moved(trajectory: Trajectory, here: Array, there: Array) -> Trajectory:
-    """Return a trajectory laid so that a pose (3,) of it becomes another."""
+    """Return a trajectory moved rigidly so that the pose `here` (3,) becomes `there` (3,)."""
     turn = there[2] - here[2]
     xy = there[:2] + rotate(trajectory.xyt[:, :2] - here[:2], np.full(len(trajectory), turn))
     return Trajectory(trajectory.stamps_ns, np.column_stack((xy, trajectory.xyt[:, 2] + turn)))
 
 
 def _rays(run: LaserRun) -> Rays:
-    """Return the returns of all sweeps that have a pose, in the robot's frame, on the odometry's clock."""
+    """Return the returns of all sweeps with a pose, in the robot's frame and on the odometry's clock."""
     motion, sweeps = run.calibration.motion, run.sweeps
     placed = [sweeps.sweeps[row] for row in run.path.row]
     total = sum(len(s) for s in placed)

@@ -1,6 +1,6 @@
-"""A robust pose graph in the plane: poses of keyframes from relative poses between pairs of them.
+"""Robust planar pose graph: poses of keyframes from relative poses between pairs of them.
 
-Gauss-Newton on SE(2) with sparse normal equations; relative poses that do not fit the others are weighted down
+Gauss-Newton on SE(2) with sparse normal equations; inconsistent relative poses are down-weighted
 (Geman-McClure, as in dynamic covariance scaling: Agarwal et al., ICRA 2013).
 """
 
@@ -30,10 +30,10 @@ _KERNEL = 12.0
 
 @dataclass(frozen=True, slots=True)
 class Edges:
-    """e relative poses.
+    """A set of e relative poses.
 
-    first, second : (e,) numbers of the poses they connect
-    pose : (e, 3) the second seen from the first
+    first, second : (e,) indices of the poses they connect
+    pose : (e, 3) pose of the second in the frame of the first
     information : (e, 3, 3) of that pose, in the first's axes
     robust : (e,) whether the edge may be an outlier
     """
@@ -49,7 +49,7 @@ class Edges:
 
 
 def optimise(poses: Array, edges: Edges, rounds: int = _ROUNDS) -> tuple[Array, Array]:
-    """Return the most likely poses (n, 3), the first one fixed, and the weights (e,) that the edges ended with."""
+    """Return the most likely poses (n, 3), with the first one fixed, and the final weights (e,) of the edges."""
     poses = poses.copy()
     weight = np.ones(len(edges))
     count = len(poses)

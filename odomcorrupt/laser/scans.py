@@ -1,4 +1,4 @@
-"""Read the sweeps of a laser from a bag: LaserScan, or the horizontal slice of a PointCloud2."""
+"""Reading the sweeps of a laser from a bag: LaserScan, or a horizontal slice of a PointCloud2."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FARTHEST_M = 200.0
 _SLICE_RAD = np.radians(2.0)
 _FLAT_M = 0.01
 _EDGE = 0.995
-"""Ranges beyond this share of the largest are returns of nothing: drivers write the maximum, or just below."""
+"""Fraction of the maximum range above which a range means no return: drivers write the maximum or just below it."""
 _COMMON = 0.03
 _LEAST_SWEEPS = 20
 _LEAST_RETURNS = 20
@@ -37,27 +37,27 @@ _BODY_M, _BODY_SPREAD_M, _BODY_SHARE = 1.0, 0.01, 0.9
 
 
 def only_scan_topic(reader: BagReader) -> str | None:
-    """Return the topic of the only laser of a bag, None where there is none or several."""
+    """Return the only LaserScan topic of a bag, None if there is none or more than one."""
     topics = {c.topic for c in reader.channels.values() if c.msgtype == SCAN}
     return topics.pop() if len(topics) == 1 else None
 
 
 def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> Sweeps:
-    """Read all sweeps of a topic, returns of nothing and of the robot itself left out.
+    """Return all sweeps of a topic, without invalid ranges and returns from the robot itself.
 
     Parameters
     ----------
     path : a bag
-    place : what messages call it
-    topic : LaserScan or PointCloud2; None takes the only LaserScan, or the only PointCloud2 where there is none
-    base_frame : the robot's frame, from which TF may lead to the laser's
+    place : name of the bag for messages
+    topic : LaserScan or PointCloud2; None takes the only LaserScan, or the only PointCloud2 if there is no LaserScan
+    base_frame : the robot's frame, for the laser's mounting from TF
 
     Raises
     ------
     TopicError
-        Where there is no such topic, or several could be meant.
+        If there is no such topic, or the choice is ambiguous.
     RecordingError
-        Where it holds too little to match.
+        If there are too few sweeps or returns to match.
 
     """
     tree = FrameTree()
@@ -115,7 +115,7 @@ def _choose(channels: Iterable[Channel], topic: str | None, place: str) -> list[
 def _ordered(
     rows: list[tuple[ScanMessage | CloudMessage, int]], name: str
 ) -> tuple[list[tuple[ScanMessage | CloudMessage, int]], list[str]]:
-    """Return the messages by growing stamps, and what was left out for that."""
+    """Return the messages in order of their stamps, and notes on messages left out and on the stamps."""
     notes = []
     stamps = np.array([m.stamp_ns for m, _ in rows])
     logs = np.array([log for _, log in rows])
@@ -160,7 +160,7 @@ def _sweeps(
 
 
 def _no_return_m(scans: list[ScanMessage]) -> float:
-    """Return the range from which on nothing was met: the stated maximum, or a largest range that is too common."""
+    """Return the range above which there is no return, m: the stated maximum, or a largest range that is too common."""
     stated = scans[0].range_max_m
     largest = stated if np.isfinite(stated) and stated > scans[0].range_min_m else _FARTHEST_M
     sample = np.concatenate([s.ranges_m for s in scans[:: max(1, len(scans) // 200)]])
@@ -173,7 +173,7 @@ def _no_return_m(scans: list[ScanMessage]) -> float:
 
 
 def _own_body(scans: list[ScanMessage], farthest: float) -> NDArray[np.bool_] | None:
-    """Return which bearings always met the same near thing although the robot moved; None where none did."""
+    """Return a mask of bearings with a constant near range although the robot moved (its own body); None if none."""
     count = len(scans[0].ranges_m)
     chosen = [s.ranges_m for s in scans[:: max(1, len(scans) // 300)] if len(s.ranges_m) == count]
     table = np.stack(chosen)
@@ -184,7 +184,7 @@ def _own_body(scans: list[ScanMessage], farthest: float) -> NDArray[np.bool_] | 
         spread = np.nanmedian(np.where(valid.any(axis=0), np.abs(filled - middle), 1.0), axis=0)
     own = (middle < _BODY_M) & (spread < _BODY_SPREAD_M) & (valid.mean(axis=0) > _BODY_SHARE)
     others = valid.any(axis=0) & ~own
-    # who stands still sees everything as his own body
+    # for a robot at rest, all ranges are constant
     moved = others.any() and float(np.nanmedian(spread[others])) > _BODY_SPREAD_M
     return own if own.any() and (moved or not others.any()) else None
 
@@ -209,9 +209,9 @@ def _has_increment(scan: ScanMessage) -> bool:
 
 
 def _time_step_s(scan: ScanMessage) -> float:
-    """Return the time between two bearings: as the scans have it, or from the time of a whole turn."""
+    """Return the time between two bearings, s: the time_increment, or from scan_time, or 0 if unknown."""
     if _has_increment(scan):
-        # some drivers write the time of a sweep here
+        # some drivers write the duration of a sweep as time_increment
         return scan.time_step_s if abs(scan.time_step_s) * len(scan.ranges_m) < 1.0 else 0.0
     if 0.0 < scan.scan_time_s < 1.0:
         return scan.scan_time_s * abs(scan.angle_step) / (2.0 * np.pi)
@@ -219,7 +219,7 @@ def _time_step_s(scan: ScanMessage) -> float:
 
 
 def _slice(cloud: CloudMessage) -> Sweep:
-    """Return the nearest point of each bearing among those in the horizontal plane of the laser."""
+    """Return a sweep with the nearest point at each bearing in the horizontal plane of the laser."""
     xyz, after = cloud.xyz, cloud.after_s
     good = np.isfinite(xyz).all(axis=1)
     xyz, after = xyz[good], after[good]
@@ -236,7 +236,7 @@ def _slice(cloud: CloudMessage) -> Sweep:
 
 
 def _view_of(sweeps: tuple[Sweep, ...]) -> float:
-    """Return the angle that sweeps cover: a full turn less the largest sector without any return."""
+    """Return the field of view of sweeps, rad: a full turn minus the largest sector without any return."""
     some = sweeps[:: max(1, len(sweeps) // 50)]
     bearing = np.sort(np.concatenate([np.arctan2(s.xy[:, 1], s.xy[:, 0]) for s in some if len(s)] or [np.zeros(1)]))
     gaps = np.diff(np.concatenate((bearing, bearing[:1] + 2.0 * np.pi)))

@@ -1,4 +1,4 @@
-"""Sweeps to a map: tracking against local surfaces, new keyframes where none is near, loops closed, poses optimised."""
+"""Keyframe SLAM: track sweeps against local surfaces, add keyframes, close loops and optimise the poses."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ _GATES_M = (0.4, 0.25, 0.15)
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """Where every sweep was in the map.
+    """A map with the pose of each sweep in it.
 
-    keyframe : (n,) the keyframe each sweep was matched with last, -1 where it fitted nowhere
-    relative : (n, 3) its pose in that keyframe's frame
+    keyframe : (n,) index of the keyframe each sweep was matched with last, -1 if it was not matched
+    relative : (n, 3) the sweep's pose in that keyframe's frame
     t_s : (n,) middles of the sweeps, seconds on the laser's clock since the origin
     """
 
@@ -52,9 +52,9 @@ class Tracked:
 
 
 def make_map(sweeps: Sweeps, calibration: Calibration, progress: Callable[[float], None] | None = None) -> Tracked:
-    """Return the finished map and where each sweep was in it.
+    """Return the finished map and each sweep's pose in it.
 
-    progress : called now and then with which part of the sweeps is done
+    progress : called every 50 sweeps with the fraction done
     """
     tracker = _Tracker(sweeps, calibration)
     for n in range(len(sweeps)):
@@ -71,7 +71,7 @@ def make_map(sweeps: Sweeps, calibration: Calibration, progress: Callable[[float
 
 
 class _Tracker:
-    """Takes sweep after sweep: where it is in the map so far, and new keyframes where that is too far from all."""
+    """Tracker that places one sweep after the other in the map, and adds a keyframe if none is near."""
 
     def __init__(self, sweeps: Sweeps, calibration: Calibration) -> None:
         self.world = KeyframeMap(sweeps.field_of_view_rad)
@@ -84,7 +84,7 @@ class _Tracker:
         self._before = np.zeros(3)
 
     def take(self, n: int) -> None:
-        """Place the next sweep."""
+        """Place sweep `n` in the map."""
         scan = self._scans[n]
         if self._current < 0:
             if len(scan) >= _LEAST_RETURNS:
@@ -104,14 +104,14 @@ class _Tracker:
         self._follow(n, scan, guess, matched)
 
     def _step(self, n: int) -> Array:
-        """Return the odometry's motion since the last sweep that was placed; after a reset, the motion before."""
+        """Return the odometry's motion since the last placed sweep; if the odometry jumped, the motion before that."""
         step = between(self._dead[self._last], self._dead[n])
         gap_s = max(float(self.t_s[n] - self.t_s[self._last]), 1e-3)
         jumped = np.hypot(step[0], step[1]) > _FAST_MPS * gap_s + 0.1 or abs(step[2]) > _FAST_RADPS * gap_s + 0.2
         return self._before if jumped else step
 
     def _matched(self, scan: Array, guess: Array, step: Array) -> Match | None:
-        """Return the match of a sweep with the local map, looked for more widely where sweeps were lost before."""
+        """Return the match of a sweep with the local map, searched more widely if previous sweeps were lost."""
         if not len(scan):
             return None
         world, query = self.world, thinned(scan, _TRACK_QUERY)
@@ -124,7 +124,7 @@ class _Tracker:
         return found if _fits(found, guess, step, _SURE_OVERLAP, 3.0) else None
 
     def _begin(self, n: int, scan: Array, guess: Array) -> None:
-        """Begin a part of the map of its own, too far from all that is known, and see whether it fits somewhere."""
+        """Begin a new part of the map after tracking is lost, and try to match it with existing keyframes."""
         new = self.world.add(scan, compose(self.world.poses[self._current], guess))
         self.world.connect(self.world.dead_reckoned(self._current, new, guess))
         if self.world.tie(new, set()):
@@ -133,7 +133,7 @@ class _Tracker:
         self._enter(n, new)
 
     def _follow(self, n: int, scan: Array, guess: Array, found: Match) -> None:
-        """Note where a sweep is, go over to the nearest keyframe, and make it one itself where none is near."""
+        """Record a sweep's pose and change to the nearest keyframe; if none is near, make the sweep a keyframe."""
         world, current = self.world, self._current
         self.keyframe[n], self.relative[n] = current, found.pose
         pose = compose(world.poses[current], found.pose)
@@ -150,13 +150,13 @@ class _Tracker:
         self._current, self._inside = best, found.pose if best == current else between(world.poses[best], pose)
 
     def _enter(self, n: int, keyframe: int) -> None:
-        """Go on from a new keyframe, which the sweep itself is."""
+        """Continue from a new keyframe, which is sweep `n` itself."""
         self._current, self._inside, self._last = keyframe, np.zeros(3), n
         self.keyframe[n], self.relative[n] = keyframe, np.zeros(3)
 
 
 def _fits(found: Match | None, guess: Array, step: Array, overlap: float, times: float) -> bool:
-    """Whether a match overlaps enough, and is not much farther from the odometry's guess than the step allows."""
+    """Return whether a match overlaps enough and is near enough to the odometry's guess for the length of the step."""
     if found is None or found.overlap < overlap:
         return False
     away = found.pose - guess

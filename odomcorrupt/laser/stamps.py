@@ -1,8 +1,8 @@
-"""How noisy a laser's poses are: the level of what matches say, and the jitter of the sweeps' stamps.
+"""Noise of a laser's poses: the scale of the matches' covariances, and the jitter of the sweeps' stamps.
 
 With e the laser's heading minus the odometry's at the same time, white errors of the laser make neighbouring
-differences of e anticorrelated, whatever the odometry does: cov(e1 - e0, e2 - e1) = -var. The part of that variance
-which grows with the square of the yaw rate is jitter of the stamps.
+differences of e anticorrelated, for any odometry: cov(e1 - e0, e2 - e1) = -var. The part of that variance that grows
+with the square of the yaw rate is jitter of the stamps.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _YAW = 2
 _LEAST_S = 1e-3
 _SMALLEST, _LARGEST = 0.04, 400.0
 _SPIKE, _NEIGHBOURS, _NEAR_S = 6.0, 3, 0.7
-"""How far aside a spike lies, in usual deviations, from the median of so many sweeps on each side, the next one and
-those so near that the odometry between is good to a few millimetres."""
+"""Threshold for a spike, in usual deviations from its neighbours' median prediction; number of neighbours per side;
+time within which they count, s: over it the odometry is accurate to a few millimetres."""
 _AROUND_S, _NEW_VIEW_M, _TURN_M = 0.5, 0.1, 0.3
-"""What is seen is another thing after 0.1 m, a radian counting as 0.3 m; who moves less in a second sees less new."""
+"""Half the time over which motion is measured, s; motion after which the view is new, m; metres per radian in it."""
 _VIEW_M, _VIEW_RAD = 1e-3, 2e-4
-"""Errors that change with what is seen; their level is estimated with that of the matches."""
+"""Standard deviations of errors that change with the view; their scale is estimated with that of the matches."""
 _LEAST_M, _LEAST_RAD = 1e-4, 2e-5
 _USUAL = np.array([2.5e-3, 2.5e-3, 2e-3])
 
 
 class WhiteNoise(NamedTuple):
-    """Variances over what matches say of them, of positions and of headings, and deviation of the stamps, seconds."""
+    """Ratios of position and heading variances to those of the matches, and standard deviation of the stamps, s."""
 
     position: float
     heading: float
@@ -49,10 +49,10 @@ class WhiteNoise(NamedTuple):
 
 
 def white_noise(path: LaserPath, motion: Motion) -> WhiteNoise:
-    """Return how noisy the poses of a path are beyond what their matches say; no jitter where it does not show.
+    """Return the noise of a path's poses relative to their matches' covariances; zero jitter if not significant.
 
-    One regression of the three channels' variances: on what the matches say, a level for positions and one for
-    headings, and on the squares of the robot's twist, whose coefficient is the variance of the stamps.
+    It is one regression of the three channels' variances. Its regressors are the matches' variances, with one level for
+    positions and one for headings, and the squares of the robot's twist, whose coefficient is the stamps' variance.
     """
     t_s = path.t_s
     if len(t_s) < _FEW:
@@ -95,7 +95,7 @@ def white_noise(path: LaserPath, motion: Motion) -> WhiteNoise:
 
 
 def with_noise(path: LaserPath, motion: Motion, noise: WhiteNoise) -> LaserPath:
-    """Return the path with covariances of that level, and with what jitter of its stamps does to each pose."""
+    """Return the path with covariances scaled to the estimated noise, plus the pose errors due to stamp jitter."""
     covariance = _scaled(path.covariance, np.sqrt([noise.position, noise.position, noise.heading]))
     if noise.stamps_s > 0.0:
         rate = _rate(path, motion)
@@ -104,10 +104,10 @@ def with_noise(path: LaserPath, motion: Motion, noise: WhiteNoise) -> LaserPath:
 
 
 def with_view_errors(path: LaserPath, motion: Motion) -> LaserPath:
-    """Return the path with the errors added that matches have by what is seen: corners, furniture, the map.
+    """Return the path with covariances that include match errors due to the view: corners, furniture, the map.
 
-    They are others after some way, and the same ones as long as the robot stands: there they are left out, for sweeps
-    at rest that counted as much as others would make the noise seem smaller than it is on the way.
+    These errors change along the path and stay constant while the robot stands. They are left out there: counted fully,
+    sweeps at rest would make the noise seem smaller than it is in motion.
     """
     robot = [motion.robot(path.t_s + side) for side in (-_AROUND_S, _AROUND_S)]
     moved = between(robot[0], robot[1])
@@ -118,7 +118,7 @@ def with_view_errors(path: LaserPath, motion: Motion) -> LaserPath:
 
 
 def _scaled(covariance: Array, deviation: Array) -> Array:
-    """Return covariances (k, 3, 3) with deviations multiplied, (3,) or (k, 3); axes that are not seen stay so."""
+    """Return covariances (k, 3, 3) with deviations multiplied by (3,) or (k, 3); undetermined axes are unchanged."""
     values, vectors = np.linalg.eigh(covariance[:, :2, :2])
     unseen = np.zeros_like(covariance)
     blind = np.where(values > 0.25 * UNKNOWN_M**2, values, 0.0)
@@ -129,9 +129,9 @@ def _scaled(covariance: Array, deviation: Array) -> Array:
 
 
 def without_spikes(path: LaserPath, motion: Motion) -> LaserPath:
-    """Return the path without poses that lie aside of the median of what their neighbours say, by the odometry between.
+    """Return the path without poses far from the median of the poses predicted from their neighbours by odometry.
 
-    A median of so many keeps steps, which are the odometry's, and finds a run of wrong matches (Hampel 1974, Journal of
+    The median keeps steps, which are errors of the odometry, and detects runs of wrong matches (Hampel 1974, Journal of
     the American Statistical Association 69).
     """
     if len(path) < _FEW:
@@ -153,6 +153,6 @@ def without_spikes(path: LaserPath, motion: Motion) -> LaserPath:
 
 
 def _rate(path: LaserPath, motion: Motion) -> Array:
-    """Return the robot's twist (k, 3) in its own axes at the sweeps, m/s and rad/s."""
+    """Return the robot's twist (k, 3) in its body axes at the sweeps, m/s and rad/s."""
     half = 0.05
     return between(motion.robot(path.t_s - half), motion.robot(path.t_s + half)) / (2.0 * half)

@@ -1,4 +1,4 @@
-"""Which way the surfaces face that a sweep met: lines through the neighbours of each return."""
+"""Surface normals at the returns of a sweep, from lines through the neighbours of each return."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ if TYPE_CHECKING:
 __all__ = ["Lines", "lines_of"]
 
 _REACH_M = 0.3
-"""Neighbours of a return lie at most this far away."""
+"""Largest distance of a return's neighbours, m."""
 _MOST_STEPS = 6
 _LEAST = 3
 _FLAT = 0.3
-"""Deviation across a line over that along it, above which the neighbours are no line."""
+"""Ratio of the scatter across a line to that along it above which the neighbours are not a line."""
 
 
 class Lines(NamedTuple):
-    """Lines through the neighbours of points: the foot of each point (n, 2) on its own, and the unit normal (n, 2)."""
+    """Lines through the neighbours of points: each point projected onto its line (n, 2), and the unit normal (n, 2)."""
 
     feet: Array
     normals: Array
 
 
 def lines_of(xy: Array) -> Lines:
-    """Return the lines of the surfaces at returns (m, 2) in the order of bearings; only those that are lines.
+    """Return the surface lines at returns (m, 2) in the order of bearings.
 
-    A line is laid through all returns within 0.3 m and six steps of each (total least squares); where fewer than
-    three returns are near, or they make no line, there is none. Feet are less noisy than returns, and of noisy points
-    the nearest one is always too near.
+    A line is fitted to all returns within 0.3 m and six steps of each one (total least squares). A return with fewer
+    than three near ones, or whose neighbours are not a line, is left out. Projected points are less noisy than returns;
+    the nearest of several noisy points would be biased towards the query point.
     """
     count = len(xy)
     if count < _LEAST:
@@ -45,7 +45,7 @@ def lines_of(xy: Array) -> Lines:
 
 
 def _fitted(xy: Array, near: Array, weight: Array) -> Lines:
-    """Return lines through weighted neighbours (n, k, 2), given from each point."""
+    """Return lines through weighted neighbours (n, k, 2), given relative to each point."""
     number = weight.sum(axis=1)
     mean = np.einsum("ij,ijk->ik", weight, near) / number[:, None]
     x, y = near[:, :, 0], near[:, :, 1]

@@ -1,4 +1,4 @@
-"""Laser sweeps: the returns of one turn of a planar laser, each with its own time."""
+"""Laser sweeps: the returns of one turn of a planar laser, each with its time."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 __all__ = ["MOST_RETURNS", "Sweep", "Sweeps"]
 
 MOST_RETURNS = 720
-"""Denser sweeps are thinned to this many returns: more cost time and say little more."""
+"""Number of returns to which denser sweeps are thinned: more cost time and add little information."""
 _EVEN_OVER, _GAP = 10, 2.5
-"""Sweeps on each side over which a laser keeps its rate, and a gap, in usual times between two sweeps."""
+"""Number of sweeps on each side over which the rate is taken as constant; and a gap, in usual sweep periods."""
 _LEAST_S = 2e-3
-"""A laser's stamps are as good as even where they are off by less: a robot moves a millimetre or two meanwhile."""
+"""Median deviation from even spacing below which stamps are kept, s: a robot moves a millimetre or two in that time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
     """The m returns of one sweep.
 
-    stamp_ns : of the sweep, as its message carries it
-    xy : (m, 2) float32, where the returns are in the laser's frame, metres, in the order of their bearings
+    stamp_ns : stamp of the sweep's message
+    xy : (m, 2) float32, positions of the returns in the laser's frame, metres, in the order of their bearings
     after_s : (m,) float32, time of each return after the stamp, seconds
     """
 
@@ -42,17 +42,17 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True)
 class Sweeps:
-    """All sweeps of one topic, stamps growing.
+    """All sweeps of one topic, in order of increasing stamps.
 
-    place : what messages call the topic: "run.bag: /scan"
-    topic, frame_id : where they were published, and the laser's frame
-    sweeps : with their returns in the laser's own plane, counter-clockwise seen from above the plane
-    field_of_view_rad : angle between the first bearing and the last
-    log_ns : (n,) when each was recorded
-    mount : how the laser sits on the robot, None where TF does not say
-    notes : what was noticed or left out, in words
-    by_scan_time : whether the times within the sweeps come from scan_time alone: time_increment is 0, as it is where
-        all beams are taken at once
+    place : name of the bag and topic for messages, such as "run.bag: /scan"
+    topic, frame_id : topic of the sweeps, and frame of the laser
+    sweeps : the sweeps, with returns in the laser's plane, counter-clockwise seen from above the plane
+    field_of_view_rad : angle between the first and the last bearing
+    log_ns : (n,) log time of each sweep
+    mount : mounting of the laser on the robot, None if TF does not have it
+    notes : messages about findings and omissions
+    by_scan_time : whether the times within the sweeps come from scan_time alone, with a time_increment of 0, as for
+        lasers whose beams are simultaneous
     """
 
     place: str
@@ -69,14 +69,14 @@ class Sweeps:
         return len(self.sweeps)
 
     def at_once(self) -> Sweeps:
-        """Return the sweeps with all returns of each taken at its stamp."""
+        """Return the sweeps with all returns at the time of the stamp."""
         return replace(self, sweeps=tuple(replace(s, after_s=np.zeros_like(s.after_s)) for s in self.sweeps))
 
     def evened(self) -> Sweeps | None:
-        """Return the sweeps stamped as by a laser that turns evenly; None where nearly all of them are so.
+        """Return the sweeps with evenly spaced stamps, as of a laser at constant rate; None if they nearly are already.
 
-        Stamps of arrival come late by what each sweep waited: the mean over as many sweeps before as after is what they
-        were taken at, later by as much for all.
+        Stamps of arrival include each sweep's delay. The mean over as many sweeps before as after has the same mean
+        delay for all.
         """
         stamps, rows = self.stamps_ns, np.arange(len(self))
         if not len(self):
@@ -99,7 +99,7 @@ class Sweeps:
 
     @property
     def period_s(self) -> float:
-        """Usual time between two sweeps, seconds."""
+        """Median time between two sweeps, seconds."""
         return float(np.median(np.diff(self.stamps_ns))) * 1e-9 if len(self) > 1 else 0.0
 
     def middle_s(self, origin_ns: int) -> Array:

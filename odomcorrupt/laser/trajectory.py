@@ -1,4 +1,4 @@
-"""The laser's trajectory: every sweep relocalised in the finished map, with the information of its match."""
+"""Trajectory by the laser: each sweep relocalised in the finished map, with the covariance of its match."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ _QUERY = 450
 _OVERLAP = 0.35
 _GATES_M = (0.2, 0.15)
 UNKNOWN_M = 2.0
-"""Standard deviation along an axis that is not seen."""
+"""Standard deviation along an axis that the scan does not determine, m."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaserPath:
-    """Poses of the robot by its laser.
+    """Poses of the robot from its laser.
 
-    row : (k,) which sweep each pose is of
+    row : (k,) index of the sweep of each pose
     t_s : (k,) middle of that sweep on the laser's clock, seconds since the origin
     xyt : (k, 3) poses of the robot in the map, m and rad
-    laser_xyt : (k, 3) poses of the laser
-    covariance : (k, 3, 3) of each pose in the robot's axes, as the match says; a metre along an axis that is not seen
-    part : (k,) which connected part of the map it lies in
-    weak : (k,) whether the match says nothing along one axis
+    laser_xyt : (k, 3) poses of the laser in the map
+    covariance : (k, 3, 3) of each pose in the robot's axes, from the match; `UNKNOWN_M` along an undetermined axis
+    part : (k,) index of the connected part of the map
+    weak : (k,) whether the match does not determine the position along one axis
     ratio : (k,) smaller over larger eigenvalue of the information of each position
-    deviation_m : usual deviation of returns from the map's surfaces
+    deviation_m : median deviation of returns from the map's surfaces, m
     """
 
     row: NDArray[np.int64]
@@ -58,7 +58,7 @@ class LaserPath:
         return len(self.row)
 
     def only(self, kept: NDArray[np.bool_]) -> LaserPath:
-        """Return some of the poses."""
+        """Return the poses selected by a mask (k,)."""
         arrays = ("row", "t_s", "xyt", "laser_xyt", "covariance", "part", "weak", "ratio")
         return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
 
@@ -66,7 +66,7 @@ class LaserPath:
 def relocalised(
     calibration: Calibration, tracked: Tracked, progress: Callable[[float], None] | None = None
 ) -> LaserPath:
-    """Return every sweep's pose in the finished map, those that do not fit left out."""
+    """Return each sweep's pose in the finished map; sweeps that do not match are left out."""
     motion, world = calibration.motion, tracked.map
     part_of = world.parts()
     scans = calibration.deskewing()
@@ -83,7 +83,7 @@ def relocalised(
         unseen = found.ratio < WEAK
         if unseen:
             covariance[:2, :2] += UNKNOWN_M**2 * np.outer(found.weak_axis, found.weak_axis)
-        # into the laser's own axes, then the robot's
+        # rotate into the laser's axes, then the robot's
         turn = np.eye(3)
         turn[:2, :2] = rotate(np.eye(2), np.full(2, found.pose[2] - motion.mount[2]))
         rows.append(n)

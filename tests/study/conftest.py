@@ -1,4 +1,4 @@
-"""Tests of the study share the drives beside them."""
+"""Make the drives in this directory importable by the tests of the study."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Following the advice settles what the first drive left open, whichever of the two it was."""
+"""Following the advice resolves the ambiguity of the first drive, for either cause."""
 
 from __future__ import annotations
 

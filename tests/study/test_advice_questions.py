@@ -1,4 +1,4 @@
-"""Which drive is advised: the one that answers all questions, whoever gives the heading, clocks among them."""
+"""Choice of the advised drive: it resolves all ambiguities, with any heading source, including clocks."""
 
 from __future__ import annotations
 

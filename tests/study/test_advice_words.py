@@ -1,4 +1,4 @@
-"""What advice says of twins across the set-up, and of wheels whose distance nobody knows."""
+"""Wording of advice about twins in the set-up, and about effects that need an unknown track."""
 
 from __future__ import annotations
 

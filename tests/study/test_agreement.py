@@ -1,4 +1,4 @@
-"""A verdict weighs every measure, and says when they disagree."""
+"""The verdict takes every measure into account, and reports when they disagree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A search never comes back to a model that it had: what led there is passed over, and the better model stays."""
+"""A search never returns to an earlier model: the step to it is skipped, and the better model is kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where no effect is, none is found: for noise in the odometry (ours) and for noise in the contact (wheels)."""
+"""Without a hidden effect none is found, for noise in the odometry (noise laws) and in the contact (wheels)."""
 
 from __future__ import annotations
 

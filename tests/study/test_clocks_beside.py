@@ -1,4 +1,4 @@
-"""Clocks of recordings that are judged, with a model taken out of them first."""
+"""Clocks of validation recordings are estimated after the model's effects are removed."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A driver who sees the truth and steers back: his turns answer to the noise, and are no fault of the odometry."""
+"""A driver who steers by the truth: turns that respond to noise are not taken for an odometry error."""
 
 from __future__ import annotations
 

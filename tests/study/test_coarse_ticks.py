@@ -1,4 +1,4 @@
-"""Lost increments and coarse ticks, seen in one odometry: a zero between increments of many ticks is no tick."""
+"""Lost increments and coarse ticks are distinguished: a zero between increments of many ticks is a loss."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `compare` says of a right model: it is right. NEES, coverage, PIT, whiteness and verdict keep their levels."""
+"""`compare` accepts a correct model: NEES, coverage, PIT, whiteness and verdict keep their levels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ATE and RPE are evo's numbers for the same trajectories."""
+"""ATE and RPE are equal to evo's for the same trajectories."""
 
 from __future__ import annotations
 

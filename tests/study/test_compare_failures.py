@@ -1,4 +1,4 @@
-"""Failures are told for what they are: which motion, when, where, how suddenly; and with a sign nobody can mistake."""
+"""Lack of fit is attributed to the right motion, time, place and moment, with an unambiguous sign."""
 
 from __future__ import annotations
 

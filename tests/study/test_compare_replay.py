@@ -1,4 +1,4 @@
-"""Runs of a right model look like the measurement: the measured path lies in its region as often as it should."""
+"""Simulated runs of a correct model contain the measured path with the nominal frequency."""
 
 from __future__ import annotations
 

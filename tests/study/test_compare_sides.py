@@ -1,4 +1,4 @@
-"""What `compare` puts side by side is measured on the same stretches, and its notes name only what is not counted."""
+"""Models in a `compare` table are measured on the same stretches; notes name only effects that are not counted."""
 
 from __future__ import annotations
 

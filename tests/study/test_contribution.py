@@ -1,4 +1,4 @@
-"""Whether a part of a model matters is another question than whether it is there."""
+"""Whether a part of a model matters in practice is separate from whether it is significant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A law that does what a known effect does, but for a fringe, is no rival of it: the name is as sure as it was."""
+"""A basis function that is almost the same as a known effect is not its rival and does not lower its confidence."""
 
 from __future__ import annotations
 

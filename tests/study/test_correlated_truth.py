@@ -1,4 +1,4 @@
-"""A localisation whose errors are alike for seconds does not pass them on to the odometry."""
+"""A localisation with errors correlated over seconds does not bias the odometry's noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The correlations that a fit tells are those that its estimates show when the recording is made anew."""
+"""Correlations reported by a fit agree with those of its estimates over repeated recordings."""
 
 from __future__ import annotations
 

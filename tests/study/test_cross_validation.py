@@ -1,4 +1,4 @@
-"""Models are judged on halves of what they were fitted on, whatever resets and stops make of the recording."""
+"""Models are validated on halves of their recordings, with any resets and stops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Decisions: what documents say of them is what the code computes, and replacing one changes what is selected."""
+"""Decisions: documents agree with the code, and replacing a decision changes the selection."""
 
 from __future__ import annotations
 

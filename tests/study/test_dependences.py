@@ -1,4 +1,4 @@
-"""Causes that no library has: the regressor is named, its law is included, and the error falls."""
+"""Causes outside the library: the regressor is named, the dependence is included, and the error falls."""
 
 from __future__ import annotations
 

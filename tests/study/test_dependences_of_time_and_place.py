@@ -1,4 +1,4 @@
-"""Causes that no library has, planted in a clean drive: warm-up, swings, a ramp, a carpet, standing."""
+"""Causes outside the library in a clean drive: warm-up, oscillation, a ramp, a carpet, standing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steered and commanded robots: each flaw has its name and size, by wheels that are not the package's."""
+"""Steered and commanded robots: each fault is found by name and size, with independent wheel models."""
 
 from __future__ import annotations
 

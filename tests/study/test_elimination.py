@@ -1,4 +1,4 @@
-"""What a wheel with a flat side loses on average is a part of it; radii that differ besides are not."""
+"""The mean effect of a flat spot is part of that effect; radii that differ in addition are a second one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A fit finds by itself where the truth's tracked point sits, and nothing where it sits right."""
+"""A fit finds the mounting of the truth's tracked point, and none if there is no offset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A fit takes time in proportion to the drive: it looks at a long one no more often than at a short one."""
+"""The time of a fit is proportional to the drive: a long one is read no more often than a short one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is refused and why: signs that physics forbids, effects that others made redundant; and what is not."""
+"""Acceptance of effects: impossible signs and redundant effects are refused, and others are not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A gyro's heading knows nothing of the wheels: their errors are then wrong along alone, and are named all the same."""
+"""With a gyro as heading source, wheel errors occur along only, and are named all the same."""
 
 from __future__ import annotations
 

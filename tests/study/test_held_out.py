@@ -1,4 +1,4 @@
-"""A part of a learned model stays where data that were not fitted do not speak plainly against it."""
+"""A part of a learned model is kept unless held-out data clearly contradict it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings of a robot that was changed between them: said, with what each of them tells."""
+"""Recordings of a robot that was changed between them: reported, with the estimates of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The first test of the study: a cause drawn at random, in a simulation that shares no formula with the effects."""
+"""First test of the study: a random cause in a simulation that shares no formula with the effects."""
 
 from __future__ import annotations
 

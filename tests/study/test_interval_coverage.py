@@ -1,4 +1,4 @@
-"""Intervals mean what they say: over many drives the planted values lie inside 95 % of them, about."""
+"""Confidence intervals contain the planted values in about 95 % of many drives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every systematic cause that the laboratory knows is the first name, or a twin of it; noise is named as noise."""
+"""Each systematic cause of the laboratory is the first name, or a twin of it; noise is named as noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The library beside a model: what may be selected is at its best shape, and little else is refined."""
+"""Search in the library with a given model: candidates have their best shape, and few are refined."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The banded likelihood is the dense normal, and its fit finds what was put in."""
+"""The banded likelihood equals the dense normal one, and its fit recovers planted values."""
 
 from __future__ import annotations
 

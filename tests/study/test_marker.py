@@ -1,4 +1,4 @@
-"""A marker anywhere on the robot, turned as it may be: it swings as the robot truly turns."""
+"""A marker anywhere on the robot, at any angle, moves with the robot's true turns."""
 
 from __future__ import annotations
 

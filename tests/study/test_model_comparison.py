@@ -1,4 +1,4 @@
-"""Effects of the library against basis functions."""
+"""Comparison of library effects with basis functions."""
 
 from __future__ import annotations
 

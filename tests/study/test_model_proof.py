@@ -1,4 +1,4 @@
-"""A model is written only in a form that can be read, corrected and corrupted with."""
+"""A model is written only if it can be read back and used to correct and corrupt."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The noise that is found is the likelihood's top, not a shelf on the way."""
+"""The noise fit reaches the maximum of the likelihood and does not stop early on a plateau."""
 
 from __future__ import annotations
 

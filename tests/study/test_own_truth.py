@@ -1,4 +1,4 @@
-"""The noise of a second recording's truth is its own, and no excuse for what the robot does there."""
+"""The truth noise of a second recording is estimated separately, and does not absorb errors of the robot."""
 
 from __future__ import annotations
 

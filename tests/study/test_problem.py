@@ -1,4 +1,4 @@
-"""A problem posed after an earlier one: what is the same of both is shared, and nothing else."""
+"""A problem posed after an earlier one shares its unchanged parts, and only those."""
 
 from __future__ import annotations
 

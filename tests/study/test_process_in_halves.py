@@ -1,4 +1,4 @@
-"""A random process is one that both halves of a drive show: no event, and not what an effect's mean leaves over."""
+"""A random process must show in both halves of a drive; events and remainders of an effect are none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A random process in the covariance: whitened data are those of the whole covariance, written out."""
+"""Whitening with a random process agrees with the full dense covariance."""
 
 from __future__ import annotations
 

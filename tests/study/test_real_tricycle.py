@@ -1,4 +1,4 @@
-"""A real tricycle: every name that two drives of it have in common is found on one of them, and helps on the other."""
+"""A real tricycle: names common to two drives are found on one and reduce the error of the other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A model has to drift about as much as the recordings it was learned from, what its fit left out included."""
+"""A model has to drift about as much as its own recordings, including outliers that its fit left out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a robust fit sets apart: kept while the clock moves, and told as slips that a burst can have."""
+"""Robust weights are kept while the clock moves; down-weighted slips are reported as bursts within their bounds."""
 
 from __future__ import annotations
 

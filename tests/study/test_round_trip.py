@@ -1,4 +1,4 @@
-"""What corruption puts into a perfect simulation, and nothing else, is what learning finds in it."""
+"""Learning finds exactly the effects that corruption puts into a perfect simulation."""
 
 from __future__ import annotations
 

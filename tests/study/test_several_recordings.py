@@ -1,4 +1,4 @@
-"""Recordings of one robot share its effects and noise, and neither clocks nor frames nor the noise of their truths."""
+"""Recordings of one robot share effects and noise, but not clocks, frames and truth noise."""
 
 from __future__ import annotations
 

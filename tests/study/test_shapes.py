@@ -1,4 +1,4 @@
-"""Shapes that were looked for: found to the top of their hill, in any frame, and their errors say so."""
+"""Searched shapes reach the maximum of the likelihood, in any frame, with correct standard errors."""
 
 from __future__ import annotations
 

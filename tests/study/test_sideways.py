@@ -1,4 +1,4 @@
-"""Robots that drive sideways: what their rollers lose there has a name; others are not asked."""
+"""Robots that drive sideways: slip of their rollers is named; other robots are not tested for it."""
 
 from __future__ import annotations
 

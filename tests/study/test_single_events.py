@@ -1,4 +1,4 @@
-"""A push or a lift is told with its time, place and size; noise and a truth that jumps are not."""
+"""A push or a lift is reported with its time, place and size; noise and a truth that jumps are not."""
 
 from __future__ import annotations
 

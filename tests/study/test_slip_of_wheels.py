@@ -1,4 +1,4 @@
-"""Wheels that slip as they speed up, in whatever way a simulator does it: named, of the right size, without a clock."""
+"""Acceleration slip by various simulators: named, with the right size, and without a clock offset."""
 
 from __future__ import annotations
 

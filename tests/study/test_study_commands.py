@@ -1,4 +1,4 @@
-"""The commands of the study on simulated recordings: what is known is not missing, and clocks keep their names."""
+"""Commands of the study on simulated recordings: known values are not reported missing; clocks keep their names."""
 
 from __future__ import annotations
 

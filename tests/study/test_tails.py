@@ -1,4 +1,4 @@
-"""Heavy tails, bursts and ticks: told apart from each other, and from a truth that jumps."""
+"""Heavy tails, slip bursts and ticks are distinguished from each other and from a truth that jumps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Terms: the columns that are tested are those of the effect that a term becomes, and shapes stay in bounds."""
+"""Terms: the tested columns are those of the resulting effect, and shapes stay in bounds."""
 
 from __future__ import annotations
 

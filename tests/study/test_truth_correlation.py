@@ -1,4 +1,4 @@
-"""Nodes lie as far apart as the errors of a localisation are alike, so that these are not taken for the odometry's."""
+"""Node spacing exceeds the correlation length of a localisation's errors, so that odometry does not absorb them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of a localisation are its own: those that fade over the way, and those that belong to places."""
+"""Errors of a localisation, correlated along the path or in space, are not attributed to the odometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a drive does not show is said to be unknown, not left out and not zero."""
+"""Coefficients that a drive does not excite are reported as unknown, neither omitted nor zero."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Noise that remembers is measured beside the noise that does not, so that a simulation drifts as the robot does."""
+"""Correlated noise is estimated beside white noise, so that a simulation drifts like the robot."""
 
 from __future__ import annotations
 

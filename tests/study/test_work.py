@@ -1,4 +1,4 @@
-"""How far a study has got, where the number of steps is not known before."""
+"""Progress of a study whose number of steps is not known in advance."""
 
 from __future__ import annotations
 

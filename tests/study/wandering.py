@@ -1,4 +1,4 @@
-"""Drives for tests of the study: a unicycle that wanders through an office, and recordings made of it."""
+"""Drives for tests of the study: a unicycle that wanders through an office, and recordings of it."""
 
 from __future__ import annotations
 

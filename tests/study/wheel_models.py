@@ -1,4 +1,4 @@
-"""Recordings of a car and of a hobby robot, by wheel: nothing of the package but the recording's form.
+"""Recordings of a car and of a hobby robot from wheel models that share only the Recording class with the package.
 
 The car is a kinematic bicycle with a rear drive. Its odometry integrates the wheel's travel and the steering angle that
 the driver sees; the truth is the body, moved by what the wheels really do. The hobby robot has two wheels: its odometry

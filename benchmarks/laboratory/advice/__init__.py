@@ -1,1 +1,1 @@
-"""The advice arm: whether following "drive X" settles what a first drive left open."""
+"""The advice arm: whether following the advice "drive X" resolves the ambiguity of a first drive."""

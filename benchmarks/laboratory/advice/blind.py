@@ -1,4 +1,4 @@
-"""First drives that leave something open: one speed, one side, one pass, no reversal, no stop."""
+"""First drives that leave causes ambiguous: one speed, one side, one pass, no reversal, no stop."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 __all__ = ["BLIND", "first_drive", "on_the_way", "place_of"]
 
 STEP_S = 0.05
-"""Time between two commands."""
+"""Time between two commands, seconds."""
 LONG_S, SHORT_S = 200.0, 60.0
 EDGE_S = 6.0
-"""What is cut off both ends of a steady drive."""
+"""Duration that is cut off both ends of a steady drive, seconds."""
 PASS_M = 7.0
 PATCH_AHEAD_M, PATCH_RADIUS_M = 4.0, 1.2
 
@@ -49,28 +49,28 @@ def _circle(v: float, omega: float) -> Commands:
 
 
 def _slalom(v: float, omega: float) -> Commands:
-    """Drive bends to both sides at one speed and one rate of turn, no stop."""
+    """Drive bends to both sides at one speed and one yaw rate, without a stop."""
     half = pi / abs(omega)
     return _held([(v, omega, half), (v, -omega, 2.0 * half), (v, omega, half)], LONG_S)
 
 
 def _spins(v: float, omega: float) -> Commands:  # noqa: ARG001 - on the spot
-    """Turn on the spot to both sides, no way made."""
+    """Turn on the spot to both sides, without travel."""
     return _held([(0.0, omega, 8.0), (0.0, 0.0, 1.0), (0.0, -omega, 8.0), (0.0, 0.0, 1.0)], LONG_S)
 
 
 def _one_way_square(v: float, omega: float) -> Commands:
-    """Drive rectangles with corners on the spot, always to one side, one speed."""
+    """Drive rectangles with corners on the spot, always to one side, at one speed."""
     return _held([(v, 0.0, 6.0), (0.0, 0.0, 0.6), (0.0, omega, 0.5 * pi / abs(omega)), (0.0, 0.0, 0.6)], LONG_S)
 
 
 def _stop_and_go(v: float, omega: float) -> Commands:  # noqa: ARG001 - straight
-    """Drive straight on with stops, one speed, one way of starting and braking."""
+    """Drive straight on with stops, at one speed, with equal starts and stops."""
     return _held([(v, 0.0, 5.0), (0.0, 0.0, 2.0)], LONG_S)
 
 
 def _there_and_back(v: float, omega: float) -> Commands:  # noqa: ARG001 - straight
-    """Drive straight on and back in reverse, one speed, no stop between."""
+    """Drive straight on and back in reverse, at one speed, without a stop in between."""
     return _held([(v, 0.0, 5.0), (-v, 0.0, 5.0)], LONG_S)
 
 
@@ -96,19 +96,19 @@ BLIND: dict[str, Callable[[float, float], Commands]] = {
     "a minute": _minute,
     "one pass": _pass,
 }
-"""Name, and what makes the commands from a speed (m/s) and a rate of turn (rad/s)."""
+"""Functions by name that return the commands for a speed (m/s) and a yaw rate (rad/s)."""
 _STEADY = ("line", "circle", "slalom")
 
 
 def first_drive(name: str, seed: int) -> Commands:
-    """Return a first drive at a speed, a rate of turn and a side that belong to a seed."""
+    """Return a first drive at a speed, a yaw rate and a side given by a seed."""
     rng = np.random.default_rng([seed, 53])
     v, omega = rng.uniform(0.35, 0.65), rng.uniform(0.35, 0.65) * rng.choice((-1.0, 1.0))
     return BLIND[name](float(v), float(omega))
 
 
 def on_the_way(name: str, recording: Recording) -> Recording:
-    """Cut off how a steady drive began and ended: such a recording is begun while the robot drives."""
+    """Return a steady drive without its start and end: such a recording is begun while the robot drives."""
     if name not in _STEADY:
         return recording
     first_s, last_s = recording.odometry_s[[0, -1]] + (EDGE_S, -EDGE_S)
@@ -124,7 +124,7 @@ def on_the_way(name: str, recording: Recording) -> Recording:
 
 
 def place_of(cause: str, seed: int) -> dict[str, float] | None:
-    """Return where a cause with a place lies: ahead of where the robot always begins, so that a pass crosses it."""
+    """Return the place of a cause that has one: ahead of the robot's start, so that one pass crosses it."""
     if EVERY[cause].place is None:
         return None
     x, y, theta = dock(stream(seed, "world"))

@@ -1,4 +1,4 @@
-"""Which first drives are made with which hidden cause, fixed before any of them is."""
+"""Design of the advice arm, fixed before any run: first drives and hidden causes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ OPEN = (
     ("there and back", "backlash", "time_offset", WHEELS),
     ("there and back", "time_offset", "backlash", WHEELS),
 )
-"""First drive, hidden cause, what it can be mistaken for there (effects' table of degeneracies), source of turns."""
+"""First drive, hidden cause, effect aliased with it there (effects' table of degeneracies), heading source."""
 UNSEEN = (
     ("line", "backlash", WHEELS),
     ("line", "wheelbase", WHEELS),
@@ -68,22 +68,22 @@ UNSEEN = (
     ("a minute", "clock_skew", WHEELS),
     ("a minute", "scale_drift", GYRO),
 )
-"""First drive, hidden cause that it does not excite, source of turns."""
+"""First drive, hidden cause that it does not excite, heading source."""
 ROBOTS = (("strong", "differential"), ("medium", "differential"), ("strong", "skid"), ("medium", "skid"))
-"""Sizes and machines, by turns: every row meets three of the four (two of them where nothing is excited)."""
+"""Sizes and robots, alternating: each row has three of the four (two if nothing is excited)."""
 TIMES = {"open": 3, "unseen": 2}
 FIRST_SEED = 80_000
-"""Seeds that no test, no fixture, no pilot and no earlier run has used; the drives that follow add 400 000 each."""
+"""First seed, not used by any test, fixture, pilot or earlier run; each following drive adds 400 000."""
 PILOT = -8_000
-"""What a pilot adds to a seed, so that it never meets a fresh one."""
+"""Offset of a pilot's seeds, so that they are never fresh ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class AdviceCase:
     """One robot with a hidden cause, and its first drive.
 
-    kind : "open" where two effects look the same on that drive, "unseen" where the cause is not excited
-    rival : what the cause can be mistaken for; "" of the unseen
+    kind : "open" if two effects are aliased on that drive, "unseen" if the cause is not excited
+    rival : effect aliased with the cause; "" for "unseen"
     """
 
     kind: str
@@ -98,12 +98,12 @@ class AdviceCase:
 
     @property
     def key(self) -> str:
-        """What the results file calls it."""
+        """Name of the case in the results file."""
         return f"{self.kind}/{self.number}"
 
 
 def advice_cases(*, pilot: bool = False) -> list[AdviceCase]:
-    """Return all cases in the order in which they are run: every row once, open ones first, then every row again."""
+    """Return all cases in the order of the run: each row once, open ones first, then each row again."""
     shift = PILOT if pilot else 0
     rows = {"open": OPEN, "unseen": tuple((first, cause, "", yaw) for first, cause, yaw in UNSEEN)}
     found = []

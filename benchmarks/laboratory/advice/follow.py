@@ -1,4 +1,4 @@
-"""Ask for advice on a first drive, follow it through the bag that is written, and ask again."""
+"""Get advice on a first drive, drive the advised bag, and diagnose both drives together."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 __all__ = ["follow"]
 
 NEXT_SEED = 400_000
-"""What is added to a seed for the drive that follows: the same robot on another day."""
+"""Offset of the seed for the following drive of the same robot."""
 MOST_DRIVES = 2
-"""How often advice is followed: once more where once did not settle it, though the goal is judged after once."""
+"""Maximum number of advised drives: a second one if the first did not settle the cause; the goal is for the first."""
 
 
 def follow(case: AdviceCase) -> dict[str, Any]:
-    """Return what was said after the first drive and after each drive that followed the advice."""
+    """Return the answers after the first drive and after each advised drive."""
     first = _run(case, 0, first_drive(case.first, case.seed))
     recordings = [on_the_way(case.first, as_recording(first, "first"))]
     looks = []
@@ -68,7 +68,7 @@ def _plain(advice: Advice) -> dict[str, Any]:
 
 
 def _through_a_bag(advice: Advice) -> Commands | None:
-    """Return the advised drive as a robot would be sent it: written by the program, and read back."""
+    """Return the advised drive as a robot would get it: written to a bag by the program and read back."""
     if advice.best is None:
         return None
     with TemporaryDirectory() as folder:

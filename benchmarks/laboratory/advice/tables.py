@@ -1,4 +1,4 @@
-"""The section of the page about advice: rows of results in, lines of markdown out."""
+"""Section of the page about advice, as lines of Markdown from rows of results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GOAL = "90 %"
 
 
 def advice_section(rows: Rows) -> list[str]:
-    """Return the whole section; nothing where the arm has not run."""
+    """Return the whole section; empty if the arm has not run."""
     if not rows:
         return []
     good = [row for row in rows if "failed" not in row]

@@ -1,4 +1,4 @@
-"""From what was said to what it was worth, case by case."""
+"""Grading of each case's advice."""
 
 from __future__ import annotations
 
@@ -12,45 +12,45 @@ Row = dict[str, Any]
 
 
 def named(row: Row, step: int) -> list[str]:
-    """Return everything systematic that was named after so many drives, clocks first, twins as one."""
+    """Return all systematic names found after `step` advised drives, clocks first, twins as one."""
     answer = row["looks"][step]["answer"]
     return [same_class(name) for name in (*answer["clocks"], *answer["added"])]
 
 
 def open_names(row: Row, step: int = 0) -> set[str]:
-    """Return all names between which a choice was said to be open; twins, which no drive can tell apart, are one."""
+    """Return all names reported as ambiguous; twins, which no drive can separate, are one."""
     found = [{same_class(name) for name in choice["names"]} for choice in row["looks"][step]["choices"]]
     return set().union(*(names for names in found if len(names) > 1))
 
 
 def cause_of(row: Row) -> str:
-    """Return the hidden cause, as the class of its twins."""
+    """Return the common name of the hidden cause and its twins."""
     return same_class(row["case"]["cause"])
 
 
 def named_first(row: Row, step: int) -> bool:
-    """Tell whether the cause was the first thing named."""
+    """Return whether the cause was the first name."""
     return named(row, step)[:1] == [cause_of(row)]
 
 
 def settled(row: Row, step: int) -> bool:
-    """Tell whether the cause was named first, and what had been open beside it is neither an alternative nor named."""
+    """Return whether the cause is the first name, and no other ambiguous name is an alternative or named."""
     rivals = open_names(row) - {cause_of(row)}
     return named_first(row, step) and not rivals & {*_beside(row, step), *named(row, step)}
 
 
 def clear(row: Row, step: int) -> bool:
-    """Tell whether the cause was named first, with no alternative and nothing else beside it."""
+    """Return whether the cause is the first name, without alternatives and other names."""
     return named_first(row, step) and not _beside(row, step) and len(named(row, step)) == 1
 
 
 def said_unseen(row: Row) -> bool:
-    """Tell whether the cause was among what the first drive could not show."""
+    """Return whether the cause was reported as not testable with the first drive."""
     return cause_of(row) in {same_class(one["effect"]) for one in row["looks"][0]["untestable"]}
 
 
 def _beside(row: Row, step: int) -> set[str]:
-    """Return the alternatives of the cause where it was added, its twins left out."""
+    """Return the alternatives of the cause if it was added, without its twins."""
     own = [one for one in row["looks"][step]["answer"]["looks"] if one["added"] is not None]
     rivals = {same_class(n) for one in own if same_class(one["added"]) == cause_of(row) for n in one["alternatives"]}
     return rivals - {cause_of(row)}

@@ -1,4 +1,4 @@
-"""From recordings to a robot's model: the whole of `odomcorrupt fit`."""
+"""Fit of a robot's model to recordings: the computation behind `odomcorrupt fit`."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ __all__ = ["RobotFit", "effects_to_fit", "fit_every_law", "fit_robot", "model_of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotFit:
-    """A robot's model, and what stands behind it.
+    """A robot's model with the fit and the clocks from which it was made.
 
-    intervals : the noise coefficients with their 95 % intervals
-    ten_second_error_m : on the fitted recordings themselves: a description, not a test
+    intervals : the noise coefficients with their 95 % confidence intervals
+    ten_second_error_m : RMS position error after 10 s on the fitted recordings: a description, not a test
     """
 
     model: MotionModel
@@ -49,19 +49,19 @@ class RobotFit:
 
     @property
     def noise_at_most(self) -> list[Interval]:
-        """Coefficients that are no more than bounded, because the truth of all recordings is a localisation's."""
+        """Coefficients with an upper bound only, because the truth of every recording is a localisation."""
         localised = all(r.localised for r in self.fit.problem.recordings)
         return [i for i in self.intervals if localised and i.identifiable]
 
     @property
     def information_nats(self) -> float:
-        """Log likelihood less half the logarithm of the data for each noise coefficient (Schwarz)."""
+        """Log likelihood minus half the log of the number of intervals per noise coefficient (Schwarz criterion)."""
         nodes = len(self.fit.problem.nodes)
         return self.fit.log_likelihood - 0.5 * len(self.fit.components.active) * float(np.log(nodes))
 
 
 def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect]:
-    """Return the effects to fit: those of a start model, at their values, and the added ones at their identity."""
+    """Return the effects to fit: those of a start model at their values, and the added ones at their identity."""
     effects = [*start.effects, *start.setup.effects] if start is not None else []
     for name in add:
         if any(effect.name == name for effect in effects):
@@ -84,10 +84,9 @@ def fit_robot(
     clocks: Clocks | None = None,
     shaped: Container[str] = (),
 ) -> RobotFit:
-    """Fit clocks and set-up (unless they are known already), effects and noise to recordings of one robot.
+    """Fit clocks and set-up (unless clocks are given), effects and noise to recordings of one robot.
 
-    Random effects stay as they are: random coefficients are in the covariance, what encoders did is undone where it
-    shows.
+    Random effects are not fitted: random coefficients are part of the covariance; detectable encoder faults are undone.
 
     shaped : names of effects whose shapes were searched in the same recordings
     """
@@ -130,9 +129,9 @@ def fit_robot(
 def fit_every_law(
     recordings: Sequence[Recording], effects: Sequence[Effect], *, start: MotionModel | None = None
 ) -> dict[str, RobotFit]:
-    """Fit every law with the same effects, clocks and set-up, the likeliest first.
+    """Return a fit with each noise law, with the same effects, clocks and set-up; most likely first.
 
-    A law that depends on the step is applied to the odometry's own steps.
+    A law that depends on the step length is applied to the odometry's own steps.
     """
     first, *others = (name for name, law in LAWS.items() if law.fitted)
     results = {first: fit_robot(recordings, effects, law_name=first, start=start)}
@@ -143,7 +142,7 @@ def fit_every_law(
 
 
 def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
-    """Return the model that a fit stands for; random effects go along as they are."""
+    """Return the model file's content for a fit; random effects are added unchanged."""
     names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
     problem = fitted.problem
     drive = drive_type_of(problem.recordings)

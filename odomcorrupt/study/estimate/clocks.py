@@ -1,4 +1,4 @@
-"""Clocks of recordings: offset and rate of each, estimated before anything else."""
+"""Estimation of each recording's clock offset and rate, the first step of a fit."""
 
 from __future__ import annotations
 
@@ -30,33 +30,33 @@ __all__ = ["Clocks", "clock_nats", "find_clocks", "levelled", "nuisance_of", "wi
 
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _CLOCK_HARM = 1.15
-"""A clock that makes the 10 s error larger than by chance is none, whatever the likelihood says."""
+"""Ratio by which a clock may increase the 10 s error; a larger one rejects it, even if significant."""
 _PLAIN_LEVEL, _MOST_LEVEL = 1.5, 30.0
-"""By how much truths differ where that is no accident of an estimate, and at most."""
+"""Ratio of two truths' noise that is more than an estimation error, and the largest ratio used."""
 _LEAST_M, _LEAST_RAD = 1e-4, 1e-4
-"""Noise of a truth below which an estimate of it is nothing to compare with."""
+"""Lower limits of the first truth's noise, m and rad, in such a ratio."""
 _NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", *MOUNTING)
-"""Free beside the clocks while these are estimated, and then forgotten."""
+"""Effects that are free while the clocks are estimated, and are then discarded."""
 RIVALS = ("accel_slip", "backlash", "channel_lag")
-"""What looks like a clock at starts and stops: a clock is kept only if it stays when these are free, too."""
+"""Effects that resemble a clock offset at starts and stops; a clock must remain significant with these free."""
 _TRACKS_M = (0.2, 0.6)
-"""Tracks on which play is tried beside a clock where the robot's is not known."""
+"""Track widths with which backlash is tested as a rival of a clock if the robot's track is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """Clocks of R recordings, which of their two numbers are really there, and their standard errors (R, 2).
+    """Clocks of R recordings, whether their offset and rate are significant, and their standard errors (R, 2).
 
-    Rounded stamps hide an offset, which its error counts.
+    The error of an offset includes the rounding of stamps.
 
-    noise, beside : noise and nuisance effects of the last fit: starting values for others, no result
-    ambiguous_nats : what the offset of a clock gains that was left at zero, because it is significant only without its
-        rivals and one of them explains more: what they are given then may as well be the clock's
-    rival_nats : what each rival of a clock gains in its place, where the clock explains more than any of them but is
-        not significant beside all
-    untested : rivals that could not be tried, for want of a track: a small offset may as well be theirs
-    truths : noise of the truth of each recording, of the fits of their clocks
-    left_nats : what dependences on accelerations gain beside the clocks
+    noise, beside : noise and nuisance effects of the last fit: starting values for later fits, not results
+    ambiguous_nats : log-likelihood gain of a clock offset that was left at zero, because it is significant only without
+        its rivals and one of them explains more; the effect of these rivals may be the clock's
+    rival_nats : log-likelihood gain of each rival in place of a clock that explains more than any single rival but is
+        not significant beside all of them
+    untested : rivals that could not be tested without the track width; a small offset may be their effect
+    truths : noise of each recording's truth, from the fit of its clock
+    left_nats : log-likelihood gain of dependences on accelerations beside the clocks
     """
 
     clocks: tuple[Clock, ...]
@@ -73,7 +73,7 @@ class Clocks:
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """The clock of some runs, which of its numbers are real, and their errors; and the fit that it comes from."""
+    """Clock of some runs, whether its offset and rate are significant, their errors, and the fit they come from."""
 
     clock: Clock
     free: tuple[bool, bool]
@@ -84,15 +84,15 @@ class _Found:
 
 
 def nuisance_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Return what is free beside clocks: the usual systematic effects, and where the tracked point may sit."""
+    """Return the names of effects that are free beside clocks: usual systematic ones and possible mountings."""
     possible = mountings(recordings)
     return tuple(name for name in _NUISANCE if name in possible or name not in MOUNTING)
 
 
 def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
-    """Estimate each recording's clock by exact resampling, with the usual systematic effects free beside it.
+    """Return each recording's clock, estimated by exact resampling with the usual systematic effects free.
 
-    A number that is not significant is left at zero: aligning what was aligned only adds noise.
+    An offset or rate that is not significant is left at zero: correcting an aligned clock only adds noise.
     """
     leaders = clock_leaders(recordings)
     together = {i: [r for r, leader in zip(recordings, leaders, strict=True) if leader == i] for i in set(leaders)}
@@ -113,7 +113,7 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
 
 
 def clock_nats(fitted: Fit) -> float:
-    """Return what the plainest offset of a fit's clocks gains, nats."""
+    """Return the largest log-likelihood gain (nats) of a clock offset in a fit, half its squared z-score."""
     pairs = zip(fitted.problem.clocks, fitted.clock_errors[:, 0].tolist(), strict=True)
     return max((0.5 * (clock.offset_s / error_s) ** 2 for clock, error_s in pairs if error_s > 0.0), default=0.0)
 
@@ -121,7 +121,7 @@ def clock_nats(fitted: Fit) -> float:
 def with_rounding(
     errors: Sequence[Sequence[float]], free: Sequence[tuple[bool, bool]], recordings: Sequence[Recording]
 ) -> tuple[tuple[float, float], ...]:
-    """Return the standard errors (R, 2) of clocks, those of free offsets with what rounded stamps hide."""
+    """Return the standard errors (R, 2) of clocks, with the rounding of stamps added to those of free offsets."""
     return tuple(
         (float(np.hypot(own[0], r.stamp_error_s)) if moves[0] else float(own[0]), float(own[1]))
         for own, moves, r in zip(errors, free, recordings, strict=True)
@@ -129,9 +129,9 @@ def with_rounding(
 
 
 def levelled(recordings: Sequence[Recording], clocks: Clocks) -> list[Recording]:
-    """Return recordings that know how noisy their truths are beside that of the first one, where that is plain.
+    """Return the recordings with the noise of their truths relative to the first one's, if clearly different.
 
-    Runs of one robot share its effects and its noise; one may be seen by motion capture and another by a localisation.
+    Runs of one robot share its effects and noise, but one may have motion capture and another a localisation as truth.
     """
     if len(clocks.truths) != len(recordings) or len(recordings) < 2:
         return list(recordings)
@@ -153,15 +153,16 @@ def _differs(ratio: float) -> bool:
 
 
 def _untested(kind: type[Effect]) -> bool:
-    """Tell whether a rival cannot be tried without the track."""
+    """Return whether a rival cannot be tested without the track width."""
     return kind.needs_track and not brings_track(kind)
 
 
 def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:
-    """Return the rivals as they are tried: of wheels that slip, all that lies between two kinds of contact.
+    """Return the rival effects to test.
 
-    They feel the body's acceleration and some of their own; a kind that does not fit would leave a clock the rest. On
-    straights no track matters, and what a turn on the spot shows of play lies between that on two tracks.
+    With a known track (`wheels`), both contacts of acceleration slip are tested, because a misfit of one alone would
+    appear as a clock offset. Without, two tracks bracket the backlash of a turn on the spot; on straights the track
+    does not matter.
     """
     kinds = [registry()[name] for name in RIVALS]
     if not wheels:
@@ -174,7 +175,7 @@ def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:
 
 
 def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
-    """Return the one clock of all, which of its numbers are real, and their errors: both, the offset alone, nothing."""
+    """Return the common clock of runs: offset and rate if significant, else the offset alone, else no clock."""
     kinds = registry()
     rivals = _rivals(wheels=runs[0].track_m is not None, steered=drive_type_of(runs).steered)
     nuisance: Sequence[Effect] = [kinds[name]() for name in nuisance_of(runs)]
@@ -211,15 +212,15 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
 
 
 def _harmless(runs: Sequence[Recording], clock: Clock) -> bool:
-    """Tell whether a clock leaves no more of the error than none: on a steady circle an offset only turns the frame."""
+    """Return whether a clock does not increase the 10 s error: on a steady circle an offset only rotates the frame."""
     before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
     return after < _CLOCK_HARM * before
 
 
 def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals: Sequence[Effect]) -> _Found:
-    """Return a clock that is plain only without its rivals where it explains more than each of them; else no clock.
+    """Return a clock that is significant only without its rivals if it explains more than each one; else no clock.
 
-    One alone may do what it takes all of them to imitate.
+    All rivals together may imitate a clock that no single one can.
     """
     nuisance, approach = nothing.fit.onward.effects[: len(nuisance_of(runs))], clock.fit.problem.approach
     still = pose_problem(runs, nuisance, approach=approach)

@@ -1,7 +1,7 @@
-"""Blocks of a drive: how much a score really varies between stretches of it, beside what the noise model says.
+"""Cluster-robust variance: observed over predicted variance of estimates between blocks of time of a drive.
 
-A sum over blocks is right where the noise model is not; few blocks know little of their own spread, and borrow strength
-from what is said of other columns, as limma does for few arrays (Smyth 2004, section 3).
+Sums over blocks are valid even if the noise model is wrong. With few blocks their variance is uncertain, so it is
+shrunk towards that of the other columns, as limma does for few arrays (Smyth 2004, section 3).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 __all__ = ["PRIOR_DOF", "between_blocks", "block_of", "block_sums", "inflation", "shared_variance"]
 
 PRIOR_DOF = 20.0
-"""Degrees of freedom that the common opinion is worth."""
+"""Weight of the variance ratio shared by all columns, in degrees of freedom."""
 _LENGTH_S, _FEWEST, _MOST = 15.0, 20, 60
 
 
 def block_of(problem: Problem) -> NDArray[np.int64]:
-    """Return the block (K,) each interval belongs to: stretches of time, never across runs, about 15 s each."""
+    """Return the block index (K,) of each interval: blocks are about 15 s long and never span two runs."""
     nodes, run = problem.nodes, problem.run
     total = float(np.sum(nodes.end_s - nodes.start_s))
     length = total / int(np.clip(total / _LENGTH_S, _FEWEST, _MOST))
@@ -39,10 +39,10 @@ def _elapsed(end_s: Array, length: float) -> NDArray[np.int64]:
 
 
 def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Array, Array]:
-    """Return by how much estimates vary between blocks, 1 if as the model says, and degrees of freedom, (p,) each.
+    """Return observed over predicted variance of estimates between blocks, and its degrees of freedom, (p,) each.
 
-    block, r : (m,) where each innovation is, and the innovations
-    pull : (m, p) what each of them does to each estimate
+    block, r : (m,) block index of each innovation, and the innovations
+    pull : (m, p) weight of each innovation in each estimate
     """
     moved, known = block_sums(block, pull * r[:, None]), block_sums(block, pull**2)
     whole = np.maximum(known.sum(axis=0), 1e-300)
@@ -60,11 +60,11 @@ def block_sums(block: NDArray[np.int64], values: Array) -> Array:
 
 
 def shared_variance(variance: Array, dof: Array) -> float:
-    """Return the common opinion on how much scores vary between blocks, 1 where as the model says, and never less."""
+    """Return the mean variance ratio of all columns, weighted by degrees of freedom; at least 1 (model correct)."""
     return max(float(np.average(variance, weights=dof)), 1.0) if len(variance) else 1.0
 
 
 def inflation(variance: Array, dof: Array, shared: float) -> Array:
-    """Return by how much scores vary more between blocks than the model says, at least 1."""
+    """Return the variance ratio of each column, shrunk towards the shared one; at least 1."""
     moderated: Array = np.maximum(1.0, (PRIOR_DOF * shared + dof * variance) / (PRIOR_DOF + dof))
     return moderated

@@ -1,7 +1,7 @@
-"""How well the noise coefficients are known: intervals from the profile of the likelihood.
+"""Profile-likelihood confidence intervals of the noise coefficients.
 
-Coefficients are positive and their likelihoods are skewed, so a standard error alone would lie; the interval is where
-the profile likelihood stays within 1.92 nats of its top (95 %), and it may begin at zero.
+Coefficients are positive and their likelihoods are skewed, so a standard error alone would be wrong. The interval is
+the range in which the profile likelihood is within 1.92 nats of its maximum (95 %); it may begin at zero.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _STEPS = 7
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A coefficient with its 95 % interval; low is 0 where the data would do without it."""
+    """A coefficient with its 95 % interval; `low` is 0 if the data are compatible with no such noise."""
 
     name: str
     value: float
@@ -39,21 +39,21 @@ class Interval:
 
     @property
     def identifiable(self) -> bool:
-        """Whether the drive bounds it from above at all."""
+        """Whether the drive bounds the coefficient from above."""
         return self.high < HIGHEST
 
     @property
     def standard_error(self) -> float:
-        """A symmetric error in place of the interval; from its lower side where the upper one is open."""
+        """Symmetric standard error equivalent to the interval; from its lower side if the upper one is unbounded."""
         if not isfinite(self.high):
             return (self.value - self.low) / 1.96
         return (self.high - self.low) / (2.0 * 1.96)
 
 
 def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
-    """Return the interval of every coefficient that the law knows, in its order; columns are those of the fit.
+    """Return the interval of each coefficient of the noise law, in the order of `NAMES`; columns are those of the fit.
 
-    One that the drive never asked for, such as noise of turns where nothing turned, has no bounds.
+    A coefficient that the drive does not excite (noise of turns without any turn) has no upper bound.
     """
     problem, noise = fitted.problem, fitted.noise
 
@@ -61,9 +61,9 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
         return NoiseLikelihood(nodes, fitted.components, columns, noise.weights, headings=problem.headings)
 
     likelihood, free = over(problem.nodes), noise.free
-    # the noise was fitted without a localisation's field and with a prior, and its profile is compared with that fit
+    # with a localisation as the truth, noise was fitted with a prior and without the field: compare with that fit
     alone = any(r.localised for r in problem.recordings)
-    if fitted.random:  # what these did would pass for noise of every step, whichever coefficient is moved
+    if fitted.random:  # otherwise their contribution would be fitted as noise of each step
         likelihood = over(without_process(likelihood.evaluate(free), problem, columns, fitted.random))
         free, alone = likelihood.maximise(free), True
     top = likelihood.posterior(likelihood.evaluate(free)) if alone else fitted.log_likelihood
@@ -77,7 +77,7 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
 
 
 def _edge(likelihood: NoiseLikelihood, start: Array, position: int, direction: float, top: float) -> float:
-    """Return where the profile has dropped by the quantile, in steps that double and then by interpolation."""
+    """Return the value at which the profile has dropped by the quantile: doubling steps, then interpolation."""
     free, best = start.copy(), float(start[position])
     inside, inside_drop = max(best, np.log(1e-4)) if direction > 0 else best, 0.0
     step = 0.1

@@ -1,4 +1,4 @@
-"""How recordings are looked at: what drives the regressors, how far apart nodes lie, which noise law is fitted."""
+"""Settings shared by all recordings of a study: source of the regressors, node spacing and noise law."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 __all__ = ["NODE_S", "Approach", "choose_approach"]
 
 NODE_S = 0.5
-"""Spacing of nodes for a good truth, seconds."""
+"""Spacing of nodes for an accurate truth, seconds."""
 _COARSE_NODE_S = 1.0
 _COARSE_TRUTH_M = 0.008
-"""A truth noisier than this per sample has correlated noise (AMCL, SLAM): nodes lie farther apart than that reaches."""
+"""Noise per sample above which a truth has correlated errors (AMCL, SLAM), so that nodes are spaced farther apart."""
 _BLIND_NODE_S = 2.0
-"""Positions alone show a turn by where it leads to; at closer nodes their filter's jitter passes for noise of turns."""
+"""Spacing for a truth without headings: positions show a turn only later; closer nodes take jitter for turn noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """One choice for all recordings of a study.
+    """Settings for all recordings of a study.
 
-    side : where regressors come from, see `regressors`
-    spacing_s : of the nodes
-    law_name : the noise law
+    side : source of the regressors, odometry or truth, see `regressors`
+    spacing_s : spacing of the nodes, seconds
+    law_name : name of the noise law
     """
 
     side: Side = "odometry"
@@ -44,19 +44,19 @@ class Approach:
 
     @property
     def law(self) -> Law:
-        """The noise law itself."""
+        """The noise law of that name."""
         return law_named(self.law_name)
 
 
 def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion") -> Approach:
-    """Return what suits the worst of the recordings."""
+    """Return the settings that the recording with the least accurate truth needs."""
     noise_m = max(float(np.hypot(*truth_noise(r.truth)[:2])) / np.sqrt(2.0) for r in recordings)
     spacing_s = NODE_S
     if not all(r.headed for r in recordings):
         spacing_s = _BLIND_NODE_S
     elif noise_m > _COARSE_TRUTH_M or any(r.localised for r in recordings):
         spacing_s = max([_COARSE_NODE_S, *(independent_spacing_s(r) for r in recordings if r.localised)])
-    # motions are no shorter than they were measured
+    # a relative truth: no interval shorter than its measured motions
     usual_s = [float(np.median(np.diff(r.truth.stamps_ns))) * 1e-9 for r in recordings if r.truth.relative]
     spacing_s = max([spacing_s, *usual_s])
     sides = {choose_side(r, spacing_s) for r in recordings}

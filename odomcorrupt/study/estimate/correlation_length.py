@@ -1,8 +1,8 @@
-"""Over which way the errors of a localisation fade, by likelihood.
+"""Correlation length of a localisation's errors along the path, by maximum likelihood.
 
-Errors of a localisation depend on what it sees from a place: along the way they are alike for a metre or some, and in
-the long run they stay as large as they are. Noise of the odometry adds up. Both are estimated together, for one length
-after the other: how the difference grows with the way tells them apart.
+The errors of a localisation depend on the view from a place: they are correlated over a metre or so of path and do not
+grow with it. Noise of the odometry accumulates. Both are estimated together for each candidate length; they differ in
+how odometry minus truth grows with the path.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ __all__ = ["with_correlation_lengths"]
 
 _LENGTHS_M = (0.0, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
 _USUAL_M, _SPREAD = 1.5, 0.7
-"""Length over which errors of a localisation are alike: usual, and the standard deviation of its logarithm. Of particle
-filters (simulated as for `noise_likelihood`) the correlation falls to 1/e after 1 to 2.5 m, of scan matchers sooner."""
+"""Prior of the correlation length: median, and standard deviation of its logarithm. The correlation of particle
+filters (simulated as for `noise_likelihood`) falls to 1/e after 1 to 2.5 m, that of scan matchers sooner."""
 _NONE_M = 0.3
-"""What no correlation between poses at least 1.5 m of driving apart counts as."""
+"""Length that stands for uncorrelated errors in the prior; the poses compared are at least 1.5 m of driving apart."""
 _FIELD_NATS = 2.0
-"""By how much a field by place, which has two numbers more, has to explain the errors better than a process."""
+"""Log-likelihood gain that a spatial field, with two more parameters, needs over a process along the path."""
 _BESIDE = ("wheel_scale", "wheelbase", "unequal_wheels", "gyro_bias")
-"""Free meanwhile: what a robot has wrong adds up over the way, too."""
+"""Effects that are free during the estimate: systematic odometry errors accumulate along the path, too."""
 
 
 def with_correlation_lengths(recordings: Sequence[Recording], approach: Approach) -> list[Recording]:
-    """Return recordings of which each that has a localisation for a truth knows how its errors are alike."""
+    """Return the recordings; those with a localisation as their truth get its correlation length or spatial field."""
     return [
         _with_own(r, approach)
         if r.localised and r.headed and r.truth.covariance is None and r.truth_correlation_m is None
@@ -52,7 +52,7 @@ def with_correlation_lengths(recordings: Sequence[Recording], approach: Approach
 
 
 def _with_own(recording: Recording, approach: Approach) -> Recording:
-    """Return a recording with its likeliest correlation length, and a field by place where that explains more."""
+    """Return a recording with the most likely correlation length, and a spatial field if that is more likely still."""
     problem = pose_problem([recording], approach=approach)
     kinds = registry()
     columns = np.concatenate([problem.columns(kinds[name]()) for name in _BESIDE] + [problem.clock_columns()], axis=2)
@@ -67,14 +67,14 @@ def _with_own(recording: Recording, approach: Approach) -> Recording:
 
 
 class _Fitted(NamedTuple):
-    """A fit of the noise, and how likely it is with the priors of a localisation's errors, nats."""
+    """A noise fit and its log posterior in nats, with the priors of a localisation's errors."""
 
     noise: NoiseFit
     nats: float
 
 
 def _fitted(problem: Problem, components: VarianceComponents, columns: Array, length_m: float) -> _Fitted:
-    """Return the fit of the noise of largest likelihood if the truth's errors fade over a way."""
+    """Return the maximum-likelihood noise for a given correlation length of the truth's errors along the path."""
     nodes = replace(problem.nodes, memory=memory_over(problem.nodes.way_m, length_m))
     likelihood = NoiseLikelihood(nodes, components, columns, np.ones(len(nodes)))
     best = likelihood.evaluate(likelihood.maximise(likelihood.initial_guess()))

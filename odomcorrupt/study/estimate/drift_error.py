@@ -1,4 +1,4 @@
-"""The drift that a fitted model leaves, and whether another one leaves more."""
+"""Position error after 10 s that remains with a fitted model, and comparison of two models by it."""
 
 from __future__ import annotations
 
@@ -20,33 +20,34 @@ __all__ = ["Drift", "drift", "ten_second_error"]
 
 
 class Drift(NamedTuple):
-    """Squared position errors (n,) after 10 s, m^2: of windows at five phases."""
+    """Squared position errors after 10 s: one array (n,) of windows in m^2 for each of five phases."""
 
     squared: tuple[Array, ...]
 
     @property
     def rmse(self) -> float:
-        """Their root mean square, m; NaN if no window is whole."""
+        """Root mean square of the errors, m; NaN if there is no complete window."""
         together = np.concatenate(self.squared)
         return float(np.sqrt(np.mean(together))) if len(together) else float("nan")
 
     def nats_over(self, other: Drift) -> float:
-        """Return what its windows gain in log likelihood over another's, both normal in the plane and of any size.
+        """Return the log-likelihood gain (nats) over another model's drift: planar normal errors of free variance.
 
-        Phases share what they see: they count as one.
+        The phases share their data and count as one.
         """
         windows = np.mean([len(each) for each in self.squared])
         return float(2.0 * windows * np.log(other.rmse / self.rmse)) if other.rmse > 0.0 < self.rmse else 0.0
 
     def worse_than(self, other: Drift, *, factor: float, plain: float, errors: float) -> bool:
-        """Return whether it is larger than another of the same recordings by more than chance.
+        """Return whether the drift is larger than another model's on the same recordings, by more than chance.
 
-        Of a minute that has hardly any windows a true cause may well spoil some.
+        In a recording of a minute, with few windows, even the true cause may increase the error of some.
 
         Parameters
         ----------
-        factor : what it may be larger by in any case
-        plain : what it may be larger by if windows, paired one by one, show less than `errors` standard errors of it
+        factor : ratio of the RMS errors that is always allowed
+        plain : ratio that is allowed if the paired windows differ by less than `errors` standard errors
+        errors : number of standard errors of the mean paired difference that counts as significant
 
         """
         if not self.rmse > factor * other.rmse:
@@ -55,15 +56,15 @@ class Drift(NamedTuple):
         if self.rmse > plain * other.rmse or len(pairs) < len(self.squared):
             return True
         more = [a - b for a, b in pairs]
-        # phases share what they see: the mean of their errors, as if they were one
+        # phases share their data: the mean of their standard errors, as of one phase
         deviation = np.mean([np.std(d, ddof=1) / np.sqrt(len(d)) for d in more])
         return bool(np.mean([np.mean(d) for d in more]) > errors * deviation)
 
 
 def drift(fitted: Fit, *, truths_scaled: bool = False) -> Drift:
-    """Return how far odometry drifts in 10 s, a fit's effects taken out, on the fitted recordings themselves.
+    """Return the drift after 10 s of odometry corrected by a fit's effects, on the fitted recordings themselves.
 
-    truths_scaled : whether the scale errors that the fit sees in the truths (a laser's) are taken out of these, too
+    truths_scaled : whether to correct the truths (a laser's) by the scale errors that the fit estimates for them
     """
     left = [with_recomputed_headings(recording) for recording in fitted.problem.left]
     if truths_scaled:
@@ -73,7 +74,7 @@ def drift(fitted: Fit, *, truths_scaled: bool = False) -> Drift:
 
 
 def _scaled(recording: Recording, factor: float) -> Recording:
-    """Return a recording with all lengths of its truth multiplied."""
+    """Return a recording with all lengths of its truth multiplied by a factor."""
     return replace(recording, truth=replace(recording.truth, xyt=recording.truth.xyt * (factor, factor, 1.0)))
 
 

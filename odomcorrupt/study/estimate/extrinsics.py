@@ -1,4 +1,4 @@
-"""Find where the truth's tracked point sits: like the clocks, a property of the set-up and not of the robot."""
+"""Estimate the mounting of the truth's tracked point: like the clocks, a property of the set-up, not of the robot."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _LEVEL = 1e-4
 
 
 def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) -> tuple[Effect, ...]:
-    """Return lever arm and mounting yaw, to be free in every fit, where the truth is that of a sensor on the robot.
+    """Return lever arm and mounting yaw as effects to free in every fit, if the truth comes from a sensor on the robot.
 
-    Where a laser sits is never known as well as its scans show it. Those among the effects beside are left out.
+    The scans determine a laser's mounting better than it is ever measured. Effects in `beside` are left out.
     """
     kinds = registry()
     aboard = any(r.positioned and (r.matched or r.truth.relative) for r in recordings)
@@ -40,10 +40,10 @@ def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) 
 def find_setup(
     recordings: Sequence[Recording], effects: Sequence[Effect], clocks: Clocks, approach: Approach
 ) -> tuple[Effect, ...]:
-    """Return lever arm and mounting yaw of all recordings together, those that are really there.
+    """Return the significant ones of lever arm and mounting yaw, shared by all recordings.
 
-    They are estimated with the usual systematic effects free beside them, which are then forgotten. One that is not
-    significant, that makes the drift larger, or that is aliased with an effect that is asked for, is left out.
+    They are estimated with the usual systematic effects free, which are then discarded. One that is not significant,
+    that increases the drift, or that is aliased with a requested effect is left out.
     """
     kinds = registry()
     asked = {name for effect in effects for name in (effect.name, effect.twin_of)}
@@ -74,5 +74,5 @@ def find_setup(
 
 
 def _plausible(effect: Effect) -> bool:
-    """Return whether it is well within its bounds: what runs to their edge makes up for something else."""
+    """Return whether an effect is within half its bounds: one near a bound compensates for another cause."""
     return all(2.0 * abs(getattr(effect, p.name)) < p.high for p in amplitudes(effect))

@@ -1,7 +1,7 @@
-"""Fit a whole model: effects, clocks, noise coefficients and truth noise, together.
+"""Joint fit of a whole model: effects, clocks, noise coefficients and truth noise.
 
-Gauss-Newton on the systematic part, with the noise refitted at every iteration: effects and clocks are taken out of the
-data exactly at their present values, the rest is one linear step, until steps are small against their errors.
+Gauss-Newton on the systematic part, with the noise refitted at every iteration. Effects and clocks are removed from
+the data exactly at their current values; a linear step follows, until steps are small against their standard errors.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["Fit", "carried", "design_matrix", "fit", "orthonormal"]
 
 _ROUNDS = 6
 _NEAR, _SMALL = 2.0, 0.1
-"""Steps within so many standard errors leave robust weights as they are, and end the search."""
+"""Step sizes in standard errors below which the robust weights are kept, and below which the iteration ends."""
 
 
 class NextStart(NamedTuple):
@@ -49,14 +49,14 @@ class NextStart(NamedTuple):
 class Fit:
     """A fitted model of some recordings.
 
-    components : the law's covariances on the problem's nodes
-    problem : the recordings with the fitted effects and clocks taken out; nothing linear is left in its residual
+    components : the noise law's covariances on the problem's intervals
+    problem : the recordings with the fitted effects and clocks removed; nothing linear is left in its residual
     random : random coefficients in the model
     noise : coefficients, truth noise, innovations and likelihood
     standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
-    clock_errors : (R, 2) of the clocks' offsets and rates; 0 where a clock was not free
+    clock_errors : (R, 2) standard errors of the clocks' offsets and rates; 0 if a clock was not free
     free_clocks : (R, 2) whether offset and rate of each recording's clock were free
-    onward : effects and clocks after the last step, which the problem is without because it is small
+    onward : effects and clocks after the last step, which is small and not yet applied to the problem
     """
 
     problem: Problem
@@ -80,7 +80,7 @@ class Fit:
 
     @cached_property
     def design_matrix(self) -> Array:
-        """Columns (K, 3, q) of everything that was free: the effects' amplitudes first, then clocks."""
+        """Columns (K, 3, q) of all free linear parameters: the effects' amplitudes first, then clocks."""
         return design_matrix(self.problem, self.free_clocks)
 
     @cached_property
@@ -102,9 +102,9 @@ class Fit:
         Parameters
         ----------
         effects, random : systematic effects at their starting values, and random ones; default those of this fit
-        weights : (K,) robust weights to keep, so that likelihoods can be compared; default estimated again
-        clocks : (R,) to start from, and to stay at where they are not free
-        free_clocks : (R, 2), default as in this fit
+        weights : (K,) robust weights to keep, so that likelihoods can be compared; default: re-estimated
+        clocks : (R,) starting values of the clocks, kept for those that are not free
+        free_clocks : (R, 2) whether offset and rate are free; default: as in this fit
 
         """
         problem = self.problem
@@ -122,7 +122,7 @@ class Fit:
 
     @property
     def wald(self) -> dict[str, float]:
-        """Wald's statistic of each effect: chi-square with as many degrees as it has amplitudes if it did nothing."""
+        """Wald statistic of each effect; chi-square under the null, with one degree of freedom per amplitude."""
         statistics = {}
         position = 0
         for effect in self.effects:
@@ -148,14 +148,14 @@ def fit(
     nearly: bool = False,
     known: Problem | None = None,
 ) -> Fit:
-    """Fit effects (from the values they have), clocks (offset, rate) where free, and noise.
+    """Fit effects (starting at their present values), the clocks' free offsets and rates, and the noise.
 
     random : random coefficients in the model, with their parameters
     start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
-    nearly : end before a step within two standard errors: it is in `onward`, and nobody looks at what it leaves
-    known : an earlier problem of the same recordings; what is the same of it is not computed again
+    nearly : end at a step within two standard errors, found in `onward`; for callers that do not use the residuals
+    known : an earlier problem of the same recordings; its unchanged parts are reused
     """
-    # a random effect is included or left out, never estimated here
+    # a random effect is included with its given parameters, never estimated here
     random = [*random, *(e for e in effects if e.name in CORRELATED_NOISE)]
     bursts = any(e.name == "slip_burst" for e in effects)
     effects = [e for e in effects if e.kind != "noise"]
@@ -185,7 +185,7 @@ def fit(
         if not np.any(np.abs(step) > (_NEAR if nearly else _SMALL) * errors):
             break
         if not np.any(np.abs(step) > _NEAR * errors):
-            # so near the end nobody becomes an outlier or ceases to be one
+            # this close to convergence, the set of outliers no longer changes
             weights = noise.weights
     own = sum(len(amplitudes(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
@@ -204,7 +204,7 @@ def fit(
 
 
 def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
-    """Return the columns (K, 3, q) of everything that is free: effects first, then clocks."""
+    """Return the columns (K, 3, q) of all free linear parameters: effects first, then clocks."""
     free = led(np.asarray(free_clocks), clock_leaders(problem.recordings))
     parts = [problem.columns(effect) for effect in problem.effects]
     if free.any():
@@ -213,13 +213,13 @@ def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | A
 
 
 def orthonormal(white: Array) -> Array:
-    """Return an orthonormal basis (n, c) of what columns (n, c) span."""
+    """Return an orthonormal basis (n, c) of the space spanned by columns (n, c)."""
     basis: Array = np.linalg.qr(white)[0] if white.shape[1] else white
     return basis
 
 
 def carried(weights: Array, before: Problem, now: Problem) -> Array:
-    """Return the weights (K,) that nodes had on those of now: a clock that moves may win or lose one, or shift them."""
+    """Return robust weights (K,) transferred to the current nodes: a clock step may add, remove or shift nodes."""
     if np.array_equal(before.nodes.start_s, now.nodes.start_s):
         return weights
     carried = np.ones(len(now.nodes))
@@ -234,7 +234,7 @@ def carried(weights: Array, before: Problem, now: Problem) -> Array:
 
 
 def _made(before: Sequence[Effect], after: Sequence[Effect], theta: Array) -> Array:
-    """Return the steps that were really made: a parameter at its bound moves no farther."""
+    """Return the parameter steps as applied: a parameter at its bound moves no farther."""
     own = [(getattr(a, p.name) - getattr(b, p.name)) for b, a in zip(before, after, strict=True) for p in amplitudes(b)]
     return np.concatenate((np.array(own, dtype=np.float64), theta[len(own) :]))
 

@@ -1,9 +1,9 @@
-"""Intervals: truth samples half a second or so apart, and the odometry between them.
+"""Intervals between truth samples (nodes) about half a second apart, with the odometry between them.
 
-Between two neighbouring nodes the odometry says U, the truth says D, and e = log(D^-1 U) is what the model must
-explain. Everything that happens at a single odometry step in between (a systematic error, a draw of noise) is carried
-to the end of its interval exactly: an error of heading rotates the rest of the path. The truth is never
-interpolated, because that would change its noise; the odometry is (it is smooth between its samples).
+Between two neighbouring nodes the odometry measures the motion U, the truth D, and the residual is e = log(D^-1 U).
+An error at a single odometry step (systematic, or a draw of noise) is propagated exactly to the end of its interval:
+an error of heading rotates the rest of the path. The truth is never interpolated, because that would change its
+noise. The odometry is interpolated; it is smooth between its samples.
 """
 
 from __future__ import annotations
@@ -42,21 +42,21 @@ __all__ = [
 ]
 
 GAP_S = 3.0
-"""An interval longer than this many times the spacing is a gap in the truth and explains nothing."""
+"""Multiple of the node spacing above which an interval is a gap in the truth and is not used."""
 TURN_M = 0.3
-"""Way of which a turn by one radian changes what a localisation sees as much, metres."""
+"""Travel that changes a localisation's view as much as a turn by one radian, metres."""
 _MOST_MEMORY = 0.97
-"""Correlation of errors of the truth at two nodes at most: those of one place would be the same."""
+"""Upper limit of the correlation of the truth's errors at two nodes; it would be 1 at the same place."""
 LEAST_NODES = 20
-"""Fewer intervals than this cannot carry a fit of anything."""
+"""Minimum number of intervals for a fit."""
 
 
 def pick_nodes(
     truth_s: Array, first_s: float, last_s: float, spacing_s: float, among: NDArray[np.bool_] | None = None
 ) -> NDArray[np.int64]:
-    """Return indices of truth samples in [first, last], each at least about `spacing_s` behind the one before.
+    """Return indices of truth samples in [first, last], each at least about `spacing_s` after the previous one.
 
-    among : (n,) which samples may be picked, all by default
+    among : (n,) mask of the samples that may be picked; all by default
     """
     usable = (truth_s >= first_s) & (truth_s <= last_s)
     inside = np.flatnonzero(usable if among is None else usable & among)
@@ -76,22 +76,22 @@ class Intervals:
     start_s, end_s : (K,) times of an interval's ends since the recording's origin, seconds
     truth_xyt : (K, 3) truth pose at the start
     truth_step : (K, 3) D, the truth's motion over the interval in the frame of its start
-    odometry_step : (K, 3) U, the odometry's
+    odometry_step : (K, 3) U, the odometry's motion over the interval in the frame of its start
     residual : (K, 3) e = log(D^-1 U): along, across (m), yaw (rad), in the frame of the interval's end
-    linked : (K,) whether the interval starts at the node where the one before it ended, and shares its error
+    linked : (K,) whether the interval starts at the end node of the previous one, and so shares its truth error
     first : (K,) index of each interval's first step
-    source, share : (n,) which increment of the odometry a step is of, and which part of it
-    axis : (n, 2) forward axis of the step's middle, seen from the interval's end
+    source, share : (n,) index of the odometry increment that contains a step, and the step's fraction of it
+    axis : (n, 2) forward axis of the step's middle, in the frame of the interval's end
     lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
-    start_shape, end_shape : (K, 3, 3) shape of the truth's noise at both ends, in its axes there: of a usual pose the
-        position's part is near the identity, the heading's near one
-    way_m : (K,) way over each interval as a localisation has it: travel, and turns by what they change of the view
-    memory : (K,) correlation of the truth's errors at both ends of an interval, 0 where they are independent
-    field : (K, 5) errors of the truth where some belong to places: independent and by place (m, rad each), and how much
-        alike the latter are at both ends; 0 where none do
-    localised : (K,) whether the truth is a localisation's
+    start_shape, end_shape : (K, 3, 3) covariance of the truth at both ends, in the pose's axes, relative to that of a
+        usual pose: about the identity for position, about 1 for heading
+    way_m : (K,) path over each interval for a localisation: travel plus turns times `TURN_M`
+    memory : (K,) correlation of the truth's errors at both ends of an interval, 0 if they are independent
+    field : (K, 5) for a truth with spatially correlated errors: deviations of the independent and the spatial errors
+        (m, rad each), and the spatial correlation between both ends; 0 otherwise
+    localised : (K,) whether the truth is a localisation
     random_walk_level : (K,) factor on the deviation of the truth's random_walk
-    start_unseen, end_unseen : (K, 3, 3) what is added at both ends along axes on which the truth knows nothing, m^2
+    start_unseen, end_unseen : (K, 3, 3) covariance added at both ends along axes that the truth does not measure, m^2
     """
 
     start_s: Array
@@ -123,23 +123,23 @@ class Intervals:
 
     @property
     def distance_m(self) -> Array:
-        """Travel over each interval (K,), metres, as the odometry has it."""
+        """Travel over each interval (K,), metres, according to the odometry."""
         return np.hypot(self.odometry_step[:, 0], self.odometry_step[:, 1])
 
     def column(self, error: Array) -> Array:
-        """Return (K, 3): what errors (n0, 3) of the odometry's increments, at their mid heading, do to the residual."""
+        """Return the residual's change (K, 3) due to errors (n0, 3) of the odometry's increments at mid heading."""
         column = np.empty((len(self), 3))
         for i, row in enumerate(self._carried(error)):
             column[:, i] = 0.0 if row is None else np.add.reduceat(row, self.first)
         return column
 
     def carried(self, error: Array) -> Array:
-        """Return (3, n): what errors (n0, 3) of the odometry's increments do to the residual, step by step."""
+        """Return the residual's change (3, n) due to errors (n0, 3) of the odometry's increments, for each step."""
         nothing = np.zeros(len(self.source))
         return np.stack([nothing if row is None else row for row in self._carried(error)])
 
     def _carried(self, error: Array) -> tuple[Array | None, Array | None, Array | None]:
-        """Return the rows (n,) of `carried`, None where nothing moves."""
+        """Return the rows (n,) of `carried`, None for rows that are zero."""
         along, across, yaw = (np.take(part, self.source) * self.share if part.any() else None for part in error.T)
         (c, s), (ahead, left) = self.axis.T, self.lever.T
         x, y = (None, None) if along is None else (c * along, s * along)
@@ -150,13 +150,13 @@ class Intervals:
         return x, y, yaw
 
     def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
-        """Return (K, 3, 3): the covariance of the residual that a law puts on the odometry's increments."""
+        """Return the residuals' covariance (K, 3, 3) due to a noise law on the odometry's increments."""
         return self.spread(law, variances(law, k, steps), steps)
 
     def spread(self, law: Law, v: Variances, steps: Increments) -> Array:
-        """Return (K, 3, 3): the covariance of the residual from variances of the increments that follow a law."""
+        """Return the residuals' covariance (K, 3, 3) due to given variances of the increments' rot1, trans and rot2."""
         total = np.zeros((3, 3, len(self)))
-        # a turn spread over the step swings its end as one made half-way
+        # a turn spread over the step moves its end as much as a turn at the step's middle
         for weight, lever in ((v.rot1, self.lever if law.arc else self.lever0), (v.rot2, self.lever1)):
             if weight.any():
                 self._add_outer(total, weight, -lever[:, 1], lever[:, 0], turns=True)
@@ -170,7 +170,7 @@ class Intervals:
         return np.ascontiguousarray(np.moveaxis(total, 2, 0))
 
     def _add_outer(self, total: Array, weight: Array, x: Array, y: Array, *, turns: bool = False) -> None:
-        """Add to (3, 3, K) what noise of a variance (n0,) on each increment does along (x, y, 1 if it turns)."""
+        """Add to `total` (3, 3, K) the covariance of noise of variance (n0,) on each increment along (x, y, turns)."""
         w = weight[self.source] * self.share
         wx, wy = w * x, w * y
         products = {(0, 0): wx * x, (0, 1): wx * y, (1, 1): wy * y}
@@ -184,7 +184,7 @@ class Intervals:
 
 
 def _added(row: Array | None, more: Array) -> Array:
-    """Return the sum of both, in the place of the first."""
+    """Return the sum of both arrays, computed in place in the first."""
     return more if row is None else np.add(row, more, out=row)
 
 
@@ -194,7 +194,7 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
     Raises
     ------
     RecordingError
-        Where odometry and truth do not overlap, or too little of them does.
+        If odometry and truth do not overlap, or overlap too little.
 
     """
     truth_s = recording.truth.seconds_since(recording.origin_ns)
@@ -212,10 +212,10 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
 
 
 def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray[np.int64]:
-    """Return indices of the nodes: `spacing_s` apart, or what is usually driven in that time for a localised truth.
+    """Return indices of the nodes, `spacing_s` apart; for a localisation, the path usually driven in that time apart.
 
-    Errors of a localisation depend on what it sees: while the robot stands or creeps they stay the same. The way is the
-    truth's, so that nodes are the same for all models.
+    Errors of a localisation depend on its view and stay the same while the robot stands or creeps. The path length is
+    computed from the truth, so that nodes are the same for all models.
     """
     first_s, last_s = recording.odometry_s[[0, -1]]
     if not recording.localised:
@@ -228,7 +228,7 @@ def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray
 
 
 def count_nodes(recording: Recording, spacing_s: float) -> int:
-    """Return how many intervals `lay_nodes` would find."""
+    """Return the number of intervals that `lay_nodes` would find."""
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     if np.count_nonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])) < 2:
         return 0
@@ -237,7 +237,7 @@ def count_nodes(recording: Recording, spacing_s: float) -> int:
 
 
 def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> Intervals:
-    """Return the intervals between the picked truth samples; `kept` names the ones wanted (default: all)."""
+    """Return the intervals between picked truth samples; `kept` has the indices of those to return (default all)."""
     odometry, truth = recording.odometry, recording.truth
     origin_ns = recording.origin_ns
     odo_s = recording.odometry_s
@@ -246,7 +246,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         kept = np.arange(len(picked) - 1)
     cut = cut_at(odometry, odo_s, node_s, origin_ns)
     all_s, all_xyt, at_node = cut.t_s, cut.xyt, cut.at_node
-    interval = np.repeat(np.arange(len(node_s) - 1), np.diff(at_node))  # of the step that starts there
+    interval = np.repeat(np.arange(len(node_s) - 1), np.diff(at_node))  # index of the interval of each step
     position = np.full(len(node_s), -1)
     position[kept] = np.arange(len(kept))
     used = np.flatnonzero(position[interval] >= 0)
@@ -302,14 +302,14 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
 
 
 def memory_over(way_m: Array, correlation_m: float) -> Array:
-    """Return the correlation (K,) of a truth's errors over ways (K,): exponential, and never quite 1."""
+    """Return the correlation (K,) of a truth's errors over path lengths (K,): exponential, at most `_MOST_MEMORY`."""
     if correlation_m <= 0.0:
         return np.zeros(len(way_m))
     return np.minimum(np.exp(-way_m / correlation_m), _MOST_MEMORY)
 
 
 def _field_over(field: TruthField | None, truth_step: Array) -> Array:
-    """Return the errors (n, 5) of `Intervals.field` over motions (n, 3) of the truth."""
+    """Return `Intervals.field` (n, 5) for motions (n, 3) of the truth."""
     if field is None:
         return np.zeros((len(truth_step), 5))
     alike = np.exp(-0.5 * np.sum(truth_step[:, :2] ** 2, axis=1) / field.length_m**2)
@@ -320,7 +320,7 @@ def _field_over(field: TruthField | None, truth_step: Array) -> Array:
 def join(parts: Sequence[Intervals], before: Sequence[int]) -> Intervals:
     """Return the intervals of several recordings as one chain with breaks between them.
 
-    before : how many increments of odometry come before those of each; stretches of one run share theirs
+    before : offset of each recording's increments in the joint array; stretches of one run have the same offset
     """
     n1 = np.concatenate(([0], np.cumsum([len(p.source) for p in parts])))
     joined = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Intervals)}
@@ -330,11 +330,11 @@ def join(parts: Sequence[Intervals], before: Sequence[int]) -> Intervals:
 
 
 class Cut(NamedTuple):
-    """The odometry between the first and the last of some nodes, cut at each of them.
+    """The odometry between the first and the last node, with a pose inserted at each node.
 
-    t_s, xyt : (n,) seconds and (n, 3) poses, nodes among them
-    at_node : where the nodes stand in it
-    source : (n,) index of the increment that begins there, of the odometry as it was
+    t_s, xyt : (n,) seconds and (n, 3) poses, including the nodes
+    at_node : indices of the nodes in them
+    source : (n,) index of the original odometry increment that contains the step starting at each pose
     """
 
     t_s: Array
@@ -344,11 +344,11 @@ class Cut(NamedTuple):
 
 
 def cut_at(odometry: Trajectory, odo_s: Array, node_s: Array, origin_ns: int) -> Cut:
-    """Cut the odometry at nodes: both lie in order of time already, so nothing need be sorted."""
+    """Return the odometry cut at the nodes; both have to be in order of time."""
     source = np.searchsorted(odo_s, node_s, side="right") - 1
     first, last = source[0] + 1, np.searchsorted(odo_s, node_s[-1], side="left")
     between_them = np.arange(first, last)
-    # a node that falls on a sample takes its place
+    # a node at the time of a sample replaces it
     twice = source[(odo_s[source] == node_s) & (source >= first) & (source < last)]
     between_them = np.delete(between_them, twice - first)
     at_node = np.searchsorted(between_them, source, side="right") + np.arange(len(node_s))
@@ -363,10 +363,10 @@ def cut_at(odometry: Trajectory, odo_s: Array, node_s: Array, origin_ns: int) ->
 
 
 def _noise_shape(covariance: Array | None, count: int) -> tuple[Array, Array]:
-    """Return covariances (n, 3, 3) of poses over those of a usual pose, position and heading apart, and unseen axes.
+    """Return two (n, 3, 3): covariances relative to the median pose's (position, heading), and those of unseen axes.
 
-    The level of the former is estimated. What is added where nothing is known along an axis is not: an estimate of it
-    would only repeat what was guessed there.
+    The level of the former is estimated later. The covariance added along an axis that the truth does not measure is
+    not: it is an assumption, not data.
     """
     unseen = np.zeros((count, 3, 3))
     if covariance is None:
@@ -385,7 +385,7 @@ def _noise_shape(covariance: Array | None, count: int) -> tuple[Array, Array]:
 
 
 def _quarter(xy: Array) -> Array:
-    """Turn vectors (..., 2) by +90 degrees: what a small turn at their foot does to their head."""
+    """Return vectors (..., 2) rotated by +90 degrees: the derivative of a vector with respect to its heading."""
     return np.stack((-xy[..., 1], xy[..., 0]), axis=-1)
 
 
@@ -393,7 +393,7 @@ def _log(xyt: Array) -> Array:
     """Return the twist (n, 3) whose exponential is a pose (n, 3)."""
     turn = wrap(xyt[:, 2])
     half = turn / 2.0
-    # V^-1 = half cot(half) I - half J, even where half is 0
+    # V^-1 = half cot(half) I - half J, also for half = 0
     cot = np.cos(half) / np.sinc(half / np.pi)
     xy = cot[:, None] * xyt[:, :2] - half[:, None] * _quarter(xyt[:, :2])
     return np.concatenate((xy, turn[:, None]), axis=1)

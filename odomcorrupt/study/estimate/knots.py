@@ -1,4 +1,4 @@
-"""Knots of a random process after whitening: where they act, and what data lose along them."""
+"""Knots of a random process after whitening, and the projection of data onto them."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ __all__ = ["Shrunk", "WhitenedKnots"]
 
 @dataclass(frozen=True, slots=True)
 class WhitenedKnots:
-    """L^-1 S of a sparse S (3 K, k), which fades behind each knot: blocks of columns over the rows where they are.
+    """L^-1 S of a sparse S (3 K, k), stored as blocks of columns over the rows in which they are not negligible.
 
-    A knot acts between its neighbours alone, and L^-1 forgets. Dense columns would be read in full for every product.
+    A knot acts only between its neighbours, and L^-1 decays after it. Dense columns would slow down every product.
 
     blocks : first row, first knot, and values (rows, knots) of each block
-    count : k
+    count : number of knots k
     """
 
     blocks: tuple[tuple[int, int, Array], ...]
     count: int
 
     def inner(self, other: WhitenedKnots) -> Array:
-        """Return S' V^-1 T (k, l) with other knots T, whitened alike."""
+        """Return S' V^-1 T (k, l) with other knots T, whitened by the same factor."""
         inner = np.zeros((self.count, other.count))
         for row, knot, own in self.blocks:
             for later, there, values in other.blocks:
@@ -47,15 +47,14 @@ class WhitenedKnots:
 
 @dataclass(frozen=True, slots=True)
 class Shrunk:
-    """Orthonormal directions L^-1 S M of whitened residuals along which a process makes them shrink.
+    """Orthonormal directions L^-1 S M along which a random process shrinks whitened residuals.
 
-    They are never multiplied out: that would take as much memory as hundreds of columns, and most of the time of
-    everything that is whitened.
+    They are never multiplied out: that would need the memory of hundreds of columns and most of the time of whitening.
 
-    knots : L^-1 S (3 K, k), what each knot of a process does to each whitened residual
-    mixing : M (k, m) of the knots, for each direction
-    factors : (m,) by which whitened data shrink along them
-    taken : (k, k) what data lose of each knot for what they have of another
+    knots : L^-1 S (3 K, k), contribution of each knot of a process to each whitened residual
+    mixing : M (k, m), weights of the knots in each direction
+    factors : (m,) by which whitened data shrink along the directions
+    taken : (k, k) M (I - factors) M'
     """
 
     knots: WhitenedKnots
@@ -65,11 +64,11 @@ class Shrunk:
 
     @classmethod
     def along(cls, knots: WhitenedKnots, mixing: Array, factors: Array) -> Self:
-        """Return the directions of knots and their mixing, with what is lost along them."""
+        """Return the directions given by knots and mixing, with the matrix `taken` computed."""
         return cls(knots, mixing, factors, (mixing * (1.0 - factors)) @ mixing.T)
 
     def lost(self, white: Array) -> Array:
-        """Return what data (3 K, c) that are whitened by the band alone lose along the directions."""
+        """Return the part that shrinkage along the directions removes from band-whitened data (3 K, c)."""
         lost, of_knots = np.zeros(white.shape, order="F"), self.taken @ self.knots.products(white)
         for row, knot, values in self.knots.blocks:
             lost[row : row + len(values)] += values @ of_knots[knot : knot + values.shape[1]]

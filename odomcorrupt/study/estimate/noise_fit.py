@@ -1,9 +1,9 @@
-"""Fit of the noise: coefficients and the truth's own noise by maximum likelihood, outliers down-weighted.
+"""Maximum-likelihood fit of the noise coefficients and of the truth noise, with outliers down-weighted.
 
-Beside random coefficients, what these explain must not be counted again as noise of every step: the process is drawn
-from its posterior and taken out, and the noise of the rest is fitted, a few times over. A draw, unlike the posterior's
-mean, leaves exactly the noise that is there: stochastic EM (Celeux & Diebolt 1985, Computational Statistics Quarterly
-2, section 2).
+If the model has random coefficients, the variation they explain must not be counted again as noise of each step. The
+process is drawn from its posterior and subtracted, and the noise of the rest is fitted, over a few iterations. A draw,
+unlike the posterior mean, leaves the right amount of noise: stochastic EM (Celeux & Diebolt 1985, Computational
+Statistics Quarterly 2, section 2).
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ __all__ = ["CHANCE", "OUTLIER", "NoiseStart", "fit_noise", "fit_noise_beside", "
 
 _ROBUST_ROUNDS = 5
 CHANCE, _SIGNAL = 0.002, 0.05
-"""Parts of the nodes: as many suspects as chance makes, and so many that they are no outliers."""
+"""Shares of outliers among the nodes: no more than chance produces; too many to be outliers."""
 OUTLIER = float(chi2.isf(2e-4, 3))
-"""A node whose squared innovations sum to more is a suspect: one in 5000 is by chance, so trimming biases nothing."""
+"""Sum of squared innovations above which a node is an outlier: 1 in 5000 by chance, so trimming adds no bias."""
 _MOST_ROUNDS = 8
 _SETTLED = 0.03
-"""Change of a logarithm at which the rounds end; draws alone move it by about as much."""
+"""Change of a log coefficient at which the rounds end: about as large as the scatter between draws."""
 _FAINT = 1e-4
-"""Noise smaller than this hardly matters, and its logarithm may be anything."""
+"""Noise below this is negligible; its logarithm is not tested for convergence."""
 _SEED = 20261121
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseStart:
-    """Where a fit of the noise starts, and how critically it looks at outliers.
+    """Initial values of a noise fit, and its treatment of outliers.
 
-    free : (m,) from an earlier fit, see `NoiseFit.free`; default an initial guess
-    weights : (K,) robust weights to keep, so that likelihoods can be compared; default estimated
-    elsewhere : whether `free` is of a fit with other columns, so that the maximum near it is no better than a guess
-    bursts : whether bursts are known of, so that any number of outliers are outliers
+    free : (m,) from an earlier fit, see `NoiseFit.free`; default: an initial guess
+    weights : (K,) robust weights to keep, so that likelihoods can be compared; default: estimated
+    elsewhere : whether `free` is from a fit with other columns; then the fit is also tried from revived coefficients
+    bursts : whether the model has slip bursts; then any number of outliers is accepted
     """
 
     free: Array | None = None
@@ -62,12 +62,12 @@ class NoiseStart:
 def fit_noise(
     nodes: Intervals, components: VarianceComponents, columns: Array, start: NoiseStart, *, headings: bool = True
 ) -> NoiseFit:
-    """Return coefficients and truth noise of maximum likelihood; columns (K, 3, m) are free linear terms throughout.
+    """Return maximum-likelihood coefficients and truth noise; columns (K, 3, m) are free linear terms throughout.
 
-    Intervals whose innovations are too large to be chance get a larger covariance of their own, monotonously, and the
-    fit is repeated: slips and gross errors of the truth then do not pass for ordinary noise. Where that would be more
-    than a few intervals in a hundred they are signal, and the fit is left plain, unless bursts are known of. Without
-    headings the truth's heading noise is held flat.
+    Intervals with innovations too large for chance get a larger covariance, which never shrinks again, and the fit is
+    repeated: slips and gross errors of the truth are then not fitted as noise. If more than a few per cent of the
+    intervals are outliers they are signal, and the fit without weights is returned, unless `start.bursts` is set.
+    If the truth has no headings, its heading noise is held at a large constant.
     """
     ones = np.ones(len(nodes))
     weights = start.weights
@@ -77,7 +77,7 @@ def fit_noise(
     elif weights is not None:
         free = likelihood.maximise(start.free)
     else:
-        # what has died while much else was still wrong may live now
+        # a coefficient that fell to zero while effects were still wrong may be non-zero now
         free = likelihood.maximise(likelihood.revived(start.free))
         free = likelihood.restart(free) if start.elsewhere else free
     plain = done = likelihood.evaluate(free)
@@ -97,7 +97,7 @@ def fit_noise(
 def fit_noise_beside(
     problem: Problem, components: VarianceComponents, columns: Array, random: Sequence[Effect], start: NoiseStart
 ) -> NoiseFit:
-    """Return the noise fitted to what random coefficients leave, see `fit_noise`."""
+    """Return the noise fitted to the residuals without the random coefficients' part, see `fit_noise`."""
     nodes, headings, weights = problem.nodes, problem.headings, start.weights
     if random and start.free is not None:
         even = np.ones(len(nodes)) if weights is None else weights
@@ -120,7 +120,7 @@ def fit_noise_beside(
 
 
 def without_process(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> Intervals:
-    """Return the intervals with a draw of what random coefficients did taken out: the noise of every step is left."""
+    """Return the intervals with a posterior draw of the random coefficients subtracted; the step noise is left."""
     if not random:
         return problem.nodes
     root = joined([root_of(effect, problem) for effect in random])
@@ -129,12 +129,12 @@ def without_process(noise: NoiseFit, problem: Problem, columns: Array, random: S
 
 
 def _normals(root: Root) -> Array:
-    """Return what the rounds draw from, one row each: the same for the same process."""
+    """Return standard normal draws, one row per round; always the same for the same process."""
     return np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, root.mixing.shape[1]))
 
 
 def _drawn(noise: NoiseFit, problem: Problem, columns: Array, root: Root, normal: Array) -> Array:
-    """Return (K, 3): a draw from the posterior of what the processes did to the residuals."""
+    """Return a posterior draw (K, 3) of the processes' contribution to the residuals."""
     whiten, mixing = noise.whitener.whiten, root.mixing
     r, design, knots = whiten(problem.nodes.residual), whiten(columns), noise.whitener.knots(root.spread)
     factor = cholesky(np.eye(mixing.shape[1]) + mixing.T @ knots.inner(knots) @ mixing, lower=True)

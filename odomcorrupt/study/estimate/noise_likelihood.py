@@ -1,9 +1,9 @@
-"""The likelihood as a function of the noise: evaluated and maximised, everything linear estimated on the way.
+"""Likelihood of the residuals as a function of the noise parameters, and its maximisation; linear terms are profiled.
 
 The maximum is found by Newton steps with the average information, within a box and a trust region. The average of
 observed and expected information needs no second derivatives and is never negative; near the maximum its steps are
-nearly Newton's (Gilmour, Thompson & Cullis 1995, Biometrics 51, 1440). It changes slowly, so it is computed again only
-where steps do not gain what they promise.
+nearly Newton's (Gilmour, Thompson & Cullis 1995, Biometrics 51, 1440). It changes slowly, so it is recomputed only
+after a step whose gain differs from the predicted one.
 """
 
 from __future__ import annotations
@@ -42,41 +42,41 @@ if TYPE_CHECKING:
 __all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseLikelihood", "by_column", "estimated"]
 
 LOWEST = 1e-5
-"""A coefficient this small is none."""
+"""Lower bound of the coefficients, treated as zero."""
 HIGHEST = 10.0
 _LOW, _HIGH = np.log(LOWEST), np.log(HIGHEST)
 _TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
 _TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
 _USUAL, _SPREAD = np.log(np.array([0.02, 0.01])), 0.7
-"""Errors of a localisation, m and rad: their usual size, and the standard deviation of its logarithm. Particle filters
-with likelihood fields (as nav2_amcl) in two simulated rooms, cells of 2.5 to 10 cm, 500 to 2000 particles, alphas of
-0.05 to 0.2 and updates after 0.1 or 0.25 m, erred by 1.3 to 4 cm and 0.4 to 1.4 deg; slam_toolbox errs by 1 cm (the
-ordinary laboratory's protocol). Without it a perfect localisation on a noisy robot may be as likely as the reverse."""
+"""Prior of a localisation's errors, m and rad: median, and standard deviation of its logarithm. Particle filters with
+likelihood fields (as nav2_amcl) in two simulated rooms, with cells of 2.5 to 10 cm, 500 to 2000 particles, alphas of
+0.05 to 0.2 and updates after 0.1 or 0.25 m, had errors of 1.3 to 4 cm and 0.4 to 1.4 deg; slam_toolbox has 1 cm (the
+ordinary laboratory's protocol). Without it a perfect localisation of a noisy robot may be as likely as the reverse."""
 _NO_RANDOM_WALK = 2e-6
 _STEP = 1e-4
 _NATS, _PROFILE_NATS = 1e-4, 1e-3
-"""The iteration ends where its next step would gain less."""
+"""Predicted gain of the next step, nats, below which the iteration ends; the second value is for profiles."""
 _DEAD, _FAINT = 1e-4, 1e-3
-"""Noise this small has no slope to be found again by; and where a coefficient is started again."""
+"""Coefficient below which the likelihood has no gradient, and the value from which such a coefficient is restarted."""
 _MOST_STEPS = 60
 _FAR, _NEAREST = 3.0, 1e-3
 """Largest and smallest trust region, in logarithms."""
 _AS_PROMISED = 0.2
-"""A step that gains its promise within this part needs no new information."""
+"""Relative error of a step's predicted gain up to which the information matrix is kept."""
 _RIDGE = 1e-6
 _SWEEPS, _STILL = 40, 1e-3
 _BENDS = (0.7, 3.0)
-"""Bounds of the curvature along a step over that of the information."""
+"""Bounds of the ratio of the curvature along a step to that of the information matrix."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFit:
-    """Fitted noise, and the likelihood it leaves.
+    """Fitted noise with its log likelihood (nats).
 
-    theta, theta_covariance : estimates of the columns that were free, and their covariance
-    weights : (K,) factor on each node's covariance; above 1 where a robust fit saw an outlier
-    innovations : (3 K,) standardised, columns taken out
-    free : (m,) logarithms of the fitted quantities, to start the next fit from
+    theta, theta_covariance : estimates of the free columns' parameters (q,), and their covariance (q, q)
+    weights : (K,) factor on each interval's covariance; above 1 for outliers of a robust fit
+    innovations : (3 K,) whitened residuals without the fitted columns
+    free : (m,) logarithms of the fitted noise parameters, to start the next fit from
     """
 
     coefficients: Coefficients
@@ -92,24 +92,24 @@ class NoiseFit:
 
 @dataclass(frozen=True, slots=True)
 class _Box:
-    """Bounds (m,) of the maximisation; a number whose bounds meet is held."""
+    """Bounds (m,) of the maximisation; a parameter with equal bounds is held."""
 
     low: Array
     high: Array
 
 
 class NoiseLikelihood:
-    """The likelihood of residuals for any noise: the covariance is a weighted sum of bands that are laid out once.
+    """Likelihood of residuals for given noise; the covariance is a weighted sum of bands that are computed once.
 
     Parameters
     ----------
     nodes : the residuals of K intervals
-    components : what each coefficient of the law contributes to their covariance
+    components : contribution of each coefficient of the law to their covariance
     columns : (K, 3, m)
-        Linear terms, free throughout.
+        Columns of free linear parameters.
     weights : (K,)
         Robust factors on each interval's covariance.
-    headings : whether the truth has any; if not, its heading noise is held flat
+    headings : whether the truth has headings; if not, its heading noise is held at a large constant
 
     """
 
@@ -119,7 +119,7 @@ class NoiseLikelihood:
         if not components.active:
             raise FitError("the odometry never moves; a noise law has nothing to act on")
         self._nodes, self._components, self._weights, self._headings = nodes, components, weights, headings
-        # whatever LAPACK is given lies in memory as it wants it: column by column, a band's column at a time
+        # arrays for LAPACK are in Fortran order, bands included
         self._stacked = by_column(np.concatenate((nodes.residual[:, :, None], columns), axis=2))
         bands = [band_of(*odometry_piece(nodes, part * weights[:, None, None])) for part in components.parts()]
         bands += [band_of(*piece) for piece in truth_pieces(nodes)]
@@ -129,7 +129,7 @@ class NoiseLikelihood:
         self._localised = bool(nodes.localised.all())
 
     def initial_guess(self) -> Array:
-        """Return noise (m,) where truth and odometry each explain a fair part of the residual."""
+        """Return noise parameters (m,) with which truth and odometry each explain part of the residual."""
         scale = np.median(np.abs(self._nodes.residual), axis=0)
         truth = np.clip(np.array([scale[:2].mean() / 2.0, scale[2] / 2.0, 1e-4]), 1e-4, 0.1)
         if not self._headings:
@@ -137,7 +137,7 @@ class NoiseLikelihood:
         return np.concatenate((np.full(len(self._components.active), np.log(0.02)), np.log(truth)))
 
     def evaluate(self, free: Array) -> NoiseFit:
-        """Return the fit at given noise, columns estimated by generalised least squares."""
+        """Return the fit at given noise parameters, with columns estimated by generalised least squares."""
         coefficients, truth = self._unpack(free)
         white = factored(self._band(self._shares(free)), self._rho)
         k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
@@ -156,35 +156,35 @@ class NoiseLikelihood:
         return estimated(blank, white, self._stacked)
 
     def posterior(self, noise: NoiseFit) -> float:
-        """Return the log likelihood of a fit with the prior of a localisation's errors, nats; others have none."""
+        """Return the log posterior of a fit, nats: its log likelihood plus the log prior of a localisation's errors."""
         apart = (noise.free - self._usual(noise.free)) / _SPREAD
         return noise.log_likelihood - 0.5 * float(apart @ apart)
 
     def _usual(self, free: Array) -> Array:
-        """Return noise (m,) that the prior prefers; where it says nothing, the noise itself."""
+        """Return the prior median (m,) of the noise parameters; those without a prior keep their value."""
         usual = free.copy()
         if self._localised:
             usual[-3:-1] = _USUAL
         return usual
 
     def maximise(self, free: Array, *, fixed: int | None = None) -> Array:
-        """Return the noise (m,) of largest likelihood from a start; with one number held, nearly so (for a profile)."""
+        """Return the noise (m,) of largest posterior from a start; less precisely with one held (for a profile)."""
         active = len(self._components.active)
         low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
         high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
         if not self._headings:
             low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
-        if self._rho is not None or self._localised:  # errors that come back do not accumulate
+        if self._rho is not None or self._localised:  # mean-reverting errors do not accumulate
             high[-1] = low[-1]
         if fixed is not None:
             low[fixed] = high[fixed] = free[fixed]
         return self._ascend(np.clip(free, low, high), _Box(low, high), _NATS if fixed is None else _PROFILE_NATS)
 
     def restart(self, free: Array) -> Array:
-        """Return the better of a maximum (m,) and the one that is reached from where no coefficient is nearly zero.
+        """Return the better of a maximum (m,) and the one reached from a start without near-zero coefficients.
 
-        Noise of travel, of turns and a random walk of the truth look alike at one speed, and the first steps may put a
-        coefficient where nothing pulls it back.
+        Noise of travel, of turns and a random walk of the truth are aliased at constant speed, and early steps may
+        reduce a coefficient to where the likelihood has no gradient.
         """
         if not np.any(free[: len(self._components.active)] < np.log(_DEAD)):
             return free
@@ -194,16 +194,16 @@ class NoiseLikelihood:
         return other if self.posterior(self.evaluate(other)) > self.posterior(self.evaluate(free)) else free
 
     def revived(self, free: Array) -> Array:
-        """Return noise (m,) of which nothing is nearly zero: there the likelihood has no slope to be found again by."""
+        """Return noise (m,) with near-zero coefficients raised to where the likelihood has a gradient."""
         active = len(self._components.active)
         coefficients, truth = free[:active], free[active:]
         lively = np.where(coefficients < np.log(_DEAD), np.log(_FAINT), coefficients)
         return np.concatenate((lively, np.maximum(truth, np.log(_DEAD))))
 
     def slope(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
-        """Return the slope (m,) of the log likelihood in the numbers that may move; the columns may be held meanwhile.
+        """Return the gradient (m,) of the log posterior in the movable parameters, with the columns held.
 
-        With p = V^-1 r, it is half of p' dV p - trace(V^-1 dV), and dV lies in the band.
+        With p = V^-1 r, it is half of p' dV p - trace(V^-1 dV), plus the prior's; dV is inside the band.
         """
         factor = done.whitener.factor
         pull, _ = lapack.dtbtrs(factor, done.innovations, uplo="L", trans="T")
@@ -211,14 +211,14 @@ class NoiseLikelihood:
         for below in range(BAND + 1):
             count = len(pull) - below
             lever[below, :count] += pull[below:] * pull[:count]
-        # what lies below the diagonal stands for what lies above it, too
+        # entries below the diagonal also count for those above it
         lever[0] *= 0.5
         by_band = self._bands @ np.ascontiguousarray(lever.T).ravel()
         prior = (self._usual(done.free) - done.free) / _SPREAD**2
         return np.array([by_band @ self._share_slope(done.free, i) + prior[i] for i in movable])
 
     def information(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
-        """Return the average information (m, m) of the numbers that may move.
+        """Return the average information (m, m) of the movable parameters.
 
         Gilmour, Thompson & Cullis 1995, Biometrics 51, eq. 5: half of (dV p)' P (dV p), with p = P r.
         """
@@ -237,7 +237,7 @@ class NoiseLikelihood:
         return information
 
     def _ascend(self, begin: Array, box: _Box, enough: float) -> Array:
-        """Return the maximum reached from a beginning, to within a step that promises less than `enough` nats."""
+        """Return the maximum reached from `begin`; ends when the next step's predicted gain is below `enough` nats."""
         movable = np.flatnonzero(box.low < box.high)
         done, reach, bend = self.evaluate(begin), _FAR, 1.0
         slope, information, fresh = (self.slope(done, movable), self.information(done, movable), True)
@@ -247,7 +247,7 @@ class NoiseLikelihood:
             step = _best_step(slope, bend * information, *room)
             promise = float(slope @ step - 0.5 * bend * step @ information @ step)
             if promise < enough:
-                # the information is fresh, or its last promise was kept
+                # the information is fresh, or its last prediction was right
                 break
             free = done.free.copy()
             free[movable] += step
@@ -256,7 +256,7 @@ class NoiseLikelihood:
             if gain > 0.0:
                 done, before, slope = new, slope, self.slope(new, movable)
                 reach = min(2.0 * reach, _FAR)
-                # outliers bend the maximum more than the average information says
+                # outliers make the curvature at the maximum larger than the average information
                 bend = float(np.clip((before - slope) @ step / (step @ information @ step), *_BENDS))
                 if abs(gain - promise) < _AS_PROMISED * promise:
                     fresh = False
@@ -275,7 +275,7 @@ class NoiseLikelihood:
         return np.concatenate((self._components.shares(coefficients), truth_weights(truth)))
 
     def _share_slope(self, free: Array, i: int) -> Array:
-        """Return by how much every band's weight changes with one number."""
+        """Return the derivative of every band's weight by parameter `i`."""
         more, less = free.copy(), free.copy()
         more[i] += _STEP
         less[i] -= _STEP
@@ -283,16 +283,16 @@ class NoiseLikelihood:
         return slope
 
     def _sum(self, shares: Array) -> Array:
-        """Return the bands, weighed and summed."""
+        """Return the weighted sum of the bands."""
         summed: Array = (shares @ self._bands).reshape(self._floor.shape[::-1]).T
         return summed
 
     def _band(self, shares: Array) -> Array:
-        """Return the covariance as a band."""
+        """Return the covariance as a lower band (6, 3 K)."""
         return self._sum(shares) + self._floor
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
-        """Return coefficients (7,) and truth noise; what sits on its lower bound is exactly zero."""
+        """Return coefficients (7,) and truth noise; a coefficient at its lower bound is exactly zero."""
         active = self._components.active
         coefficients = np.zeros(len(NAMES))
         log_k = free[: len(active)]
@@ -304,13 +304,13 @@ class NoiseLikelihood:
 
 
 def _best_step(slope: Array, information: Array, low: Array, high: Array) -> Array:
-    """Return the step (m,) to the top of a parabola within bounds that hold zero."""
+    """Return the step (m,) to the maximum of a quadratic within bounds that contain zero."""
     whole = information + _RIDGE * np.eye(len(slope))
     step = np.linalg.solve(whole, slope)
     inside: Array = np.clip(step, low, high)
     if np.array_equal(inside, step):
         return inside
-    # coordinate by coordinate: each as far as the others, where they are now, let it
+    # coordinate descent: maximise over each parameter with the others held
     for _ in range(_SWEEPS):
         before = inside.copy()
         for i in range(len(slope)):
@@ -322,12 +322,12 @@ def _best_step(slope: Array, information: Array, low: Array, high: Array) -> Arr
 
 
 def by_column(columns: Array) -> Array:
-    """Return columns (K, 3, c) as (3 K, c), each of them dense in memory."""
+    """Return columns (K, 3, c) as (3 K, c), each contiguous in memory."""
     return np.asfortranarray(columns.reshape(-1, columns.shape[2]))
 
 
 def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
-    """Return a fit with its linear part estimated again; stacked (3 K, 1 + m) is the residual and the columns."""
+    """Return a fit with its linear part re-estimated; `stacked` (3 K, 1 + m) is the residual and the columns."""
     whitened = white.whitened(stacked)
     r, b = whitened[:, 0], whitened[:, 1:]
     theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
@@ -346,7 +346,7 @@ def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
 
 
 def _inverse(normal: Array) -> Array:
-    """Return the inverse of a normal matrix whose columns have very different units; twins share what they carry."""
+    """Return the pseudo-inverse of a normal matrix, scaled for mixed units; aliased columns share their estimate."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     both = np.outer(scale, scale)
     inverse: Array = np.linalg.pinv(normal * both, rcond=1e-10, hermitian=True) * both

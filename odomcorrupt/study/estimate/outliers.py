@@ -1,4 +1,4 @@
-"""Events: single stretches that a robust fit would not take for noise, and whether they are slips of the wheels."""
+"""Outlier events: stretches that a robust fit flags as larger than noise, and whether they are wheel slips."""
 
 from __future__ import annotations
 
@@ -29,41 +29,41 @@ __all__ = ["Event", "during", "events", "odd_steps", "set_apart", "single_events
 
 _FEWEST = 6
 _LEVEL = 0.02
-"""Chance that so many ordinary steps that are large by chance would all lose distance: six of six is less."""
+"""Significance level of the sign test that events lose distance; met by six of six."""
 _LEVEL_ALONE, _NEARLY_ALL = 0.05, 0.9
-"""The same chance for ranks, where events carry so much of the squared error that they are slips or tails."""
+"""Level of the signed-rank test, and share of the squared error in events from which it is used: slips or tails."""
 _OTHERWISE, _MOST_SLIP = 2.0, 0.75
-"""Factor by which bursts of the usual length have to lose too little or too much for another; and the largest slip."""
+"""Ratio of lost distances beyond which the duration or slip of bursts is adjusted; and the largest slip."""
 _ODD = 2e-4
-"""Chance of an ordinary step that stands out."""
+"""Probability that an ordinary step is flagged as an outlier."""
 _HARDLY = 100.0
-"""How much wider the noise of what is set apart may be."""
+"""Factor on the covariance of intervals that are excluded from a fit."""
 _PLAINLY_ODD, _MOST_SINGLE = 12.0, 5
-"""How far a single event stands out at least, see `Event.plain`, and how many there may be in a study."""
+"""Minimum size of a single event, see `Event.plain`, and maximum number of single events in a study."""
 _SAME_EVENT = 4
-"""Intervals that stand out belong to one event where they are no farther apart than so many."""
+"""Maximum index distance of flagged intervals that belong to one event."""
 _LASTS = 0.5
 _EXCURSION_S, _CANCELS = 45.0, 0.4
-"""How long an excursion of the truth may last; and what may be left of it once it is back, in parts of its size."""
+"""Maximum duration of an excursion of the truth, and maximum remainder after its return, as a fraction of its size."""
 _TURNS, _SEVERAL = 0.7, 0.25
-"""Turn times track over what was lost along, 2 for one wheel and 0 for both; part of the slips that say so."""
+"""Ratio of turn times track to distance lost (2 if one wheel slips, 0 for both); share of slips that decides."""
 _PLAIN = 2.0
-"""How much more one wheel has lost than the other where it is plain which one slipped."""
+"""Minimum ratio of the wheels' lost distances that identifies the wheel that slipped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """A stretch in which odometry and truth part at once.
+    """A stretch in which odometry and truth suddenly diverge.
 
-    start_s, end_s : since the recording's origin
-    along_m, yaw_rad : by how much odometry goes farther (forwards) and turns more to the left than the truth
-    slip : the part of the distance that was lost, positive where the truth falls behind; of the wheel that lost more,
-        where the track is known; 0 where it is not known
-    turn_rad : how far the odometry turned meanwhile, to the left
-    lasting : whether odometry and truth stay apart; where the truth alone jumped, they come together again
-    across_m : by how much odometry goes more to the left than the truth
-    place_xy : where the truth is when it begins, m
-    plain : how far odometry and truth part, in usual residuals of one interval
+    start_s, end_s : times since the recording's origin, seconds
+    along_m, yaw_rad : odometry minus truth, forwards and counter-clockwise
+    slip : fraction of the distance that was lost, positive if the truth falls behind; of the wheel that lost more if
+        the track is known; 0 if that wheel cannot be identified
+    turn_rad : turn of the odometry during the event, counter-clockwise
+    lasting : whether the difference remains; after a jump of the truth it disappears again
+    across_m : odometry minus truth, to the left
+    place_xy : position of the truth at the start, m
+    plain : size of the difference in usual residuals of one interval
     """
 
     recording: str
@@ -80,20 +80,20 @@ class Event:
 
 
 def events(fit: Fit) -> list[Event]:
-    """Return the stretches that a robust fit flagged in order of time, neighbours taken together."""
+    """Return the stretches flagged by a robust fit in order of time, neighbouring intervals merged."""
     return _events_of(fit, np.flatnonzero(fit.noise.weights > 1.0))
 
 
 def single_events(fit: Fit) -> list[Event]:
-    """Return what happened once and is no noise: a push, a lift, a bump; nothing where there are many of the kind.
+    """Return single events that are not noise: a push, a lift, a bump; an empty list if there are too many.
 
-    They are left out of the fit, which weighs them less the farther they stand out. Who lifts a robot often hides it
-    from the truth as well, so gaps of the truth are looked at, too.
+    The fit down-weights them by their size. A robot that is lifted is often hidden from the truth as well, so gaps of
+    the truth are included.
     """
     flagged, run = _standing_out(fit), fit.problem.run
     parted = (np.diff(flagged) > _SAME_EVENT) | (np.diff(run[flagged]) != 0)
     groups = np.split(flagged, np.flatnonzero(parted) + 1) if len(flagged) else []
-    # between two moments of a push are others that stand out less
+    # a push also contains intervals that are not flagged
     whole = [np.arange(group[0], group[-1] + 1) for group in groups]
     found = [event for event in _described(fit, whole) if event.lasting]
     found = [event for event in (*found, *_across_gaps(fit)) if event.plain > _PLAINLY_ODD]
@@ -112,7 +112,7 @@ def single_events(fit: Fit) -> list[Event]:
 
 
 def _joined(first: Event, second: Event) -> Event:
-    """Return an event and the one that follows it at once, such as what a gap of the truth hides, as one."""
+    """Return an event merged with the one that follows immediately, such as one across a gap of the truth."""
     turned = np.asarray(first.turn_rad - first.yaw_rad)
     along_m, across_m = rotate(np.array([second.along_m, second.across_m]), turned).tolist()
     return replace(
@@ -127,7 +127,7 @@ def _joined(first: Event, second: Event) -> Event:
 
 
 def _across_gaps(fit: Fit) -> list[Event]:
-    """Return every gap of the truth as an event: how far odometry and truth part from its one end to the other."""
+    """Return each gap of the truth as an event: difference of odometry and truth from one end to the other."""
     problem, nodes, found, usual = fit.problem, fit.problem.nodes, [], _usual(fit)
     for r, (recording, clock) in enumerate(zip(problem.recordings, problem.clocks, strict=True)):
         own = np.flatnonzero(problem.run == r)
@@ -140,7 +140,7 @@ def _across_gaps(fit: Fit) -> list[Event]:
         true = between(truth_xyt, nodes.truth_xyt[gaps])
         said = between(left.odometry.at(begin, left.origin_ns), left.odometry.at(end, left.origin_ns))
         apart = np.column_stack((rotate(said[:, :2] - true[:, :2], -true[:, 2]), wrap(said[:, 2] - true[:, 2])))
-        # noise grows with the root of time, and that of the heading swings the way since the gap began
+        # noise grows with the square root of time, and heading noise displaces the path since the gap began
         spread = usual * np.sqrt(np.maximum((end - begin) / problem.approach.spacing_s, 1.0))[:, None]
         spread[:, :2] += (spread[:, 2] * np.hypot(said[:, 0], said[:, 1]))[:, None]
         plain = np.linalg.norm((apart / spread)[:, : 3 if problem.headings else 2], axis=1)
@@ -164,17 +164,17 @@ def _across_gaps(fit: Fit) -> list[Event]:
 
 
 def odd_steps(fit: Fit) -> list[Event]:
-    """Return the stretches that stand out: the flagged ones, or where they were too many to set apart, the same ones.
+    """Return outlier stretches: those flagged by the robust fit, or by a robust scale if they were too many for it.
 
-    The fit is plain then and its noise is as wide as they are, so most of the others say what is usual. What happened
-    once says nothing of noise, see `single_events`.
+    In the latter case the fit has no weights and its noise includes the outliers, so the scale is the median of all
+    intervals. Single events are left out because they are not noise, see `single_events`.
     """
     flagged = _standing_out(fit)
     return _events_of(fit, flagged[~during(fit, single_events(fit))[flagged]])
 
 
 def set_apart(fit: Fit) -> Array:
-    """Return the weights (K,) of a fit in which the stretches that stand out hardly count."""
+    """Return weights (K,) for a fit in which outlier intervals have almost no influence."""
     weights = np.ones(len(fit.problem.nodes))
     weights[_standing_out(fit)] = _HARDLY
     return weights
@@ -189,7 +189,7 @@ def _standing_out(fit: Fit) -> NDArray[np.int64]:
 
 
 def _usual(fit: Fit) -> Array:
-    """Return the usual residual (3,) of an interval; infinite for travel where no truth measured it (gyros alone)."""
+    """Return the robust scale (3,) of an interval's residual; infinite for travel if the truth is a gyro alone."""
     usual: Array = 1.4826 * np.median(np.abs(fit.problem.nodes.residual), axis=0) + 1e-12
     if not any(recording.positioned for recording in fit.problem.recordings):
         usual[:2] = np.inf
@@ -207,7 +207,7 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     found = []
     for group in groups:
         step, heading = nodes.odometry_step[group], nodes.truth_xyt[group, 2] + nodes.truth_step[group, 2]
-        # in the frame of its beginning: while a robot turns, what is off ahead comes back from the side
+        # sum in the frame of the event's first interval, because the robot may turn
         residual = nodes.residual[group].copy()
         residual[:, :2] = rotate(residual[:, :2], heading - heading[0])
         apart = np.linalg.norm(residual.sum(axis=0) / usual)
@@ -233,10 +233,10 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
 
 
 def _comes_back(fit: Fit, group: NDArray[np.int64], flagged: NDArray[np.int64], usual: Array) -> bool:
-    """Tell whether a stretch that stands out is one side of an excursion of the truth: the way out, or the way back.
+    """Return whether an outlier stretch is the start or the end of an excursion of the truth.
 
-    A localisation that loses its way, or fixes that are floating, come back to where they were some time later (or
-    have just done so). Odometry that was pushed away stays there.
+    A lost localisation or floating RTK fixes return to the true position some time later. After a push, the difference
+    to the odometry remains.
     """
     nodes, run = fit.problem.nodes, fit.problem.run
     heading = nodes.truth_xyt[:, 2] + nodes.truth_step[:, 2]
@@ -256,7 +256,7 @@ def _comes_back(fit: Fit, group: NDArray[np.int64], flagged: NDArray[np.int64], 
 
 
 def _slip(lost: Array, path: Array, track_m: float | None) -> float:
-    """Return the part of its distance that a wheel lost, from what odometry moved and turned too far, and in all."""
+    """Return the fraction of distance lost, with a known track by the wheel that lost more; 0 if that is ambiguous."""
     if track_m is None:
         return _part(float(lost[0]), float(path[0]))
     lost_by, gone = rims_of(lost[0], lost[2], track_m), rims_of(path[0], path[2], track_m)
@@ -272,11 +272,11 @@ def _part(lost: float, path: float) -> float:
 
 
 def slip_bursts(fit: Fit) -> Effect | None:
-    """Return bursts of slip where the events are slips: the truth falls behind in nearly all of them.
+    """Return a slip_burst effect if the events are slips: the truth falls behind in nearly all of them; else None.
 
-    Outliers of the truth and tails of the noise are on both sides. Where the events are nearly all of the error, the
-    large ones say it (signed ranks: Wilcoxon 1945, Biometrics Bulletin 1), whatever the small ones beside them do. A
-    burst lasts as long as it takes to lose what was lost.
+    Outliers of the truth and heavy tails of the noise have both signs. If the events are nearly all of the error, a
+    signed-rank test is used as well (Wilcoxon 1945, Biometrics Bulletin 1), in which large events count more. The
+    duration of a burst follows from the distance lost.
     """
     lasting = [event for event in odd_steps(fit) if event.lasting and event.slip != 0.0]
     slips = np.array([event.slip for event in lasting])
@@ -292,10 +292,10 @@ def slip_bursts(fit: Fit) -> Effect | None:
     nodes = fit.problem.nodes
     seconds = float(np.sum(nodes.end_s - nodes.start_s))
     spacing = fit.problem.approach.spacing_s
-    # a burst is shorter than the stretch it was found in: its slip there is spread over all of it
+    # a burst is shorter than the stretch in which it was found, over which its slip is averaged
     duration = 0.5 * spacing
     slip = float(np.median(slips[slips > 0.0])) * spacing / duration
-    # a stretch in which the truth rested or reversed asks for more than a burst can lose
+    # a stretch in which the truth rested or reversed would need more slip than is possible
     bounds = {p.name: (p.low, p.high) for p in parameters(registry()["slip_burst"])}
     slip = float(np.clip(slip, *bounds["slip"]))
     rims = _rims(nodes.truth_step[:, 0], nodes.truth_step[:, 2], track_m)
@@ -313,7 +313,7 @@ def slip_bursts(fit: Fit) -> Effect | None:
 
 
 def _times_lost(slip: float) -> float:
-    """Return how far a wheel spins beside what it rolls meanwhile, RMS over bursts spread evenly about a mean slip."""
+    """Return the RMS ratio of spinning to rolling distance over bursts with slips uniform about a mean."""
     spread = min(slip, _MOST_SLIP - slip)
     low, high = slip - spread, slip + spread
     if high - low < 1e-6:
@@ -323,24 +323,24 @@ def _times_lost(slip: float) -> float:
 
 
 def _rims(along: Array, turn: Array, track_m: float | None) -> Array:
-    """Return (2, n): what the right wheel and the left one travel; the robot itself where the track is not known."""
+    """Return the travel (2, n) of the right and the left wheel; the robot's travel if the track is unknown."""
     return np.stack(rims_of(along, turn, track_m or 0.0))
 
 
 def _lost(event: Event, track_m: float | None) -> float:
-    """Return the distance (m, positive) by which odometry and truth part in an event, of the wheel that parts more."""
+    """Return the absolute difference (m) of odometry and truth in an event, for the wheel with the larger one."""
     return float(np.abs(_rims(np.array([event.along_m]), np.array([event.yaw_rad]), track_m)).max())
 
 
 def _is_the_error(fit: Fit, stretches: Sequence[Event]) -> bool:
-    """Tell whether stretches that stand out are nearly all of the squared error of a fit."""
+    """Return whether the given stretches contain nearly all of the squared error of a fit."""
     inside = during(fit, stretches)
     square = np.sum((fit.problem.nodes.residual / _usual(fit)) ** 2, axis=1)
     return bool(square[inside].sum() > _NEARLY_ALL * square.sum())
 
 
 def during(fit: Fit, stretches: Sequence[Event]) -> NDArray[np.bool_]:
-    """Return which intervals (K,) of a fit lie within some stretches."""
+    """Return a mask (K,) of the fit's intervals inside the given stretches."""
     nodes, run = fit.problem.nodes, fit.problem.run
     inside = np.zeros(len(nodes), dtype=bool)
     for r, recording in enumerate(fit.problem.recordings):
@@ -351,7 +351,7 @@ def during(fit: Fit, stretches: Sequence[Event]) -> NDArray[np.bool_]:
 
 
 def _words(slips: Sequence[Event], track_m: float | None) -> dict[str, str]:
-    """Return which wheels slip, and whether they turn the odometry: one of them alone does, or both in a turn."""
+    """Return the `sides` and `heading` parameters of slip_burst: which wheels slip, and what measures the heading."""
     yaw, along, turn, slip = (
         np.array([getattr(e, n) for e in slips]) for n in ("yaw_rad", "along_m", "turn_rad", "slip")
     )

@@ -1,9 +1,9 @@
-"""How the errors of a fitted robot's parameters hang together.
+"""Correlation matrix of the estimation errors of a fitted model's parameters.
 
-What is fitted as a mean (effects) and what is fitted as a spread (noise) have errors that are independent to first
-order: a Gaussian likelihood's information matrix has no block between the two. So there are two blocks: the effects'
-from the normal equations, clocks and mountings left free; the noise's from the curvature of the profile likelihood
-in the logarithms of the coefficients, the truth's own noise left free.
+The errors of mean parameters (effects) and of variance parameters (noise) are independent to first order: the
+information matrix of a Gaussian likelihood has no block between the two. So there are two blocks. That of the effects
+comes from the normal equations, with clocks and mountings free. That of the noise comes from the curvature of the
+profile likelihood in the logarithms of the coefficients, with the noise of the truth free.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 __all__ = ["fit_correlation"]
 
 _STEP = 0.05
-"""Of a logarithm: far enough for the likelihood's own rounding, near enough for a parabola."""
+"""Step of a finite difference in a log coefficient: above the likelihood's rounding, within its parabola."""
 
 
 def fit_correlation(fitted: Fit, columns: Array, known: Container[str]) -> Correlation:
-    """Return the correlations of what a model's file has errors for.
+    """Return the correlations between the parameters for which a model file has standard errors.
 
-    columns : (K, 3, q) of the fit, see `Fit.design_matrix`
-    known : names of the standard errors that are kept
+    columns : (K, 3, q) design matrix of the fit, see `Fit.design_matrix`
+    known : names of the standard errors that the file keeps
     """
     names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
     effects = fitted.noise.theta_covariance[: len(names), : len(names)]
@@ -47,9 +47,9 @@ def fit_correlation(fitted: Fit, columns: Array, known: Container[str]) -> Corre
 
 
 def _noise_covariance(fitted: Fit, columns: Array) -> tuple[list[str], Array]:
-    """Return the names of the coefficients that are not zero, and the covariance (n, n) of their logarithms.
+    """Return the names of the non-zero coefficients and the covariance (n, n) of their logarithms.
 
-    All zeros, which says nothing, where the likelihood has no maximum there.
+    The covariance is all zeros (unknown) if the likelihood has no maximum at the fitted values.
     """
     active, best = fitted.components.active, fitted.noise.free
     positions = [i for i in range(len(active)) if best[i] > np.log(LOWEST) + 1.0]
@@ -66,7 +66,7 @@ def _noise_covariance(fitted: Fit, columns: Array) -> tuple[list[str], Array]:
         return likelihood.evaluate(free).log_likelihood
 
     top = value()
-    # noise of the truth whose size does not matter is none that could be mistaken for something
+    # a truth noise whose size does not change the likelihood is correlated with no coefficient
     truth = range(len(active), len(best))
     chosen = positions + [i for i in truth if value((i, _STEP)) < top and value((i, -_STEP)) < top]
     curvature = np.zeros((len(chosen), len(chosen)))

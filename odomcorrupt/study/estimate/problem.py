@@ -1,7 +1,7 @@
-"""The regression problem: recordings with the effects and clocks of a model taken out, and the columns of the rest.
+"""The regression problem: recordings with a model's effects and clocks removed, and columns for parameter changes.
 
-Effects are undone exactly (increments are corrected and composed again, stamps shifted), never to first order; what is
-left is linear in small changes of the parameters, and each change is one regressor column.
+Effects are undone exactly (increments are corrected and composed again, stamps shifted), never to first order. The
+residual is then linear in small changes of the parameters, and each parameter has one column.
 """
 
 from __future__ import annotations
@@ -32,15 +32,14 @@ if TYPE_CHECKING:
 __all__ = ["Problem", "by_column", "pose_problem", "undo"]
 
 _TRUE_MOTION = ("acceleration", "x", "y", "theta", "distance")
-"""What effects read of the true motion; speeds they read of the odometry's."""
+"""Fields of the motion that effects read from the true motion; speeds they read from the odometry."""
 
 
 def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmoother | None = None) -> Recording:
-    """Return the recording with the effects taken out of its odometry: u = u' + f(u'), composed from the same start.
+    """Return the recording with the effects removed from its odometry: u = u' + f(u'), composed from the same start.
 
-    Speeds are those of the increments. What some effects read of the true motion itself (accelerations, places) comes
-    from the smooth motion of the odometry (of `smoother`, where there is one already) and from the recorded truth,
-    which is at hand here.
+    Speeds are those of the increments. Fields of the true motion that some effects read (accelerations, places) come
+    from the smooth motion of the odometry (of `smoother`, if given) and from the recorded truth.
     """
     if not effects:
         return recording
@@ -49,7 +48,7 @@ def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmo
     reading = any(effect.reads_truth for effect in effects)
     if reading and smoother is None:
         smoother = MotionSmoother([recording], "odometry")
-    # a force accelerates the body, not the wheels: accelerations are taken again from what the first pass left
+    # a force accelerates the body, not the wheels: a second pass takes accelerations from the corrected odometry
     for again in range(2 if reading else 1):
         if smoother is not None and reading:
             smooth = smoother.motion(left) if again else smoother.recorded
@@ -68,13 +67,13 @@ def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """Recordings, effects and clocks of a model, and the intervals of what these leave.
+    """Recordings, effects and clocks of a model, and the intervals of the corrected recordings.
 
-    smoothers : per run, its recordings (several, where its truth jumped) on the truth's clock, and its smooth motion
-    left : per recording, what the effects leave of it; nothing where effects were changed to first order only
+    smoothers : per run, its recordings (several if its truth jumped) on the truth's clock, and its smooth motion
+    left : per recording, the recording with the effects removed; empty if effects were changed to first order only
     nodes : the K intervals of all recordings
-    run : (K,) which recording an interval belongs to
-    motions : per run, what drives the regressors (one entry per odometry interval)
+    run : (K,) index of the recording of each interval
+    motions : per run, the motion from which regressors are computed (one entry per odometry interval)
     """
 
     recordings: tuple[Recording, ...]
@@ -89,39 +88,39 @@ class Problem:
 
     @property
     def headings(self) -> bool:
-        """Whether the truth of every recording has headings of its own."""
+        """Whether the truth of every recording has measured headings."""
         return all(r.headed for r in self.recordings)
 
     @property
     def steps(self) -> Increments:
-        """Increments of all runs as the noise law sees them: smooth, so that noise does not count as motion."""
+        """Increments of all runs for the noise law, smoothed so that noise is not counted as motion."""
         parts = [np.stack((m.v, m.vy, m.omega)) * m.dt_s for m in self.motions]
         ds, dl, dtheta = np.concatenate(parts, axis=1)
         sideways = dl if drives_sideways(self.motions) else np.zeros_like(dl)
         return Increments(np.ascontiguousarray(ds), sideways, np.ascontiguousarray(dtheta))
 
     def columns(self, effect: Effect) -> Array:
-        """Return (K, 3, p): what a small change of each of the effect's p amplitudes does to the residuals."""
+        """Return the derivatives (K, 3, p) of the residuals by the effect's p amplitudes."""
         blocks = []
         for p in amplitudes(effect):
             error = [self._shown(effect, p, m).T * -m.dt_s for m in self.motions]
             blocks.append(self.nodes.column(np.concatenate(error, axis=1).T))
-        # an expression of numbers alone has none
+        # an expression of constants has no amplitudes
         return by_column(np.stack(blocks)) if blocks else np.zeros((len(self.nodes), 3, 0))
 
     def explained(self, effect: Effect) -> Array:
-        """Return (K, 3): what an effect as it is takes off the residuals, to first order."""
+        """Return the part (K, 3) of the residuals that an effect at its present values explains, to first order."""
         values: Array = self.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
         return values
 
     def _shown(self, effect: Effect, p: Parameter, motion: Motion) -> Array:
-        """Return the derivative (n, 3) of what the truth follows with respect to a parameter."""
+        """Return the derivative (n, 3) of the tracked point's twist with respect to a parameter."""
         slope = _slope(effect, p.name, p.step, motion)
         after = [e for e in self.effects if _follows(e) and not (_follows(effect) and e.name <= effect.name)]
         return followed(after, motion, slope)
 
     def clock_columns(self) -> Array:
-        """Return (K, 3, 2 R): offset and rate of each of the R runs' clocks; a shared one is its first run's."""
+        """Return columns (K, 3, 2 R) of offset and rate of R recordings' clocks; a shared clock is the first one's."""
         kinds = registry()
         both = np.concatenate([self.columns(kinds[name]()) for name in ("time_offset", "clock_skew")], axis=2)
         clock = np.array(clock_leaders(self.recordings))[self.run]
@@ -130,7 +129,7 @@ class Problem:
 
 
 def by_column(columns: Array) -> Array:
-    """Return columns (c, K, 3) as (K, 3, c), each of them still dense in memory, as whitening wants them."""
+    """Return columns (c, K, 3) as a view (K, 3, c), in which each column stays contiguous, as whitening needs."""
     return columns.transpose(1, 2, 0)
 
 
@@ -142,9 +141,9 @@ def pose_problem(
     approach: Approach,
     before: Problem | None = None,
 ) -> Problem:
-    """Take effects and clocks out of recordings and lay nodes over what is left.
+    """Return the regression problem of recordings with effects and clocks removed.
 
-    before : an earlier problem; what is the same of it is not computed again
+    before : an earlier problem whose unchanged parts are reused
     """
     recordings, effects = tuple(recordings), tuple(effects)
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
@@ -159,7 +158,7 @@ def pose_problem(
     left = _left(recordings, clocks, smoothers, whole)
     nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
     if approach.side == "odometry" and effects:
-        # speeds of the odometry as it was, accelerations of what is left of it
+        # speeds of the recorded odometry, accelerations of the corrected one
         again = zip(seen, smoothers, whole, strict=True)
         seen = [replace(motion, acceleration=smoother.acceleration(now)) for motion, smoother, now in again]
     first = np.cumsum([0, *(len(motion) for motion in seen)])
@@ -180,7 +179,7 @@ def pose_problem(
 def _smoothers(
     recordings: tuple[Recording, ...], clocks: tuple[Clock, ...], side: Side, before: Problem | None
 ) -> tuple[MotionSmoother, ...]:
-    """Return every run on the truth's clock with its smooth motion; an earlier problem's where clocks agree."""
+    """Return each run on the truth's clock with its smooth motion, reused from an earlier problem with equal clocks."""
     known = {}
     if before is not None and before.smoothers and before.approach.side == side:
         of_before = zip(_runs(before.recordings, before.clocks), before.smoothers, strict=True)
@@ -196,7 +195,7 @@ def _smoothers(
 
 
 def _runs(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> list[list[int]]:
-    """Return which recordings are stretches of one run: each has the odometry of the run up to an end of its own."""
+    """Return lists of recordings that are stretches of one run: each has the run's odometry from its beginning."""
     runs: list[list[int]] = []
     for i, recording in enumerate(recordings):
         own = (run for run in runs if clocks[run[0]] == clocks[i] and _one_run(recordings[run[0]], recording))
@@ -209,7 +208,7 @@ def _runs(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> list[list
 
 
 def _one_run(one: Recording, other: Recording) -> bool:
-    """Whether two recordings have the odometry of one run from its beginning."""
+    """Return whether two recordings have the odometry of the same run from its beginning."""
     if not one.clock or (one.clock, one.origin_ns, one.track_m) != (other.clock, other.origin_ns, other.track_m):
         return False
     if one.odometry is other.odometry:
@@ -220,7 +219,7 @@ def _one_run(one: Recording, other: Recording) -> bool:
 
 
 def _undone(smoother: MotionSmoother, effects: Sequence[Effect], side: Side) -> Recording:
-    """Return what effects leave of the odometry of a run."""
+    """Return a run with the effects removed from its odometry."""
     if side != "odometry" and any(effect.reads_truth for effect in effects):
         smoother = MotionSmoother(smoother.stretches, "odometry")
     return undo(smoother.recording, effects, smoother=smoother)
@@ -232,7 +231,7 @@ def _left(
     smoothers: Sequence[MotionSmoother],
     whole: Sequence[Recording],
 ) -> list[Recording]:
-    """Return each recording with what effects leave of the odometry of its run."""
+    """Return each recording with the corrected odometry of its run."""
     left = {}
     for run, smoother, undone in zip(_runs(recordings, clocks), smoothers, whole, strict=True):
         for i, stretch in zip(run, smoother.stretches, strict=True):
@@ -243,7 +242,7 @@ def _left(
 
 
 def _robots(motion: Motion, setup: Sequence[Effect]) -> Motion:
-    """Return the motion of the robot from that of what the truth follows, which is linear in it."""
+    """Return the motion of the robot from that of the tracked point, which is a linear function of it."""
     if not setup or not len(motion):
         return motion
     still = np.zeros((len(motion), 3))
@@ -253,7 +252,7 @@ def _robots(motion: Motion, setup: Sequence[Effect]) -> Motion:
 
 
 def _follows(effect: Effect) -> bool:
-    """Tell whether an effect is of what the truth follows on the robot."""
+    """Return whether an effect is a mounting of the truth's tracked point (a set-up effect other than a clock)."""
     return effect.kind == "setup" and not effect.clock
 
 

@@ -1,4 +1,4 @@
-"""Random coefficients as Gaussian processes over the intervals: columns, and the whitener that knows of them."""
+"""Random coefficients as Gaussian processes over the intervals: their columns, and a whitener that includes them."""
 
 from __future__ import annotations
 
@@ -42,25 +42,25 @@ __all__ = [
 ]
 
 CORRELATED_NOISE = ("gauss_markov", "gyro_bias_walk")
-"""Random coefficients: effects that a fit can have in its covariance."""
+"""Names of the random coefficients: effects that are part of a fit's covariance."""
 _TAUS_S = (2.0, 5.0, 15.0, 40.0)
 _LADDER_S, _STEP = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0), 1.7
-"""Correlation times between which one that is there is measured, and how far apart neighbours are at most."""
+"""Grid of correlation times, s, on which one is refined, and the largest ratio of a neighbour to the present value."""
 _QUICKEST_S = 3.0
-"""A bias that reverted sooner would hardly be separable from noise of every step."""
+"""Shortest correlation time of a bias, s; a shorter one is hardly separable from noise of each step."""
 _MOST_KNOTS = 400
 _COARSELY, FINELY = 2.0, 8.0
-"""Knots to a correlation time: a few show that a process is there, more show how rough it is."""
+"""Knots per correlation time: few suffice to detect a process, more show how rough it is."""
 _WALK_S = 20.0
 _BREAK_S = 1e3
 
 
 @dataclass(frozen=True, slots=True)
 class Root:
-    """Columns S M whose independent standard normal factors make a process.
+    """Root S M of a process's covariance: columns for independent standard normal factors.
 
-    spread : S (3 K, k) what each of its knots does to each residual, sparse
-    mixing : M (k, m) what each factor does to each knot
+    spread : S (3 K, k), contribution of each knot to each residual, sparse
+    mixing : M (k, m), contribution of each factor to each knot
     """
 
     spread: csr_array
@@ -68,17 +68,21 @@ class Root:
 
     @property
     def columns(self) -> Array:
-        """The columns (3 K, m) multiplied out."""
+        """The root S M as a dense matrix (3 K, m)."""
         columns: Array = self.spread @ self.mixing
         return columns
 
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A gain as a Gaussian process: what a unit of it does, and its correlation time; None: a walk of unit density.
+    """A gain or bias as a Gaussian process.
 
-    variance : where it is stationary, at scale 1
-    numbers : how many the penalty charges; a mean-reverting bias has one more than a walk
+    kind, fixed : the effect that it becomes in a model file, and the parameters given
+    scale : name of the effect's parameter that is the process's scale
+    unit : function that returns the error twist (n, 3) of a unit gain
+    tau : correlation time, s; None for a random walk of unit density
+    variance : stationary variance at scale 1
+    numbers : number of parameters that the penalty counts; a mean-reverting bias has one more than a walk
     """
 
     kind: type[Effect]
@@ -91,14 +95,14 @@ class Process:
 
     @property
     def mean_reverting(self) -> bool:
-        """Whether it is a mean-reverting bias."""
+        """Whether the process is a mean-reverting bias."""
         return self.tau is not None and self.unit is bias_of
 
 
 def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
-    """Return a fit of noise with random coefficients and the truth's own bias in its covariance, all else estimated.
+    """Return a noise fit with random coefficients and the truth's bias in its covariance, its linear part re-estimated.
 
-    Without either it is the same fit.
+    With neither, the same fit is returned.
     """
     if not random and not has_bias(problem) and not has_field(problem):
         return noise
@@ -111,7 +115,7 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
 
 
 def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFit:
-    """Return the same noise without random coefficients."""
+    """Return the same noise fit without random coefficients."""
     white = noise.whitener
     if white.shrunk is None:
         return noise
@@ -121,7 +125,7 @@ def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFi
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
-    """Return a whitener of the problem's residuals that knows of random coefficients and the truth's own bias, too."""
+    """Return a whitener whose covariance also includes random coefficients and the truth's bias or spatial field."""
     roots = [root_of(effect, problem) for effect in random]
     if has_bias(problem):
         roots.append(_written_out(bias_roots(problem)))
@@ -130,7 +134,7 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
     if not roots:
         return white
     root = joined(roots)
-    # of the small matrix, which is much the cheaper; what is nothing beside the noise has no direction
+    # eigenvectors of the small matrix, which is cheaper; directions negligible beside the noise are dropped
     knots = white.knots(root.spread)
     square, turned = eigh(root.mixing.T @ knots.inner(knots) @ root.mixing)
     plain = square > 1e-9 * max(float(square[-1]), 1.0)
@@ -144,31 +148,31 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
 
 
 def joined(roots: Sequence[Root]) -> Root:
-    """Return several processes as one."""
+    """Return the root of several independent processes together."""
     if len(roots) == 1:
         return roots[0]
     return Root(csr_array(hstack([root.spread for root in roots])), block_diag(*(root.mixing for root in roots)))
 
 
 def _written_out(columns: Array) -> Root:
-    """Return columns (K, 3, m) that are known one by one as such a product."""
+    """Return a root whose columns are the given ones (K, 3, m)."""
     return Root(csr_array(columns.reshape(-1, columns.shape[2])), np.eye(columns.shape[2]))
 
 
 def root_of(effect: Effect, problem: Problem) -> Root:
-    """Return columns whose independent standard normal factors make a random coefficient of its own size."""
+    """Return the root of the covariance of a random coefficient with its parameters."""
     (process,) = processes_like(effect)
     root = rooted(problem, process, FINELY)
     return Root(root.spread, getattr(effect, process.scale) * root.mixing)
 
 
 def processes() -> list[Process]:
-    """Return the processes to try; a bias that reverts very soon is hardly separable from noise of every step."""
+    """Return the candidate processes; biases with the shortest correlation time are left out, see `_QUICKEST_S`."""
     return _processes(_TAUS_S, _TAUS_S[1:])
 
 
 def _processes(taus_s: Sequence[float], biases_s: Sequence[float]) -> list[Process]:
-    """Return gains with these correlation times, a walk, and biases that come back in these times."""
+    """Return gains with correlation times `taus_s`, a random walk, and mean-reverting biases with `biases_s`."""
     kinds = registry()
     markov = [
         Process(kinds["gauss_markov"], {"tau": tau, "channel": channel}, "sigma", unit, tau)
@@ -181,7 +185,7 @@ def _processes(taus_s: Sequence[float], biases_s: Sequence[float]) -> list[Proce
 
 
 def processes_like(effect: Effect, *, beside: bool = False) -> list[Process]:
-    """Return the process of an effect, or those with correlation times about its own, too."""
+    """Return the process of an effect; with `beside`, also those with neighbouring correlation times."""
     tau_s = getattr(effect, "tau", 0.0)
     near = [t for t in _LADDER_S if tau_s / _STEP < t < tau_s * _STEP] if beside else []
     channel = getattr(effect, "channel", None)
@@ -200,22 +204,19 @@ def _turn(motion: Motion) -> Array:
 
 
 def bias_of(motion: Motion) -> Array:
-    """Return what (n, 3) a unit of a bias of the yaw rate does."""
+    """Return the error twist (n, 3) of a unit bias of the yaw rate."""
     return stacked(0.0, 0.0, 1.0, motion.v)
 
 
 def unit_column(problem: Problem, process: Process) -> Array:
-    """Return (K, 3): what a constant gain of one does to the residuals."""
+    """Return the contribution (K, 3) of a constant unit gain to the residuals."""
     return problem.nodes.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
 
 
 def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Root:
-    """Return columns whose independent standard normal factors make the process, at scale 1.
-
-    Its knots lie a correlation time over `parts` apart.
-    """
+    """Return the root of the covariance of a process at scale 1, with `parts` knots per correlation time."""
     nodes = problem.nodes
-    # runs lie far apart: a process starts again in each
+    # separate the runs in time: the process is independent in each
     time = nodes.end_s + problem.run * (float(nodes.end_s.max()) + 1e4)
     tau = process.tau
     gaps = np.diff(time)
@@ -224,7 +225,7 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Root
     knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
     prior = process.variance * np.exp(-np.abs(knots[:, None] - knots) / tau) if tau is not None else _walk(knots)
     root = cholesky(prior + 1e-9 * np.eye(len(knots)) * np.trace(prior) / len(knots), lower=True)
-    # between two neighbouring knots, both of which there are
+    # interpolate between the two neighbouring knots, both of which exist
     left = np.minimum(np.searchsorted(knots, time, side="right") - 1, len(knots) - 2)
     part = (time - knots[left]) / step
     unit, rows, left = unit_column(problem, process).ravel(), np.arange(3 * len(nodes)), np.repeat(left, 3)
@@ -234,7 +235,7 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Root
 
 
 def _walk(knots: Array) -> Array:
-    """Return the covariance of a random walk of unit density, which starts again after every long break."""
+    """Return the covariance of a random walk of unit density that restarts after each long break."""
     start = np.concatenate(([True], np.diff(knots) > _BREAK_S))
     begin = knots[np.maximum.accumulate(np.where(start, np.arange(len(knots)), 0))]
     since = knots - begin + 1.0

@@ -1,8 +1,8 @@
-"""Drives that end where they began: systematic errors from where odometry says that they ended.
+"""Systematic errors from drives that end at a known pose, usually the start, without any other truth.
 
-A square test (UMBmark: Borenstein & Feng 1996, IEEE T-RA 12(6)) by the regression that every other truth is fitted
-with: the end of each drive, seen from its start, is one interval whose residual is linear in small changes of the
-parameters, and effects are undone exactly before the next step. Any path that turns both ways serves as well.
+This is a square test (UMBmark: Borenstein & Feng 1996, IEEE T-RA 12(6)), fitted by the same regression as any other
+truth. The end of each drive, relative to its start, is one interval. Its residual is linear in small changes of the
+parameters; effects are undone exactly before the next step. Any path that turns both ways serves as well.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ if TYPE_CHECKING:
 __all__ = ["USUAL", "ReturnsFit", "closed_drive", "fit_returns"]
 
 USUAL = ("unequal_wheels", "wheelbase")
-"""What a square test measures: wheels of unequal size (E_d) and the track (E_b)."""
+"""Effects that a square test measures: wheels of unequal size (E_d) and the track (E_b)."""
 _PLACED = np.array([5e-3, 5e-3, 0.01])
-"""Standard deviations with which a robot is put back where it was, m and rad."""
+"""Standard deviations of placing a robot back at its start by hand: m, m and rad."""
 _NOISE = Coefficients(rot_rot=0.02, rot_trans=0.01, trans_trans=0.02, trans_rot=0.0)
 _ROUNDS, _STEP = 20, 1e-7
 _ALIASED = 0.99
 _ONE_WAY = 0.2
-"""Least share of all turning that is to the rarer side."""
+"""Minimum share of the total turning that is to the rarer side."""
 _PULSE_S = 1.0
 _SCATTERED = 5.0
-"""Ends that scatter so many times more than placing and usual noise make them are no ends of these drives."""
+"""Ratio of the ends' scatter to placing errors and usual noise above which the given end poses must be wrong."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReturnsFit:
     """Effects fitted to the ends of drives.
 
-    effects, standard_errors : the errors (p,) of their amplitudes in order, widened by Student's t for few drives
-    before, after : (d, 3) odometry's end less the real one, along, across (m) and yaw (rad) in the end's own frame,
-        as it came and with the effects taken out
-    spread : by what factor the ends scatter more (above 1) or less than placing and usual noise make them
+    effects, standard_errors : effects, and errors (p,) of their amplitudes in order, widened by Student's t
+    before, after : (d, 3) odometry's end minus the real one, along, across (m) and yaw (rad) in the frame of the end,
+        as recorded and with the effects removed
+    spread : ratio of the ends' scatter to that of placing errors and usual noise
     """
 
     recordings: tuple[Recording, ...]
@@ -66,9 +66,9 @@ class ReturnsFit:
 
 
 def closed_drive(name: str, odometry: Trajectory, end_xyt: Array, track_m: float | None) -> Recording:
-    """Return a drive as a recording whose truth is its two ends alone.
+    """Return a drive as a recording whose truth consists of its two end poses.
 
-    end_xyt : (3,) where it really ended, seen from where it began; zeros where it came back
+    end_xyt : (3,) real end pose relative to the start pose; zeros if the robot returned to it
     """
     start = odometry.xyt[0]
     real = compose(start, np.asarray(end_xyt, dtype=np.float64))
@@ -77,13 +77,13 @@ def closed_drive(name: str, odometry: Trajectory, end_xyt: Array, track_m: float
 
 
 def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> ReturnsFit:
-    """Fit effects to the ends of drives by generalised least squares, undoing them exactly until nothing changes.
+    """Fit effects to the ends of drives by generalised least squares, undone exactly at each iteration to convergence.
 
     Raises
     ------
     FitError
-        Where the drives do not tell the effects apart: driven one way round alone, for instance; or where the ends lie
-        farther off once the effects are taken out.
+        If the drives do not separate the effects (all driven the same way round, for instance), or if removing the
+        effects increases the error at the ends.
 
     """
     if set(USUAL) <= set(names):
@@ -135,7 +135,7 @@ def _moved(effects: Sequence[Effect], theta: Array) -> tuple[Effect, ...]:
 
 
 def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Problem:
-    """Return the ends as a regression problem, the effects taken out of the odometry."""
+    """Return the ends as a regression problem, with the effects removed from the odometry."""
     smoothers = [MotionSmoother([drive], "odometry") for drive in drives]
     left = [undo(drive, effects, smoother=smoother) for drive, smoother in zip(drives, smoothers, strict=True)]
     nodes = [intervals(drive, np.array([0, 1])) for drive in left]
@@ -153,19 +153,19 @@ def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Proble
 
 
 def _starts(steps: Sequence[int]) -> list[int]:
-    """Return how many increments come before those of each drive."""
+    """Return the index of each drive's first increment."""
     return [sum(steps[:i]) for i in range(len(steps))]
 
 
 def _covariance(problem: Problem) -> Array:
-    """Return what placing by hand and usual noise make of each end, (d, 3, 3); only its shape counts."""
+    """Return the covariance (d, 3, 3) of each end from placing by hand and usual noise, used up to a common factor."""
     noise = problem.nodes.covariance(problem.approach.law, _NOISE, problem.steps)
     whole: Array = noise + np.diag(_PLACED**2)
     return whole
 
 
 def _check_both_ways(drives: Sequence[Recording]) -> None:
-    """Refuse drives that turn to one side alone, which mixes effects up."""
+    """Refuse drives that turn almost only to one side: they do not separate the effects."""
     turned = []
     for drive in drives:
         own = drive.odometry.seconds_since(int(drive.odometry.stamps_ns[0]))
@@ -181,7 +181,7 @@ def _check_both_ways(drives: Sequence[Recording]) -> None:
 
 
 def _check(normal: Array, effects: Sequence[Effect], equations: int) -> None:
-    """Refuse ends that do not tell the effects apart."""
+    """Refuse drives whose ends do not show, or do not separate, the effects."""
     names = [f"{e.name}.{p.name}" for e in effects for p in amplitudes(e)]
     scale = np.sqrt(np.diag(normal))
     unseen = [name for name, one in zip(names, scale, strict=True) if not one > 0.0]

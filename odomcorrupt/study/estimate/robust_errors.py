@@ -1,8 +1,8 @@
-"""Robust standard errors: with the shapes free that were searched, and as blocks of the drive really vary.
+"""Robust standard errors: searched shape parameters are free, and variances are those between blocks of the drive.
 
-The fit's own errors hold shapes fixed and assume that the noise model is right. A place's edge is known to some
-centimetres only, and the slip inside moves with it; and where the noise is not quite what the law says, estimates vary
-more from block to block of the drive than they should (White 1982, Econometrica 50, by blocks).
+The fit's own errors hold shapes fixed and assume that the noise model is right. But the edge of a place is known to
+some centimetres only, and the slip inside depends on it. And if the noise law is not exact, estimates vary more between
+blocks of the drive than predicted (White 1982, Econometrica 50, by blocks).
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 __all__ = ["with_robust_errors"]
 
 _EDGE = 0.05
-"""How far a shape is moved to see what that does, in parts of its typical size: less than the path of an interval."""
+"""Step of the finite difference in a shape parameter, as a fraction of its typical size: below an interval's path."""
 
 
 def with_robust_errors(fitted: Fit, shaped: Container[str] = ()) -> Fit:
     """Return the fit with robust standard errors of its effects' amplitudes and of its clocks.
 
-    shaped : names of effects whose shapes were searched in these data, too; those of others are taken as known
+    shaped : names of effects whose shapes were searched in the same data; other shapes are taken as known
     """
     problem = fitted.problem
     design = fitted.design_matrix
@@ -47,7 +47,7 @@ def with_robust_errors(fitted: Fit, shaped: Container[str] = ()) -> Fit:
     ]
     columns = np.concatenate((design, *(_moved_shape(problem, *shape)[:, :, None] for shape in shapes)), axis=2)
     white = fitted.noise.whitener.whiten(columns)
-    # prior of a shape: about where it is, as wide as it is typically large
+    # prior of a shape: at its value, with its typical size as the standard deviation
     prior = np.diag([0.0] * design.shape[2] + [p.typical**-2.0 for _, p in shapes])
     normal = white.T @ white + prior
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -63,7 +63,7 @@ def with_robust_errors(fitted: Fit, shaped: Container[str] = ()) -> Fit:
 
 
 def _moved_shape(problem: Problem, effect: Effect, p: Parameter) -> Array:
-    """Return (K, 3): about what a unit of a shape's number does to the residuals, across edges that have no slope."""
+    """Return the derivative (K, 3) of the residuals by a shape parameter, as a finite difference across edges."""
     sides = []
     for sign in (1.0, -1.0):
         value = float(np.clip(getattr(effect, p.name) + sign * _EDGE * p.typical, p.low, p.high))
@@ -75,9 +75,9 @@ def _moved_shape(problem: Problem, effect: Effect, p: Parameter) -> Array:
 
 
 def _between_blocks(problem: Problem, pull: Array, r: Array) -> Array:
-    """Return by how much the variances (q,) of estimates are larger than the model says, at least 1.
+    """Return the ratio (q,) of the estimates' variances between blocks to those of the model, at least 1.
 
-    pull : (3 K, q) what each innovation does to each estimate
+    pull : (3 K, q) weight of each innovation `r` (3 K,) in each estimate
     """
     variance, dof = between_blocks(np.repeat(block_of(problem), 3), pull, r)
     return inflation(variance, dof, shared_variance(variance, dof))

@@ -1,4 +1,4 @@
-"""The part of a covariance's inverse that lies in its own band: what traces, and so slopes of a likelihood, need.
+"""Selected inverse: the entries of a banded covariance's inverse inside the band, for gradients of the likelihood.
 
 Takahashi's recursion runs through the Cholesky factor from the last node to the first: with C_k = (L_kk L_kk')^-1 and
 G_k = L_k+1,k L_kk^-1, the inverse's own blocks are Z_k = C_k + G_k' Z_k+1 G_k, and those below them -Z_k+1 G_k
@@ -23,11 +23,11 @@ __all__ = ["inverse_band"]
 
 _PAIRS = tuple(combinations_with_replacement(range(3), 2))
 _REACH = 11
-"""The six numbers of a block lie at most this far from those of the next."""
+"""Bandwidth of the recursion's system: the largest distance between the six numbers of a block and of the next."""
 
 
 def inverse_band(factor: Array) -> Array:
-    """Return the lower band (6, 3 K) of the inverse of a matrix whose Cholesky factor (6, 3 K) couples neighbours."""
+    """Return the lower band (6, 3 K) of the inverse of a block tridiagonal matrix from its Cholesky factor (6, 3 K)."""
     lower, below = _blocks(factor)
     own = _inverses(lower)
     g = np.einsum("imk,mjk->ijk", below, own)
@@ -64,7 +64,7 @@ def _inverses(lower: Array) -> Array:
 
 
 def _solved(g: Array, own: Array) -> Array:
-    """Return z (K, 6) of z_k = own_k + (what the congruence with g_k makes of z_k+1)."""
+    """Return z (K, 6), the solution of z_k = own_k + g_k' z_k+1 g_k, as six numbers per symmetric block."""
     count = len(own)
     # (column of the system, diagonal): transposed, it is the upper band that LAPACK expects
     system = np.zeros((count, 6, _REACH + 1))

@@ -1,8 +1,8 @@
-"""Heavy tails: whether the odd ones among the innovations are what sums of Student's t look like, and of which degree.
+"""Test for heavy-tailed noise: whether innovations are sums of Student's t draws, and of which degrees of freedom.
 
-The noise law draws once per increment and a node interval sums many of them, so its tails are lighter than those of a
-draw: the density of such a sum is the Fourier transform of the characteristic function of t (Hurst 1995; see Kotz and
-Nadarajah 2004, Multivariate t Distributions, section 2.3), taken to the power of how many there are.
+The noise law draws once per increment. An interval sums many draws, so its tails are lighter than those of one draw.
+The density of the sum is the Fourier transform of the characteristic function of t (Hurst 1995; see Kotz and Nadarajah
+2004, Multivariate t Distributions, section 2.3), raised to the power of the number of draws.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ if TYPE_CHECKING:
 __all__ = ["heavy_tails", "log_density_of_sums"]
 
 _FEWEST = 3
-"""Lasting events below which a few large steps may be anything."""
+"""Minimum number of lasting events: fewer large steps may have any cause."""
 _MOSTLY = 0.5
 _INVERSE_DOFS = np.linspace(0.05, 0.45, 17)
 _WIDTHS = np.geomspace(0.3, 1.1, 27)
 _NAMED_NATS = 10.0
 _ARM_M = 0.2
-"""How far wheels are from the middle, about: a turn on the spot moves them, too."""
+"""Approximate distance of the wheels from the robot's centre, m: counts a turn on the spot as wheel travel."""
 _STILL_M, _USUAL = 1e-3, 0.2
 _STRONG = 3.0
-"""How many times its median an effect acts at most where tails are measured beside it."""
+"""Intervals in which the effects exceed this multiple of their median are left out of the test."""
 _RANGE, _SIZE = 120.0, 1 << 14
 
 
 def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
-    """Return heavy tails and the nats by which they beat normal noise, where events lie on both sides; or None."""
+    """Return the heavy_tails effect and its log-likelihood gain over normal noise in nats, or None if not supported."""
     if (
         fit.problem.approach.spacing_s > NODE_S
-    ):  # a truth good to centimetres jumps and floats, and has tails of its own
+    ):  # a truth with errors of centimetres jumps and drifts: it has heavy tails itself
         return None
     odd_ones = odd_steps(fit)
     lasting = sum(event.lasting for event in odd_ones)
-    # where most of what stands out comes back, it is the truth that errs
+    # if most outliers are reversed later, they are errors of the truth
     if lasting < _FEWEST or lasting < _MOSTLY * len(odd_ones):
         return None
     driven = _driven(fit) & _beside_effects(fit) & ~during(fit, single_events(fit))
     channels = _of_odometry(fit, driven)
     if not channels:
         return None
-    # what a robust fit took as wider is shown as it was
+    # undo the robust weights, which down-weighted the outliers
     odd = fit.noise.innovations.reshape(-1, 3) * np.sqrt(fit.noise.weights)[:, None]
     used = odd[driven][:, channels]
     draws = max(round(len(fit.problem.nodes.source) / len(fit.problem.nodes)), 1)
@@ -70,7 +70,7 @@ def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
 
 
 def _of_odometry(fit: Fit, driven: NDArray[np.bool_]) -> list[int]:
-    """Return the channels in which most of the noise is odometry's: of the others' tails the truth's are as likely."""
+    """Return the channels in which odometry has most of the noise; elsewhere tails may belong to the truth."""
     nodes = fit.problem.nodes
     q = nodes.covariance(fit.problem.approach.law, fit.noise.coefficients, fit.problem.steps)
     share = np.einsum("kii->ki", q) / np.einsum("kii->ki", interval_covariance(nodes, q, fit.noise.truth))
@@ -79,9 +79,9 @@ def _of_odometry(fit: Fit, driven: NDArray[np.bool_]) -> list[int]:
 
 
 def _driven(fit: Fit) -> NDArray[np.bool_]:
-    """Return in which intervals (K,) the robot moved as it usually does.
+    """Return a mask (K,) of intervals in which the robot moved a usual distance.
 
-    Who stands draws nothing: beside a perfect truth his zeros would make all that moves look heavy.
+    A robot at rest has no noise: with a perfect truth, its zeros would make all moving intervals look heavy-tailed.
     """
     steps = fit.problem.nodes.odometry_step
     travel = np.hypot(steps[:, 0], steps[:, 1]) + _ARM_M * np.abs(steps[:, 2])
@@ -91,9 +91,9 @@ def _driven(fit: Fit) -> NDArray[np.bool_]:
 
 
 def _beside_effects(fit: Fit) -> NDArray[np.bool_]:
-    """Return in which intervals (K,) the effects of the model do no more than they usually do.
+    """Return a mask (K,) of intervals in which the model's effects are no larger than usual.
 
-    Tails are independent of them, and what stands out where a lag or slip acts most is what its form leaves of it.
+    Heavy tails do not depend on effects. Outliers during a strong lag or slip are a misfit of that effect's form.
     """
     if not fit.effects:
         return np.ones(len(fit.problem.nodes), dtype=bool)
@@ -104,7 +104,7 @@ def _beside_effects(fit: Fit) -> NDArray[np.bool_]:
 
 
 def _likelihood(values: Array, inverse_dof: float, draws: int) -> float:
-    """Return the log likelihood of columns (K, c), each of the width that suits it best."""
+    """Return the log likelihood of columns (K, c), each with its best-fitting width."""
     grid, density = log_density_of_sums(inverse_dof, draws)
     total = 0.0
     for column in values.T:
@@ -114,7 +114,7 @@ def _likelihood(values: Array, inverse_dof: float, draws: int) -> float:
 
 
 def log_density_of_sums(inverse_dof: float, draws: int) -> tuple[Array, Array]:
-    """Return places and the log density there of sums of so many draws of t, scaled to variance 1."""
+    """Return a grid (n,) and the log density (n,) on it of a sum of `draws` Student's t draws, scaled to variance 1."""
     dof = 1.0 / inverse_dof
     step = 2.0 * _RANGE / _SIZE
     u = np.abs(2.0 * np.pi * np.fft.fftfreq(_SIZE, step)) * np.sqrt((dof - 2.0) / draws)
@@ -123,6 +123,6 @@ def log_density_of_sums(inverse_dof: float, draws: int) -> tuple[Array, Array]:
     # log of K_half(u) u^half / (Gamma(half) 2^(half - 1)), with the exponential taken out of K
     log_phi = np.log(kve(half, inner)) - inner + half * np.log(inner) - gammaln(half) - (half - 1.0) * np.log(2.0)
     density = np.fft.fftshift(np.real(np.fft.ifft(np.exp(draws * np.minimum(log_phi, 0.0))))) / step
-    # what rounding leaves of the far tail is no density
+    # far tail: below the rounding error of the transform, so limited from below
     places = np.asarray((np.arange(_SIZE) - _SIZE // 2) * step, dtype=np.float64)
     return places, np.log(np.maximum(density, 1e-12))

@@ -1,7 +1,7 @@
-"""What a sensor on the robot as a truth may have wrong in common: a laser's scale and map, a gyro's gain and bias.
+"""Systematic errors of a truth from a sensor on the robot: a laser's scale and map, a gyro's gain and bias.
 
-Each is a random factor with a known deviation, so that it widens the errors of whatever it looks like and lowers the
-evidence for it, as a prior would. A truth of which nothing of the kind is known has none.
+Each is a random factor with a known standard deviation. Like a prior, it widens the errors of parameters aliased with
+it and lowers the evidence for them. A truth without known errors of this kind has no such factors.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ if TYPE_CHECKING:
 __all__ = ["SHARED", "bias_roots", "has_bias", "scale_errors"]
 
 SPEED_BIAS = 1e-3
-"""Deviation of a scale error of matches that grows with speed, per m/s: motion within a sweep."""
+"""Standard deviation of a scale error of scan matches proportional to speed, per m/s: from motion within a sweep."""
 TURN_BIAS = 1e-3
-"""Deviation of a scale error of turns, and of one that grows with speed, per m/s: 4e-4 was seen where nothing else
-could err."""
+"""Standard deviation of a scale error of turns, and of one proportional to speed, per m/s: 4e-4 was measured on data
+without other errors."""
 LAG_BIAS_S, GYRO_LAG_S = 1e-3, 0.01
-"""Deviation of a lag of turns behind travel, seconds: of sweeps, below 0.7 ms in simulated drives, and of a gyro as
-the truth, which has a filter."""
+"""Standard deviation of a lag of turns behind travel, seconds: of laser sweeps (below 0.7 ms in simulated drives), and
+of a gyro as the truth, which has a filter."""
 LOCAL_BIAS = 1e-3
-"""Deviation of the scale of a part of the map: keyframes half a metre apart are placed to a millimetre or two."""
+"""Standard deviation of the scale of a map cell: keyframes half a metre apart have errors of one or two millimetres."""
 CELL_M = 2.0
 GYRO_WANDER_RADPS, _WANDER_S = 1.5e-4, 30.0
-"""Deviation of a gyro's bias from its mean over stretches of so many seconds: 0.009 deg/s, as MEMS have it."""
+"""Standard deviation of a gyro's bias about its mean, 0.009 deg/s as usual for MEMS, and duration of each bias, s."""
 SHARED = 6
-"""So many of the columns, the first ones, are of the instrument: a fit of the noise leaves these free."""
+"""Number of leading columns that belong to the instrument; a noise fit treats them as free."""
 _MOST_CELLS = 150
 
 
 def has_bias(problem: Problem) -> bool:
-    """Whether any truth of a problem may have something wrong in common."""
+    """Return whether the truth of any recording may have systematic errors of this kind."""
     return any(r.truth_scale_error > 0.0 or r.turn_scale_error > 0.0 or r.matched for r in problem.recordings)
 
 
 def bias_roots(problem: Problem) -> Array:
-    """Return columns (K, 3, m) whose independent standard normal factors are what a truth has wrong in common.
+    """Return columns (K, 3, m): times independent standard normal factors, they are the truth's systematic errors.
 
-    One factor for all recordings where it is the instrument's, one for each place where it is the map's.
+    Errors of the instrument have one factor for all recordings, errors of the map one for each cell.
     """
     nodes, runs = problem.nodes, problem.recordings
     scale = np.array([r.truth_scale_error for r in runs])[problem.run]
@@ -76,17 +76,17 @@ def bias_roots(problem: Problem) -> Array:
 
 
 def scale_errors(problem: Problem, noise: NoiseFit) -> Array:
-    """Return the posterior mean (R,) of the scale error of each recording's truth: positive where it is too long."""
+    """Return the posterior mean (R,) of the scale error of each recording's truth; positive if it is too long."""
     factor = noise.whitener.whiten(bias_roots(problem)[:, :, :1]).T @ noise.innovations
     scales: Array = np.array([r.truth_scale_error for r in problem.recordings]) * factor
     return scales
 
 
 def _smooth_motion(problem: Problem) -> tuple[Array, Array, Array]:
-    """Return what a truth says too little of travel (K, 2) and of turns (K,) per unit of scale error, and speeds (K,).
+    """Return the residual of travel (K, 2) and turns (K,) per unit of scale error of the truth, and speeds (K,).
 
-    They are made of the smooth motion that regressors are made of, never of the truth's own steps: these hold the noise
-    that is in the residual as well, and a factor of them would be estimated from that, not from a scale error.
+    They are computed from the smooth motion of the regressors, never from the truth's own steps. Those contain the same
+    noise as the residual, and the estimated factor would reflect it instead of a scale error.
     """
     twist = np.concatenate([np.stack((m.v, m.vy, m.omega), axis=1) * m.dt_s[:, None] for m in problem.motions])
     travel = twist * (1.0, 1.0, 0.0)
@@ -96,7 +96,7 @@ def _smooth_motion(problem: Problem) -> tuple[Array, Array, Array]:
 
 
 def _stretches(problem: Problem, duration: Array) -> list[Array]:
-    """Return the time (K,) of each interval for each stretch of a run of which a gyro is the truth, seconds."""
+    """Return the duration (K,) of the intervals, s, for each stretch of the runs whose truth is a gyro; 0 elsewhere."""
     if all(r.positioned for r in problem.recordings):
         return []
     blind = np.array([not r.positioned for r in problem.recordings])[problem.run]

@@ -1,9 +1,9 @@
-"""How far apart nodes have to lie for the truth's errors at them to be independent.
+"""Node spacing at which the truth's errors at neighbouring nodes are independent.
 
-Errors of a localisation or of a map are alike over a metre or so of path. Compared over less than that they look like a
-random walk of the odometry, twenty times as strong as its own. What shows it is how the spread of odometry minus truth
-grows with time: by a constant rate for a random walk and for white noise of the truth, by less and less where the
-truth's errors are correlated, until these are independent of each other.
+Errors of a localisation or of a map are correlated over a metre or so of path. Over shorter intervals they look like a
+random walk of the odometry, twenty times as strong as its own. They are detected from the growth of the variance of
+odometry minus truth with time. Its rate is constant for a random walk and for white noise of the truth. It decreases
+if the truth's errors are correlated, until they are independent of each other.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ __all__ = ["independent_spacing_s"]
 
 _SPACINGS_S = (1.0, 2.0, 4.0, 8.0)
 _PHASES = 4
-"""Windows begin at so many places within one length of them."""
+"""Number of offsets at which windows start, evenly spread over one window length."""
 _FEW, _ENOUGH = 20, 50
-"""Windows that a spread is taken from at least, and nodes that a drive has to have left."""
+"""Minimum number of windows for a variance, and of nodes that remain in a drive."""
 _GROWS, _SLOWER = 0.2, 0.5
-"""A spread grows plainly where its square does by this part when time doubles; and errors are independent from where
-it grows at less than this part of its first rate."""
+"""Relative growth of the variance, when time doubles, that counts as growth; and fraction of the initial growth rate
+below which the errors are independent."""
 _ALONG, _YAW = 0, 2
 _REACH_M = 1.5
-"""Path over which errors of a localisation are alike at least: they depend on what is seen from a place."""
+"""Minimum correlation length of a localisation's errors, m of path: they depend on the view from a place."""
 
 
 def independent_spacing_s(recording: Recording) -> float:
-    """Return the spacing of nodes (s) from which on the errors of a noisy truth are independent.
+    """Return the smallest node spacing (s) at which the errors of a noisy truth are independent.
 
-    Of along and yaw, the longer one counts; across, an error of heading grows with the path and hides it. Nodes lie at
-    least a metre and a half of usual driving apart, whatever the spread, which systematic errors of the odometry hide,
-    and no closer than usual samples of the truth; a drive keeps 50 of them.
+    It is the larger of those found along and in yaw; across, heading errors grow with the path and hide the effect.
+    Systematic errors of the odometry can hide it, too, so the spacing is always at least 1.5 m of usual driving. It is
+    no shorter than the truth's usual sampling interval, and leaves at least 50 nodes in a drive.
     """
     truth_s = recording.truth.seconds_since(recording.origin_ns)
     shared_s = float(min(truth_s[-1], recording.odometry_s[-1]) - max(truth_s[0], recording.odometry_s[0]))
@@ -66,7 +66,7 @@ def independent_spacing_s(recording: Recording) -> float:
 
 
 def _spread(recording: Recording, truth_s: Array, length_s: float) -> Array | None:
-    """Return the robust variance (3,) of odometry minus truth over windows of a length; None where there are few."""
+    """Return the robust variance (3,) of odometry minus truth over windows of a length; None if there are too few."""
     odo_s, found = recording.odometry_s, []
     for phase in np.arange(_PHASES) / _PHASES:
         try:

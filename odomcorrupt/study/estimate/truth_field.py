@@ -1,10 +1,10 @@
-"""Errors of a localisation that belong to a place: the same on every visit, and alike over a metre or so around it.
+"""Spatially correlated errors of a localisation: repeated on every visit, with a correlation length of about a metre.
 
-On the map they are a Gaussian field f with covariance s^2 exp(-d^2 / (2 l^2)), beside independent errors of each pose.
-A robot that goes round a room meets the same errors again and again: counted as new ones, the slope of the field across
-the room would be a scale of the odometry known to a part in a thousand.
+They are a Gaussian field f on the map, with covariance s^2 exp(-d^2 / (2 l^2)), plus independent errors of each pose.
+A robot that circles in a room meets the same errors repeatedly. If they were treated as independent, the slope of the
+field across the room would appear as an odometry scale known to a part in a thousand.
 
-In a likelihood the field is a random effect with a root of low rank (Rasmussen & Williams 2006, section 8.3: subset of
+In the likelihood the field is a random effect with a low-rank root (Rasmussen & Williams 2006, section 8.3: subset of
 regressors, here cells of the map).
 """
 
@@ -32,31 +32,31 @@ if TYPE_CHECKING:
 __all__ = ["LENGTHS_M", "field_of", "field_roots", "has_field", "remainder_whitener", "window_roots"]
 
 LENGTHS_M = (0.7, 1.2, 2.0)
-"""Lengths of the field that are tried: a longer one would be a scale or a turn of the whole map."""
+"""Candidate correlation lengths of the field; a longer one would be a scale or a rotation of the whole map."""
 _CELL, _MOST_CELLS = 0.5, 400
-"""Cells of the map in lengths of the field, and how many there are at most: larger ones lose detail, not size."""
+"""Cell size of the map in correlation lengths, and maximum number of cells; larger cells lose detail, not variance."""
 _NOTHING = 1e-6
-"""Part of the largest eigenvalue below which a direction of the field is nothing."""
+"""Fraction of the largest eigenvalue below which a direction of the field is dropped."""
 _BOUNDS = tuple((np.log(low), np.log(high)) for low, high in ((3e-4, 1.0), (1e-4, 0.3)) * 2)
 _STEPS = 15
 _USUAL, _SPREAD = 2.0, 0.7
-"""A field over independent errors: its usual size, and the standard deviation of that size's logarithm."""
+"""Prior on the ratio of field to independent errors: median, and standard deviation of its logarithm."""
 
 
 def has_field(problem: Problem) -> bool:
-    """Whether the truth of any recording has errors that belong to places."""
+    """Whether the truth of any recording has spatially correlated errors."""
     return any(r.truth_field is not None for r in problem.recordings)
 
 
 def remainder_whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitener:
-    """Return the whitener of the residuals with the truth's noise but without its field: that is a random effect.
+    """Return the whitener of the residuals with the truth's noise but without its field, which is a random effect.
 
     Parameters
     ----------
     nodes : K intervals
     q : (K, 3, 3)
         Covariance that the odometry's noise puts on each residual, m and rad.
-    truth : of the recordings whose truth has no field
+    truth : noise of the truth in the recordings without a field
 
     """
     own = nodes.field[:, :2]
@@ -75,7 +75,7 @@ def remainder_whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitene
 
 
 def field_roots(problem: Problem) -> Array:
-    """Return columns (K, 3, m) whose independent standard normal factors make the fields of all recordings."""
+    """Return columns (K, 3, m): times independent standard normal factors, they are the fields of all recordings."""
     parts = []
     for r, recording in enumerate(problem.recordings):
         field = recording.truth_field
@@ -88,7 +88,7 @@ def field_roots(problem: Problem) -> Array:
 
 
 def window_roots(recording: Recording, windows: Intervals) -> Array | None:
-    """Return a root (n, 3, m) of what windows have in common by visiting the same places; None where nothing."""
+    """Return a root (n, 3, m) of the covariance that windows of the same places share; None without a field."""
     field = recording.truth_field
     if field is None:
         return None
@@ -97,15 +97,15 @@ def window_roots(recording: Recording, windows: Intervals) -> Array | None:
 
 
 def field_of(problem: Problem, q: Array, columns: Array) -> tuple[TruthField, float]:
-    """Return the field and the independent errors of largest likelihood (nats) for one recording.
+    """Return the most likely field, with its independent errors, of one recording and its log posterior in nats.
 
     Parameters
     ----------
-    problem : the recording, with nothing taken out
+    problem : the recording, with no effects removed
     q : (K, 3, 3)
         Covariance of the odometry's noise on each residual.
     columns : (K, 3, m)
-        Free linear terms.
+        Free linear parameters.
 
     """
     found = []
@@ -115,7 +115,7 @@ def field_of(problem: Problem, q: Array, columns: Array) -> tuple[TruthField, fl
         roots = _unit_roots(problem.nodes, every, length)
 
         def cost(free: Array, roots: tuple[Array, Array] = roots) -> float:
-            # a smooth field and a scale of travel do the same: without a prior it may be of any size
+            # a smooth field and a travel scale are aliased: without a prior its size is unbounded
             odd = (free[2:] - free[:2] - np.log(_USUAL)) / _SPREAD
             return 0.5 * float(odd @ odd) - _log_likelihood(problem.nodes, q, columns, np.exp(free), roots)
 
@@ -143,7 +143,7 @@ def _log_likelihood(nodes: Intervals, q: Array, columns: Array, sizes: Array, ro
 
 
 def _unit_roots(nodes: Intervals, own: Array, length_m: float) -> tuple[Array, Array]:
-    """Return what fields of position and of heading of unit size do to residuals: columns (K, 3, m) of each."""
+    """Return the residual columns (K, 3, m) of a unit position field and of a unit heading field."""
     _, end, start = map_axes(replace(nodes, memory=np.zeros(len(nodes))))
     last = nodes.truth_xyt[:, :2] + np.einsum("kji,kj->ki", _turn(nodes.truth_xyt[:, 2]), nodes.truth_step[:, :2])
     at_start, at_end = _basis(nodes.truth_xyt[own, :2], last[own], length_m)
@@ -162,7 +162,7 @@ def _turn(angle_rad: Array) -> Array:
 
 
 def _basis(start_xy: Array, end_xy: Array, length_m: float) -> tuple[Array, Array]:
-    """Return a root (n, m) of the field's covariance at starts and at ends of intervals."""
+    """Return roots (n, m) of the field's covariance at the starts and at the ends of intervals."""
     both, cell = np.concatenate((start_xy, end_xy)), _CELL * length_m
     while len(centres := np.unique(np.round(both / cell), axis=0)) > _MOST_CELLS:
         cell *= 1.5

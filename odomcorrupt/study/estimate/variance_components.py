@@ -1,4 +1,4 @@
-"""Variance components: the covariance that a noise law puts on the residuals, linear in shares."""
+"""Variance components: the residuals' covariance under a noise law as a weighted sum of fixed matrices."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 __all__ = ["NAMES", "VarianceComponents"]
 
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
-"""Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
+"""Coefficients that can be fitted; white noise on twists is not among them, because the truth's noise hides it."""
 _PROBE = (np.array([0.3]), np.array([0.7]), np.array([0.2]))
-"""Magnitudes of a step on which coefficients that do anything together show it."""
+"""Magnitudes of a test step on which each coefficient, and each interaction of a pair, has an effect if it has any."""
 
 
 class VarianceComponents:
-    """Covariances (K, 3, 3) that a law puts on the residuals, split so that coefficients only weigh them.
+    """Covariances (K, 3, 3) of the residuals under a noise law, one per coefficient and per interacting pair.
 
-    A law is homogeneous in its coefficients, of degree 1 or 2; polarising it gives one matrix per coefficient and per
-    pair. The law itself is the one that corruption uses.
+    A law is homogeneous in its coefficients, of degree 1 or 2, and can be split by polarisation. It is the same law
+    that corruption uses.
     """
 
     def __init__(self, law: Law, nodes: Intervals, steps: Increments) -> None:
@@ -39,24 +39,24 @@ class VarianceComponents:
             return np.stack((v.rot1, v.trans, v.across, v.rot2))
 
         seen = magnitudes(law, steps)
-        # the more motion, the more noise: the largest of each shows whether a coefficient does anything
+        # noise grows with motion: the largest magnitudes show whether a coefficient has any effect
         most = tuple(np.array([m.max(initial=0.0)]) for m in seen)
         self._degree = law.degree
         self.active = [i for i in range(len(NAMES)) if rows(i, on=most).any()]
-        """Which coefficients do anything under this law and on this drive."""
+        """Indices of the coefficients that have an effect under this law on this drive."""
         self.unseen = [i for i in range(len(NAMES)) if i not in self.active and rows(i, on=_PROBE).any()]
-        """Which do something under this law, but not on this drive."""
+        """Indices of the coefficients that have an effect under this law, but not on this drive."""
         self._single = {i: nodes.spread(law, law.rule(of(i), *seen), steps) for i in self.active}
         self._pairs: list[tuple[int, int, Array]] = []
         for i, j in combinations(self.active, 2) if law.degree == 2 else ():
             alone, both = rows(i, on=_PROBE) + rows(j, on=_PROBE), rows(i, j, on=_PROBE)
-            # most pairs add up, and carrying their noise to the nodes is the dear part
+            # most pairs do not interact, and propagating their noise to the nodes is expensive
             if np.abs(both - alone).max() > 1e-12 * np.abs(both).max():
                 cross = nodes.spread(law, law.rule(of(i, j), *seen), steps) - self._single[i] - self._single[j]
                 self._pairs.append((i, j, cross))
 
     def parts(self) -> list[Array]:
-        """Return the matrices (K, 3, 3) that `shares` weighs."""
+        """Return the matrices (K, 3, 3), in the order of the weights of `shares`."""
         return [self._single[i] for i in self.active] + [cross for _, _, cross in self._pairs]
 
     def shares(self, coefficients: Array) -> Array:

@@ -1,15 +1,15 @@
-"""The likelihood of node-to-node residuals when the truth is noisy, too.
+"""Covariance and whitening of residuals between nodes, including the noise of the truth.
 
-Noise v of the truth at a node spoils the interval before it and the one after it, with opposite signs, so neighbouring
+Noise v of the truth at a node affects the interval before it and the one after it, with opposite signs, so neighbouring
 residuals are correlated: e_k = (columns) + w_k - v_{k+1} + A_k v_k with A_k = Ad(D_k^-1). Their joint covariance is
 block tridiagonal, and one banded Cholesky factor whitens residual and columns alike, in linear time
-(it equals the marginal likelihood of a linearised Kalman filter with a diffuse start).
+(the likelihood equals the marginal one of a linearised Kalman filter with a diffuse start).
 
-Errors of a localisation are alike over some way: a mean-reverting process c on the map (Ornstein-Uhlenbeck over the
-way), c_{k+1} = m_k c_k + n_k, which links all residuals with each other. Quasi-differences z_k = e_k - rho_k e_{k-1},
-with rho_k = m_{k-1} B_k B_{k-1}^-1 and B_k = A_k N_k - m_k N_{k+1}, hold only the fresh errors n (N_k turns axes of the
-map into those of a node). Their covariance is block tridiagonal again, and they are as likely as the residuals: what
-makes the one of the other has determinant 1.
+Errors of a localisation are correlated along the path: a mean-reverting process c on the map (Ornstein-Uhlenbeck over
+path length), c_{k+1} = m_k c_k + n_k, which correlates all residuals. Quasi-differences z_k = e_k - rho_k e_{k-1}, with
+rho_k = m_{k-1} B_k B_{k-1}^-1 and B_k = A_k N_k - m_k N_{k+1}, contain only the new errors n (N_k rotates axes of the
+map into those of a node). Their covariance is block tridiagonal again. They have the same likelihood as the residuals,
+because the transformation between the two has determinant 1.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ __all__ = [
 ]
 
 FLOOR = np.array([1e-10, 1e-10, 1e-12])
-"""Variance that nothing falls below (10 um, 1 urad): a robot that stands still must not make a singular matrix."""
+"""Lower limit of the variances (10 um, 1 urad), so that the matrix is not singular while the robot stands still."""
 BAND = 5
 _KEPT = (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
 _TINY = 1e-18 * np.eye(3)
 
 
 _KNOTS, _ROWS = 32, 96
-"""Knots that are whitened together, and rows after them that are tried first."""
+"""Number of knots that are whitened together, and of rows after them in the first attempt."""
 _FADED = 1e-11
-"""Part of its largest value at which what a knot does to later innovations is nothing."""
+"""Fraction of its largest value below which a knot's contribution to later innovations is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ class Whitener:
 
     factor : (6, 3 K) lower banded
     log_det : sum of log of L's diagonal
-    shrunk : what a process spread over all residuals adds to the covariance; none by default
-    rho : (K, 3, 3) of the quasi-differences that L is of, see above; None where it is of the residuals themselves
+    shrunk : part of the covariance due to random processes over all residuals; None by default
+    rho : (K, 3, 3) of the quasi-differences to which L belongs, see above; None if it belongs to the residuals
     """
 
     factor: Array
@@ -84,12 +84,12 @@ class Whitener:
         return _band_solve(self.factor, flat)
 
     def whitened(self, flat: Array) -> Array:
-        """Return what `whiten` does for x of shape (3 K, c)."""
+        """Return L^-1 x like `whiten`, for x of shape (3 K, c)."""
         white = self._by_band(flat)
         return white if self.shrunk is None else white - self.shrunk.lost(white)
 
     def knots(self, spread: csr_array) -> WhitenedKnots:
-        """Return L^-1 S of the knots of a process (3 K, k), see `Shrunk`, as the band alone whitens them."""
+        """Return L^-1 S of the knots of a process (3 K, k), see `Shrunk`, whitened by the band alone."""
         by_knot, rows = spread.tocsc(), spread.shape[0]
         blocks = []
         for knot in range(0, spread.shape[1], _KNOTS):
@@ -125,19 +125,19 @@ class Whitener:
         return information
 
     def pulled(self, white: Array) -> Array:
-        """Return (K, 3) whose product with any column x is that of L^-1 x with whitened data (3 K,)."""
+        """Return L^-T z (K, 3) of whitened data z (3 K,); its product with a column x equals that of z with L^-1 x."""
         return self.transposed(white[:, None]).reshape(-1, 3)
 
     def transposed(self, white: Array) -> Array:
-        """Return (3 K, c) whose products with any column x are those of L^-1 x with whitened data (3 K, c)."""
+        """Return L^-T z (3 K, c) of whitened data z (3 K, c), the transpose of `whitened`."""
         return self._back(white if self.shrunk is None else white - self.shrunk.lost(white))
 
     def _by_band(self, flat: Array) -> Array:
-        """Return x of shape (3 K, c), whitened by the band alone."""
+        """Return x of shape (3 K, c) whitened by the band alone."""
         return self.solved(flat if self.rho is None else _quasi_differences(flat, self.rho))
 
     def _back(self, white: Array) -> Array:
-        """Return (3 K, c) whose product with any x is that of x whitened by the band with data (3 K, c)."""
+        """Return the transpose of `_by_band` applied to data (3 K, c)."""
         back = _band_solve(self.factor, white, transposed=True)
         if self.rho is not None:
             blocks = back.reshape(len(self.rho), 3, -1)
@@ -146,13 +146,13 @@ class Whitener:
         return back
 
     def log_likelihood(self, innovations: Array) -> float:
-        """Return the log density in nats of whitened residuals (3 K,)."""
+        """Return the log density, nats, of residuals whose whitened values (3 K,) are given."""
         n = len(innovations)
         return float(-self.log_det - 0.5 * innovations @ innovations - 0.5 * n * np.log(2.0 * np.pi))
 
 
 def interval_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
-    """Return the covariance (K, 3, 3) of each residual by itself: odometry's noise q, and the truth's at both ends."""
+    """Return the marginal covariance (K, 3, 3) of residuals: noise q of the odometry plus the truth's at both ends."""
     total = q + unseen_piece(nodes)[0]
     for weight, diagonal in zip(truth_weights(truth), _single_pieces(nodes), strict=True):
         total += weight * diagonal
@@ -169,10 +169,10 @@ def truth_weights(truth: TruthNoise) -> tuple[float, float, float]:
 
 
 def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
-    """Return what unit noise of the truth adds, for its position, its heading and its random walk.
+    """Return covariance contributions of unit truth noise: of position, of heading and of the random walk.
 
-    Each is a pair: added to the covariances (K, 3, 3) of the residuals (of their quasi-differences, where errors of the
-    truth are correlated), and to those with the one before (K - 1, 3, 3).
+    Each is a pair: the contribution to the covariance (K, 3, 3) of each residual (or quasi-difference, if errors of the
+    truth are correlated) and to that with the previous one (K - 1, 3, 3).
     """
     if nodes.memory.any():
         pieces = _correlated_pieces(nodes)
@@ -184,7 +184,7 @@ def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
 
 
 def odometry_piece(nodes: Intervals, q: Array) -> tuple[Array, Array]:
-    """Return what noise q (K, 3, 3) of each residual by itself adds, as a pair like those of `truth_pieces`."""
+    """Return the contribution of independent noise q (K, 3, 3) of each residual, as a pair like `truth_pieces`."""
     below = np.zeros_like(q[1:])
     rho = rho_of(nodes)
     if rho is None:
@@ -196,7 +196,7 @@ def odometry_piece(nodes: Intervals, q: Array) -> tuple[Array, Array]:
 
 
 def rho_of(nodes: Intervals) -> Array | None:
-    """Return the part (K, 3, 3) of the residual before that a quasi-difference takes off; None where it is none."""
+    """Return rho (K, 3, 3), the factor on the previous residual in a quasi-difference; None if there is none."""
     if not nodes.memory.any():
         return None
     _, _, b = map_axes(nodes)
@@ -207,11 +207,11 @@ def rho_of(nodes: Intervals) -> Array | None:
 
 
 def _correlated_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
-    """Return what a unit of the truth's correlated errors adds to quasi-differences, for position and heading."""
+    """Return the contributions of unit correlated truth errors to quasi-differences, for position and heading."""
     start, end, b = map_axes(nodes)
     rho = rho_of(nodes)
     linked = nodes.linked[:, None, None]
-    # an error of its own at the end, and what the end before had of its own; the first of a chain has all of it
+    # the new error at the interval's end, and that of the previous end; the first of a chain has the full variance
     before = b + (0.0 if rho is None else rho @ start)
     fresh = 1.0 - nodes.memory**2
     earlier = np.where(nodes.linked, np.concatenate(([1.0], fresh[:-1])), 1.0)
@@ -225,7 +225,7 @@ def _correlated_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
 
 
 def _single_pieces(nodes: Intervals) -> list[Array]:
-    """Return what unit noise of the truth adds to the covariance (K, 3, 3) of each residual by itself."""
+    """Return the contributions of unit truth noise to the marginal covariance (K, 3, 3) of each residual."""
     if not nodes.memory.any():
         a = _adjoint_of_inverse(nodes.truth_step)
         at_ends = [_at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept) for kept in _KEPT]
@@ -237,7 +237,7 @@ def _single_pieces(nodes: Intervals) -> list[Array]:
 
 
 def _with_field(nodes: Intervals) -> Array:
-    """Return what a truth whose errors belong to places adds to the covariance (K, 3, 3) of each residual by itself."""
+    """Return the contribution of a truth with a spatial field to the marginal covariance (K, 3, 3) of residuals."""
     start, end, _ = map_axes(nodes)
     start = _adjoint_of_inverse(nodes.truth_step) @ start
     own, place = (nodes.field[:, [i, i, i + 1], None] ** 2 * np.eye(3) for i in (0, 2))
@@ -264,7 +264,7 @@ def _turned(angle_rad: Array) -> Array:
 
 
 def _congruent(m: Array, kept: Array, weight: Array) -> Array:
-    """Return M kept M' (K, 3, 3), each times its weight (K,)."""
+    """Return M kept M' (K, 3, 3), each multiplied by its weight (K,)."""
     product: Array = (m @ kept @ np.swapaxes(m, 1, 2)) * weight[:, None, None]
     return product
 
@@ -276,7 +276,7 @@ def _random_walk(nodes: Intervals) -> Array:
 
 
 def _quasi_differences(flat: Array, rho: Array) -> Array:
-    """Return z_k = x_k - rho_k x_{k-1} of columns (3 K, c), each of them dense in memory."""
+    """Return z_k = x_k - rho_k x_{k-1} of columns (3 K, c), each contiguous in memory."""
     x = flat.reshape(len(rho), 3, -1)
     z = x.copy()
     z[1:] -= rho[1:] @ x[:-1]
@@ -284,12 +284,12 @@ def _quasi_differences(flat: Array, rho: Array) -> Array:
 
 
 def unseen_piece(nodes: Intervals) -> tuple[Array, Array]:
-    """Return what is added where the truth knows nothing along an axis, as a pair like those of `truth_pieces`."""
+    """Return the contribution of axes that the truth does not measure, as a pair like `truth_pieces`."""
     return _at_ends(nodes, _adjoint_of_inverse(nodes.truth_step), nodes.start_unseen, nodes.end_unseen)
 
 
 def _at_ends(nodes: Intervals, a: Array, start: Array, end: Array) -> tuple[Array, Array]:
-    """Return what covariances (K, 3, 3) of the truth at both ends of intervals add to their residuals."""
+    """Return the contribution of truth covariances (K, 3, 3) at both ends of intervals, a pair like `truth_pieces`."""
     ar = a @ start
     return end + ar @ np.swapaxes(a, 1, 2), -ar[1:] * nodes.linked[1:, None, None]
 
@@ -308,14 +308,14 @@ def band_of(diagonal: Array, below: Array | None = None) -> Array:
 
 
 def whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitener:
-    """Factor the covariance of the residuals.
+    """Return the whitener of the residuals from the noise of odometry and truth.
 
     Parameters
     ----------
     nodes : K intervals
     q : (K, 3, 3)
         Covariance that the odometry's noise law puts on each residual, m and rad.
-    truth : how noisy the truth is
+    truth : noise of the truth
 
     """
     band = band_of(*odometry_piece(nodes, q)) + fixed_band(nodes)
@@ -326,7 +326,7 @@ def whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitener:
 
 def _band_solve(factor: Array, flat: Array, *, transposed: bool = False) -> Array:
     """Return L^-1 z, or L^-T z, for z of shape (3 K, c) and the lower banded L (6, 3 K)."""
-    if not flat.shape[1]:  # LAPACK would write where there is nothing
+    if not flat.shape[1]:  # LAPACK must not be called without columns
         return flat
     solved, info = lapack.dtbtrs(factor, flat, uplo="L", trans="T" if transposed else "N")
     if info != 0:
@@ -336,7 +336,7 @@ def _band_solve(factor: Array, flat: Array, *, transposed: bool = False) -> Arra
 
 
 def fixed_band(nodes: Intervals) -> Array:
-    """Return what is no parameter's of the covariance, as a band (6, 3 K): its floor, and axes that are not seen."""
+    """Return the constant part of the covariance as a band (6, 3 K): its floor, and axes not measured by the truth."""
     band = band_of(*unseen_piece(nodes))
     band[0] += np.tile(FLOOR, len(nodes))
     return band
@@ -351,7 +351,7 @@ def factored(band: Array, rho: Array | None = None) -> Whitener:
 
 
 def dense_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
-    """Return the same covariance as a plain matrix (3 K, 3 K), for small K: tests and the curious."""
+    """Return the residuals' covariance as a dense matrix (3 K, 3 K), for small K, as in tests."""
     diagonal, below = (part.copy() for part in unseen_piece(nodes))
     for weight, piece in zip(
         (1.0, *truth_weights(truth)), (odometry_piece(nodes, q), *truth_pieces(nodes)), strict=True
@@ -379,7 +379,7 @@ def _adjoint_of_inverse(xyt: Array) -> Array:
     x, y = xyt[:, 0], xyt[:, 1]
     a = np.zeros((len(xyt), 3, 3))
     a[:, 0, 0], a[:, 0, 1], a[:, 1, 0], a[:, 1, 1], a[:, 2, 2] = c, s, -s, c, 1.0
-    # J R^T d: where the rotation by a heading error moves the far end
+    # J R^T d: displacement of the far end by a heading error
     a[:, 0, 2] = -(-s * x + c * y)
     a[:, 1, 2] = c * x + s * y
     return a

@@ -1,4 +1,4 @@
-"""Windows: how far odometry drifts from the truth over a time or a distance, and how far the model says it should."""
+"""Windows of fixed time or distance: errors of the odometry at their ends, and the errors that a model predicts."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ WINDOW_S = 10.0
 
 
 def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float = 0.0) -> Intervals:
-    """Return non-overlapping windows of a length in time, whole ones only, each started at the truth pose.
+    """Return non-overlapping complete windows of a fixed duration, each started at the truth pose.
 
-    phase : which part of a window to leave out at the start
+    phase : offset of the first window, as a fraction of a window's length
     """
     ends = _time_ends(recording, length_s, phase)
     return intervals(recording, ends.picked, ends.kept)
 
 
 class _Ends(NamedTuple):
-    """Truth samples where windows begin and end, and which of the intervals between them are wanted."""
+    """Indices of truth samples at which windows begin and end, and indices of the complete windows between them."""
 
     picked: NDArray[np.int64]
     kept: NDArray[np.int64]
@@ -62,9 +62,9 @@ def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
 
 
 def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) -> Intervals:
-    """Return non-overlapping windows of a length of path, as the odometry measures it.
+    """Return non-overlapping windows of a fixed path length, measured by the odometry.
 
-    phase : which part of a window to leave out at the start
+    phase : offset of the first window, as a fraction of a window's length
     """
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     inside = np.flatnonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1]) & recording.truth.known)
@@ -73,7 +73,7 @@ def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) 
     at_truth = np.interp(truth_s[inside], odo_s, travelled)
     marks = np.arange(at_truth[0] + phase * length_m, at_truth[-1], length_m)
     if not len(marks):
-        # who stands, or ends before the first mark, has no window; one end makes none
+        # a robot that stands, or stops before the first mark, has no window: one end makes none
         marks = at_truth[:1]
     picked = np.unique(inside[np.minimum(np.searchsorted(at_truth, marks), len(inside) - 1)])
     return intervals(recording, picked)
@@ -86,19 +86,19 @@ def rmse(windows: Intervals) -> float:
 
 
 def phased_misses(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> list[Array]:
-    """Return squared position errors (n,), m^2, at the ends of windows, at five phases: steadier than one cut."""
+    """Return squared position errors (n,) at window ends, m^2, for five phases: a steadier estimate than one phase."""
     phases = np.arange(5) / 5.0
     return [np.concatenate([_squared_misses(run, length_s, phase) for run in recordings]) for phase in phases]
 
 
 def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> float:
-    """Return the root mean square position error (m) of `phased_misses`; NaN if no window is whole."""
+    """Return the root mean square position error (m) of `phased_misses`; NaN if there is no complete window."""
     squared = np.concatenate(phased_misses(recordings, length_s))
     return float(np.sqrt(np.mean(squared))) if len(squared) else float("nan")
 
 
 def _squared_misses(recording: Recording, length_s: float, phase: float) -> Array:
-    """Return how far odometry ends from the truth in `time_windows`, (n,) m^2, whatever happens in between."""
+    """Return squared position errors (n,) at the ends of `time_windows`, m^2; only the end poses are computed."""
     ends = _time_ends(recording, length_s, phase)
     truth_s = recording.truth.seconds_since(recording.origin_ns)
     picked = ends.picked
@@ -111,11 +111,11 @@ def _squared_misses(recording: Recording, length_s: float, phase: float) -> Arra
 
 @dataclass(frozen=True, slots=True)
 class WindowErrors:
-    """Errors at the ends of n windows against what the model expects: odometry minus truth.
+    """Errors (odometry minus truth) at the ends of n windows, and their covariance according to the model.
 
-    error : (n, c) along, across (m), and yaw (rad) where the truth has headings, in the frame of the window's end
-    covariance : (n, c, c) what the model expects of it, truth noise included
-    shared : (n, c, m) root of that part of it that windows have in common, where they do
+    error : (n, c) along, across (m), and yaw (rad) if the truth has headings, in the frame of the window's end
+    covariance : (n, c, c) predicted by the model, truth noise included
+    shared : (n, c, m) root of the part of the covariance that is common to windows, or None
     """
 
     error: Array
@@ -127,7 +127,7 @@ class WindowErrors:
 
     @property
     def spectrum(self) -> Array:
-        """Weights (n c,) of independent chi-squares whose sum is that of all normalised squares: 1 without a share."""
+        """Weights (n c,) of independent chi-squares whose sum is the sum of NEES; all 1 if windows share no error."""
         n, c = self.error.shape
         if self.shared is None:
             return np.ones(n * c)
@@ -139,43 +139,43 @@ class WindowErrors:
         return weights
 
     def channel(self, i: int) -> WindowErrors:
-        """Return the errors of one channel alone."""
+        """Return the errors of channel `i` alone."""
         shared = None if self.shared is None else self.shared[:, i : i + 1]
         return WindowErrors(self.error[:, i : i + 1], self.covariance[:, i : i + 1, i : i + 1], shared)
 
     @property
     def nees(self) -> Array:
-        """Normalised estimation error squared (n,), chi-square with c degrees where the model is right."""
+        """Normalised estimation error squared (n,); chi-square with c degrees of freedom if the model is right."""
         solved = np.linalg.solve(self.covariance, self.error[:, :, None])[:, :, 0]
         squared: Array = np.sum(solved * self.error, axis=1)
         return squared
 
     @property
     def deviation(self) -> Array:
-        """Expected standard deviation (n, c) of each error."""
+        """Predicted standard deviation (n, c) of each error."""
         sigma: Array = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
         return sigma
 
     @property
     def expected(self) -> Array:
-        """Expected root mean square (c,)."""
+        """Predicted root mean square error (c,)."""
         rms: Array = np.sqrt(np.mean(self.deviation**2, axis=0))
         return rms
 
     @property
     def measured(self) -> Array:
-        """Measured root mean square (c,)."""
+        """Measured root mean square error (c,)."""
         rms: Array = np.sqrt(np.mean(self.error**2, axis=0))
         return rms
 
     def coverage(self, part: float) -> Array:
-        """Return which part (c,) of the errors lies inside the central interval that should hold `part` of them."""
+        """Return the fraction (c,) of errors inside the central interval that should contain the fraction `part`."""
         inside: Array = np.mean(np.abs(self.error) <= norm.isf((1.0 - part) / 2.0) * self.deviation, axis=0)
         return inside
 
     @property
     def crps(self) -> Array:
-        """Mean continuous ranked probability score (c,), m and rad; the smaller, the better and sharper the model.
+        """Mean continuous ranked probability score (c,), m and rad; smaller is better.
 
         Closed form for a normal forecast: Gneiting & Raftery, JASA 102, 2007, section 4.2.
         """
@@ -189,9 +189,10 @@ class WindowErrors:
 def window_errors(
     windows: Intervals, noise: Noise, truth: TruthNoise, steps: Increments, *, headed: bool = True
 ) -> WindowErrors:
-    """Return errors and expected covariances of windows; `steps` are the odometry's increments as the law sees them.
+    """Return errors and predicted covariances of windows.
 
-    Without headings in the truth, yaw is left out: those that were made for it come from the odometry.
+    steps : increments of the odometry, from which the noise law computes variances
+    headed : whether the truth has measured headings; without, yaw is left out: its headings come from the odometry
     """
     q = windows.covariance(noise.law, noise.coefficients, steps)
     count = 3 if headed else 2

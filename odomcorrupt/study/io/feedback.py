@@ -1,18 +1,18 @@
-"""Odometry that a filter pulls towards poses from outside: its errors fade, those of odometry alone pile up.
+"""Detection of odometry that a filter corrects with external poses: its errors decay instead of accumulating.
 
-A filter (robot_localization, a fused SLAM) that is given poses takes out a part of its error at every update. What the
-odometry gains on the truth in a second then depends on how far off it already is; errors of wheels and gyros do not.
-The regression is of each step's error on the error before it (Dickey & Fuller 1979, with the terms of a robot's own
-systematic errors free beside it). The error is taken some time earlier, so that the truth's own noise is on one side.
+A filter (robot_localization, a fused SLAM) that receives poses removes a part of its error at every update. The change
+of the error in a second then depends on the present error; with wheels and gyros alone it does not. So each step's
+error is regressed on the earlier error (Dickey & Fuller 1979), with the robot's systematic errors as free terms. The
+earlier error is taken some time before, so that the truth's noise is not in both.
 
-Errors of a localisation are alike for longer than that, and come back, too: odometry minus truth then fades because the
-*truth* is corrected. Whose steps do it shows across: a filter that is given positions moves its odometry sideways
-towards them, wheels never do, unless the robot drives sideways: then nothing shows it beside a localisation. And one
-slip is no filter: what fades has to fade all along the drive, so that standard errors are those of clustered data
-(Liang & Zeger 1986), a stretch of the drive being a cluster.
+Errors of a localisation are correlated for longer than that and mean-reverting, too: odometry minus truth then decays
+because the *truth* is corrected. The two differ across: a filter with position input moves its odometry sideways
+towards the positions, wheels never do. This does not separate them for a robot that drives sideways. A single slip must
+not pass for a filter: the decay has to occur all along the drive, so standard errors are those of clustered data
+(Liang & Zeger 1986), with stretches of the drive as clusters.
 
-A pose that comes once in a while moves the odometry at one message, which wheels never do. Where such steps lead
-towards the truth they are taken out: what is left is free odometry, and everything can be learned of it.
+An occasional pose moves the odometry within one message, which wheels never do. If such steps lead towards the truth
+they are removed; the rest is free odometry, from which everything can be learned.
 """
 
 from __future__ import annotations
@@ -32,34 +32,34 @@ if TYPE_CHECKING:
 __all__ = ["Feedback", "Pull", "feedback_of", "pull_of"]
 
 _STEP_S, _EARLIER = 1.0, (2, 5)
-"""Steps are so long, and errors are taken so many of them earlier."""
+"""Length of a step, s, and numbers of steps by which the earlier error precedes it."""
 _FEW = 60
 _PLAIN, _THROUGHOUT, _TIMES, _SLOWEST = 4.5, 3.0, 8.0, 0.02
-"""Standard errors of a pull by least squares and by clusters of the drive, times that an error fades in a drive, and
-the slowest fading per second, at least: a random walk about its own mean seems to fade four or five times, with three
-or four standard errors."""
+"""Minimum significance of a decay in standard errors by least squares and by clusters; minimum number of decay times in
+a drive; minimum decay rate per second. A random walk about its mean seems to decay four or five times, with three or
+four standard errors."""
 _CLUSTERS = 20
-"""Stretches of a drive in which errors have to fade alike."""
+"""Number of stretches of a drive that are the clusters."""
 _OWN, _SURELY = 0.5, 2.0
-"""Part of the fading across that the odometry's own sideways steps have to show, and standard errors below it from
-which on they plainly do not."""
+"""Minimum fraction of the decay rate that the odometry's sideways steps must show, and the number of standard errors
+allowed below it."""
 _DRIVES_SIDEWAYS = 0.1
-"""Way sideways, of that along, from which on a robot drives sideways: corrections and tracked points make less."""
+"""Ratio of sideways to forward travel above which a robot drives sideways; corrections and lever arms cause less."""
 
 
 class Pull(NamedTuple):
-    """How fast errors of position and of heading fade, per second; 0 where they do not."""
+    """Decay rates of position and heading errors, per second; 0 if they do not decay."""
 
     position: float
     heading: float
 
 
 class Feedback(NamedTuple):
-    """What poses from outside do to odometry.
+    """Corrections of odometry by external poses.
 
-    free : the odometry without steps towards them, the same where they do not show as steps
-    corrections : how many were taken out
-    per_s, left_per_s : how fast errors fade, and those that are left, per second
+    free : the odometry without steps towards the poses; unchanged if there are no such steps
+    corrections : number of steps removed
+    per_s, left_per_s : decay rates of the errors, per second, before and after the removal
     """
 
     free: Samples
@@ -69,7 +69,7 @@ class Feedback(NamedTuple):
 
 
 def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
-    """Return what poses from outside do to odometry: `calm` is the same without outliers, see `pull_of`."""
+    """Return the corrections of odometry by external poses; `calm` is the odometry without outliers, see `pull_of`."""
     xyt = np.column_stack((odometry.xyz[:, :2], odometry.yaw_rad))
     found = pose_corrections(odometry.seconds_since(int(odometry.stamps_ns[0])), xyt)
     if found.steps:
@@ -83,13 +83,13 @@ def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
 
 
 def pull_of(odometry: Samples, truth: Samples, free: Samples | None = None) -> Pull:
-    """Return how odometry is pulled towards a truth with headings; both by growing stamps, on nearly one clock.
+    """Return the decay rates of odometry errors against a truth with headings; both sorted, on nearly the same clock.
 
-    Where sudden steps were found, it is they that have to lead towards the truth: no gain or bias, no noise of the
-    truth is in them, and wheels make none. `free` is the odometry without them.
+    If sudden steps were found (`free` is the odometry without them), the regression is of these steps: they contain no
+    gain, bias or noise of the truth, and wheels cannot cause them.
 
-    Headings have no such witness as steps sideways: where the truth is a localisation, which is corrected itself, they
-    count only beside positions that are pulled.
+    For headings there is no test like that of sideways steps. If the truth is a localisation, which is corrected
+    itself, a decay of the heading counts only together with one of the position.
     """
     nothing = Pull(0.0, 0.0)
     if not (truth.headed and odometry.headed):
@@ -115,13 +115,13 @@ def pull_of(odometry: Samples, truth: Samples, free: Samples | None = None) -> P
     off = _off(own_xyt, real_xyt)
     off[:, :2] = rotate(off[:, :2], -real_xyt[:, 2])
     dt_s = np.diff(t_s)
-    # gaps of the truth are no steps
+    # leave out gaps of the truth
     usual = dt_s < 3.0 * _STEP_S
     sideways, truly = (
         np.diff(np.interp(t_s, at_s, _sideways(poses.xyt))) for at_s, poses in ((own_s, path), (real_s, real))
     )
     omni = min(np.abs(sideways).sum(), np.abs(truly).sum()) > _DRIVES_SIDEWAYS * np.abs(own[:, 0]).sum()
-    # what gains, biases, clocks and lags of a channel do to a step
+    # regressors: errors of a step due to gains, biases, clocks and channel lags
     sides = own[:, 1:2] if omni else own[:, :0]
     moves = np.column_stack((own[:, [0, 2]], sides))
     changes = np.diff(moves, axis=0, prepend=moves[:1])
@@ -134,7 +134,7 @@ def pull_of(odometry: Samples, truth: Samples, free: Samples | None = None) -> P
     for earlier in _EARLIER if free is None else (0,):
         rows = np.flatnonzero(usual)[earlier:]
         before = off[rows - earlier]
-        # an error of some steps ago, as the robot has it before it now
+        # rotate the earlier error into the robot's present axes
         turned = real_xyt[rows - earlier, 2] - real_xyt[rows, 2]
         before = np.column_stack((rotate(before[:, :2], turned), before[:, 2]))
         span_s = float(t_s[-1] - t_s[0])
@@ -150,14 +150,14 @@ def pull_of(odometry: Samples, truth: Samples, free: Samples | None = None) -> P
 
 
 def _sideways(xyt: Array) -> Array:
-    """Return how far (n,) a path has moved to its own left up to each of its poses (n, 3); arcs do not."""
+    """Return the cumulative sideways motion (n,) of a path (n, 3), positive to the left; arcs have none."""
     step = between(xyt[:-1], xyt[1:])
     moved = rotate(step[:, :2], -0.5 * wrap(step[:, 2]))[:, 1]
     return np.concatenate(([0.0], np.cumsum(moved)))
 
 
 def _off(own_xyt: Array, real_xyt: Array) -> Array:
-    """Return how far odometry (n, 3) lies off the truth, laid onto it as a whole, in the truth's axes."""
+    """Return the error (n, 3) of odometry against the truth after alignment of the whole path, in the truth's frame."""
     turn = float(np.angle(np.mean(np.exp(1j * (real_xyt[:, 2] - own_xyt[:, 2])))))
     laid = rotate(own_xyt[:, :2], np.full(len(own_xyt), turn))
     xy = laid - real_xyt[:, :2]
@@ -166,22 +166,22 @@ def _off(own_xyt: Array, real_xyt: Array) -> Array:
 
 
 class _Fading(NamedTuple):
-    """A rate per second, and its standard errors by least squares and by clusters of the drive."""
+    """Decay rate per second, with its standard errors by least squares and by clusters of the drive."""
 
     rate: float
     usual: float
     clustered: float
 
     def plain(self, span_s: float) -> bool:
-        """Tell whether errors fade plainly in a drive so long."""
+        """Return whether the decay is significant in a drive of this duration."""
         least = max(_SLOWEST, _TIMES / span_s, _PLAIN * self.usual, _THROUGHOUT * self.clustered)
         return self.rate > least
 
 
 def _fading(error: Array, before: Array, aside: Array, dt_s: Array) -> _Fading:
-    """Return how fast errors (n, c) before fade by errors made (n, c), beside what regressors (n, p) make of them.
+    """Return the decay rate of errors `before` (n, c) by step errors (n, c), with regressors `aside` (n, p) free.
 
-    Each cluster is predicted from the others (CR3: Bell & McCaffrey 2002), so that none makes its own line.
+    Each cluster is predicted from the others (CR3: Bell & McCaffrey 2002), so that none determines the rate alone.
     """
     nuisance = np.linalg.qr(np.column_stack((aside, np.ones(len(aside)))))[0]
     y, x = (part - nuisance @ (nuisance.T @ part) for part in (error, -before * dt_s[:, None]))

@@ -26,7 +26,7 @@ __all__ = ["Fixes", "Resolved", "resolved", "without_float_episodes"]
 
 FLOAT_TIMES, _SETTLED_TIMES = 5.0, 2.5
 """Ratios to the best fixes' standard deviation: above the first a float episode begins; it ends below the second,
-which is smaller because a float solution claims less and less while it settles."""
+which is smaller because the reported deviation of a float solution decreases while it settles."""
 _BEST_QUANTILE, _MIN_GOOD = 0.1, 0.3
 """Quantile that defines the best fixes; fraction of fixes that must remain."""
 _ISLAND_S = 3.0
@@ -108,7 +108,7 @@ def without_float_episodes(truth: Samples) -> Samples:
 
 
 def _poor(status: NDArray[np.int8], variance_m2: Array) -> NDArray[np.bool_]:
-    """Return which fixes (n,) have a lower grade than the best usual one, by status or reported covariance."""
+    """Return a mask (n,) of fixes of a lower grade than the best usual one, by status or reported covariance."""
     poor = np.zeros(len(status), dtype=bool)
     grades = [grade for grade in (0, 1, 2) if np.mean(status >= grade) > _MIN_GOOD]
     if grades:

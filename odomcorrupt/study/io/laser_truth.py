@@ -1,4 +1,4 @@
-"""The laser as the truth: odometry and laser scans of one run in, odometry and the laser's trajectory out."""
+"""Laser scans as the truth: the trajectory of a run from its odometry and scans, by scan matching."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 __all__ = ["NO_SCAN", "SCALE_ACCURACY", "LaserRun", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
 
 SCALE_ACCURACY = 0.003
-"""Standard deviation of a laser's own scale error where nobody says better: 0.3 %."""
+"""Default standard deviation of a laser's scale error: 0.3 %."""
 NO_SCAN = "none"
-"""In place of a topic: the laser is left out."""
+"""Value in place of a topic that switches the laser off."""
 _LEAST_PART_S = 15.0
 _WEAK_SAID = 0.1
 _LAG_SAID_S = 0.02
@@ -51,11 +51,11 @@ _GAP_SAID_S, _GAP_PERIODS = 2.0, 5.0
 
 @dataclass(frozen=True, slots=True)
 class LaserRun:
-    """One run through its laser.
+    """One run with its trajectory by the laser.
 
-    odometry : in the order of its stamps
-    sweeps, calibration, tracked, path : what the laser saw, how it sits, the map, and the trajectory in it
-    noise : how noisy that trajectory is beyond what its matches say
+    odometry : sorted by stamps
+    sweeps, calibration, tracked, path : laser sweeps, mounting and clock, the map, and the trajectory in it
+    noise : noise of the trajectory relative to its matches' covariances
     """
 
     odometry: Samples
@@ -67,7 +67,7 @@ class LaserRun:
 
 
 def only_scan(path: Path) -> str | None:
-    """Return the only scan topic of a bag that holds no truth, None where there is a truth or no such topic."""
+    """Return the only scan topic of a bag without a truth topic; None if it has a truth or not exactly one scan."""
     with open_reader(path) as reader:
         topic = only_scan_topic(reader)
         return None if topic is None or has_truth(reader.channels.values()) else topic
@@ -82,17 +82,17 @@ def laser_run(
     *,
     odometry: Samples | None = None,
 ) -> LaserRun:
-    """Read odometry and scans of one run, and return its trajectory by the laser.
+    """Return the trajectory of one run by the laser, from the odometry and scans of a bag.
 
-    odometry : where it was read already, or comes from elsewhere
-    progress : called with the stage and its share that is done
+    odometry : odometry already read, or from another source; default: read from the bag
+    progress : called with the stage and the fraction done
 
     Raises
     ------
     TopicError
-        Where a topic is missing, or several could be meant.
+        If a topic is missing, or the choice is ambiguous.
     RecordingError
-        Where the scans carry no trajectory; the message says why.
+        If the scans do not give a trajectory; the message has the reason.
 
     """
     odometry = in_order(odometry or read_bag(path, place, {"odometry": odom})["odometry"])
@@ -100,14 +100,14 @@ def laser_run(
 
 
 def end_seen(path: Path, place: str, odom: str | None, scan: str) -> Array:
-    """Return where a drive ended (3,), seen from where it began, by its first and last scans.
+    """Return the end pose (3,) of a drive relative to its start, from its first and last scans.
 
     Raises
     ------
     TopicError
-        Where a topic is missing, or several could be meant.
+        If a topic is missing, or the choice is ambiguous.
     RecordingError
-        Where the last scans do not fit the first.
+        If the last scans do not match the first.
 
     """
     address = parse_address(odom) if odom is not None else None
@@ -140,10 +140,10 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
 
 
 def truth_of(run: LaserRun) -> list[Samples]:
-    """Return the laser's trajectory as a truth: one for each part of the map that lasts and hangs together.
+    """Return the laser's trajectory as a truth: one for each connected part of the map that lasts at least 15 s.
 
-    Sweeps that matched nothing are no samples. Stamps are those of the scans, with their lag behind the odometry still
-    in them: the fit estimates it.
+    Sweeps without a match are left out. Stamps are those of the scans, not corrected for their lag against the
+    odometry: the fit estimates it.
     """
     sweeps, path = run.sweeps, run.path
     origin_ns = run.calibration.motion.origin_ns
@@ -189,7 +189,7 @@ def truth_of(run: LaserRun) -> list[Samples]:
 
 
 def _said(run: LaserRun) -> list[str]:
-    """Return what should be known of a laser's trajectory before anything is learned from it."""
+    """Return messages about limitations of a laser's trajectory: lag, weak geometry, jitter, gaps and a low rate."""
     path, said = run.path, []
     lag = run.calibration.motion.lag_s
     if abs(lag) > _LAG_SAID_S:

@@ -1,4 +1,4 @@
-"""Bags by other people's writers, with any of the messages that odometry and truth come in."""
+"""Bags by independent writers, with any message type of odometry and truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A drive with turns both ways, its odometry and its truth, as rows that a test can spoil before it writes them."""
+"""A drive with turns both ways: rows of its odometry and truth, which a test can change before writing them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Odometry and truth out of bags: every format, every type of message, one bag or two."""
+"""Reading odometry and truth from bags: every format, every message type, one bag or two."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What reading leaves out, splits and says: stamps, resets, gaps, outliers, frozen trackers, borrowed headings."""
+"""Cleaning on reading: stamps, resets, gaps, outliers, frozen trackers and derived headings, with their notes."""
 
 from __future__ import annotations
 

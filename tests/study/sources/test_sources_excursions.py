@@ -1,4 +1,4 @@
-"""A truth that loses its way, or swaps its markers, comes back; a robot that was moved does not."""
+"""Excursions of the truth (lost localisation, swapped markers) end; displacements of a robot that was moved remain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Odometry that is pulled towards poses is told from odometry whose errors pile up, whatever these are."""
+"""Odometry corrected by external poses is distinguished from odometry with accumulating errors of any cause."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Satellite fixes against published lengths of a degree and the closed formula's own symmetries."""
+"""Satellite fixes against published lengths of a degree and symmetries of the closed formula."""
 
 import numpy as np
 import pytest

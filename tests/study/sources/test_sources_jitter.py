@@ -1,4 +1,4 @@
-"""Stamps of arrival are noticed; poses that were truly taken at odd times, and stamps that only tremble, are not."""
+"""Stamps of arrival are detected; irregularly sampled poses and stamps with small jitter are not."""
 
 from __future__ import annotations
 

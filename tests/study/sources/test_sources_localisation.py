@@ -1,4 +1,4 @@
-"""Of a localisation on top of the odometry only its corrections are the truth: over TF, or as poses made from TF."""
+"""Of a localisation based on the odometry, only the corrections are used as truth, over TF or as poses from TF."""
 
 from __future__ import annotations
 

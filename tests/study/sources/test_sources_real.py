@@ -1,4 +1,4 @@
-"""Recordings that others made: read without a false alarm, and what is odd about them is said."""
+"""Public recordings are read without false alarms, and their peculiarities are reported."""
 
 from __future__ import annotations
 

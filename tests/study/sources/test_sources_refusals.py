@@ -1,4 +1,4 @@
-"""Bad input on the command line: exit code 1 and one line that says what, the value found, and the way out."""
+"""Bad input on the command line: exit code 1 and one line with the cause, the value found, and the way out."""
 
 from __future__ import annotations
 

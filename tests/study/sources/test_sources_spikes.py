@@ -1,4 +1,4 @@
-"""Single poses that are wrong are left out, and nothing else: whatever is wrong with them, and however little."""
+"""Single wrong poses are left out, however small their error, and no others."""
 
 from __future__ import annotations
 

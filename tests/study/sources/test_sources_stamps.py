@@ -1,4 +1,4 @@
-"""Rounded stamps are put back on their grid and widen a clock's error; steps of a clock cut a run."""
+"""Rounded stamps are restored to their grid and widen a clock's error; clock steps split a run."""
 
 from __future__ import annotations
 

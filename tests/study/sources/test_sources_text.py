@@ -1,4 +1,4 @@
-"""TUM and CSV: what a header can say, stamps kept exact, and nothing believed that is not there."""
+"""TUM and CSV files: headers are understood, stamps are exact, and other text is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Edges of TF as evo writes them: chains, static edges, edges walked backwards, moving edges of other rates."""
+"""TF edges in evo's notation: chains, static edges, inverted edges, and moving edges of different rates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The truth of another drive is refused in one line; no honest one is, however bad its odometry or its truth."""
+"""The truth of another drive is refused in one line; a matching one is accepted, however bad its quality."""
 
 from __future__ import annotations
 

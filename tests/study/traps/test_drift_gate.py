@@ -1,4 +1,4 @@
-"""13.5: what improves single steps and spoils the path is refused, unless the next cause makes the path good."""
+"""13.5: an effect that improves single steps but increases the drift is refused, unless the next one corrects it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The traps that a wheel-level simulation showed: truths that wander, controllers, ghosts, scans and stamps."""
+"""Pitfalls shown by a wheel-level simulation: drifting truths, controllers, second-order artefacts, scans, stamps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The traps that real recordings and other people's drives showed."""
+"""Pitfalls shown by real recordings and independent drives."""
 
 from __future__ import annotations
 

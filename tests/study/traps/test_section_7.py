@@ -1,4 +1,4 @@
-"""The traps of a study that were met on drives of our own noise: truth that is noisy, drivers that carry the error."""
+"""Pitfalls of a study on simulated drives: noisy truth, and regressors that contain the error."""
 
 from __future__ import annotations
 
