@@ -89,6 +89,7 @@ def test_spins_do_not_settle_what_only_a_heading_from_the_wheels_would_show():
         assert plan.manoeuvre.name != "spins"
 
 
+@pytest.mark.slow
 def test_a_clock_that_was_not_put_to_the_test_is_reported():
     route = steadily(0.5, 0.0, 120.0)
     run = as_recording(simulate(3, None, route=route, duration_s=route.duration_s))
@@ -99,6 +100,7 @@ def test_a_clock_that_was_not_put_to_the_test_is_reported():
     assert "time_offset" not in {one.effect for one in mixed.untestable}
 
 
+@pytest.mark.slow
 def test_a_name_that_does_the_same_with_one_number_more_is_a_choice_too():
     """On a circle, a lever arm is the same as slip or a turned mount; that it has two numbers is no evidence."""
     route = steadily(0.5, 0.5, 120.0)

@@ -110,6 +110,7 @@ def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_
     assert drop_unsupported_parts(learned, [replace(same, name="same")])[0].fit.effects
 
 
+@pytest.mark.slow
 def test_a_name_that_is_hardly_likely_stays_only_where_the_error_grows_without_it():
     learned = learned_with(with_truth(drive(4, wide=1.05), 5), "wheelbase", "wheel_scale")
     doubted = replace(learned, margins={"wheelbase": -30.0, "wheel_scale": -30.0})

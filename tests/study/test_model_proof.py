@@ -93,6 +93,7 @@ def test_a_sound_model_is_left_as_it_is(drive):
     assert found.model == model
 
 
+@pytest.mark.slow
 def test_a_law_that_reads_more_out_of_rough_odometry_than_the_fit_did_is_left_out(drive):
     # the fit smooths speeds on both sides; as they come they seem to brake hard half of the time
     rough = drive.odometry.xyt + np.random.default_rng(2).normal(0.0, [1e-3, 1e-3, 0.0], drive.odometry.xyt.shape)

@@ -118,6 +118,7 @@ def test_a_truth_that_is_corrected_is_no_filter_of_the_odometry(tmp_path):
     assert "fade" not in said_of(tmp_path, wheels, REAL + error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned_deg", [38.0, -10.0])
 def test_one_slip_is_no_filter(tmp_path, turned_deg):
     def slip(steps, rng):
