@@ -47,7 +47,10 @@ def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     clocks = fit.problem.clocks
     lead_s = min(-clock.offset_s for clock in clocks)
     have = {effect.name for effect in fit.effects}
-    if not np.any(fit.free_clocks) or lead_s < _LEAD_S or not sees_travel(fit.problem.recordings):
+    recordings = fit.problem.recordings
+    # A laser's scans have a clock of their own, whose lead is no sign of late motors.
+    tested = sees_travel(recordings) and not any(r.matched for r in recordings)
+    if not np.any(fit.free_clocks) or lead_s < _LEAD_S or not tested:
         return None
     kind = next(k for k in registry().values() if k.in_place_of == "time_offset")
     if kind.name in have:
