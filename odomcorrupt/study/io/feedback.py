@@ -26,6 +26,8 @@ from odomcorrupt.correction.pose_corrections import pose_corrections
 from odomcorrupt.geometry.se2 import between, rotate, wrap
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
@@ -68,6 +70,33 @@ class Feedback(NamedTuple):
     left_per_s: float
 
 
+class _Aligned(NamedTuple):
+    """Odometry and truth at the same m times, about a second apart.
+
+    t_s : (m,) seconds since the odometry's first stamp
+    real_xyt, own_xyt : (m, 3) poses of the truth and of the odometry
+    off : (m, 3) error of the odometry after alignment of the whole path, in the axes of the truth's pose
+    rows : indices of the steps between two of these times that are no gaps of the truth
+    """
+
+    t_s: Array
+    real_xyt: Array
+    own_xyt: Array
+    off: Array
+    rows: NDArray[np.int64]
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first pose to the last, seconds."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+    def off_before(self, rows: NDArray[np.int64], earlier: int) -> Array:
+        """Return the errors (k, 3) a number of steps before these rows, in the robot's axes at the rows."""
+        before = self.off[rows - earlier]
+        turned = self.real_xyt[rows - earlier, 2] - self.real_xyt[rows, 2]
+        return np.column_stack((rotate(before[:, :2], turned), before[:, 2]))
+
+
 def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
     """Return the corrections of odometry by external poses; `calm` is the odometry without outliers, see `pull_of`."""
     xyt = np.column_stack((odometry.xyz[:, :2], odometry.yaw_rad))
@@ -75,50 +104,29 @@ def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
     if found.steps:
         moved = found.error_xyt * [1.0, 1.0, 0.0]
         free = replace(odometry, xyz=odometry.xyz + moved, yaw_rad=odometry.yaw_rad + found.error_xyt[:, 2])
-        per_s = max(pull_of(odometry, truth, free))
+        per_s = max(_pull_of_steps(odometry, free, truth))
         if per_s:
             return Feedback(free, found.steps, per_s, max(pull_of(free, truth)))
     per_s = max(pull_of(calm, truth))
     return Feedback(odometry, 0, per_s, per_s)
 
 
-def pull_of(odometry: Samples, truth: Samples, free: Samples | None = None) -> Pull:
+def pull_of(odometry: Samples, truth: Samples) -> Pull:
     """Return the decay rates of odometry errors against a truth with headings; both sorted, on nearly the same clock.
-
-    If sudden steps were found (`free` is the odometry without them), the regression is of these steps: they contain no
-    gain, bias or noise of the truth, and wheels cannot cause them.
 
     For headings there is no test like that of sideways steps. If the truth is a localisation, which is corrected
     itself, a decay of the heading counts only together with one of the position.
     """
-    nothing = Pull(0.0, 0.0)
-    if not (truth.headed and odometry.headed):
-        return nothing
-    real, path = truth.trajectory(), odometry.trajectory()
-    origin = int(odometry.stamps_ns[0])
-    real_s, own_s = real.seconds_since(origin), path.seconds_since(origin)
-    inside = np.flatnonzero((real_s >= own_s[0]) & (real_s <= own_s[-1]))
-    if len(inside) < _FEW:
-        return nothing
-    grid = np.arange(real_s[inside[0]], real_s[inside[-1]], _STEP_S)
-    picked = np.unique(inside[np.minimum(np.searchsorted(real_s[inside], grid), len(inside) - 1)])
-    t_s, real_xyt, own_xyt = real_s[picked], real.xyt[picked], path.at(real_s[picked], origin)
-    if len(picked) < _FEW:
-        return nothing
-    step, own = between(real_xyt[:-1], real_xyt[1:]), between(own_xyt[:-1], own_xyt[1:])
-    rest = step
-    if free is not None:
-        without = free.trajectory().at(real_s[picked], origin)
-        rest = between(without[:-1], without[1:])
-    error = own - rest
+    at = _aligned(odometry, truth)
+    if at is None:
+        return Pull(0.0, 0.0)
+    own = between(at.own_xyt[:-1], at.own_xyt[1:])
+    error = own - between(at.real_xyt[:-1], at.real_xyt[1:])
     error[:, 2] = wrap(error[:, 2])
-    off = _off(own_xyt, real_xyt)
-    off[:, :2] = rotate(off[:, :2], -real_xyt[:, 2])
-    dt_s = np.diff(t_s)
-    # leave out gaps of the truth
-    usual = dt_s < 3.0 * _STEP_S
+    dt_s, origin = np.diff(at.t_s), int(odometry.stamps_ns[0])
     sideways, truly = (
-        np.diff(np.interp(t_s, at_s, _sideways(poses.xyt))) for at_s, poses in ((own_s, path), (real_s, real))
+        np.diff(np.interp(at.t_s, path.seconds_since(origin), _sideways(path.xyt)))
+        for path in (odometry.trajectory(), truth.trajectory())
     )
     omni = min(np.abs(sideways).sum(), np.abs(truly).sum()) > _DRIVES_SIDEWAYS * np.abs(own[:, 0]).sum()
     # regressors: errors of a step due to gains, biases, clocks and channel lags
@@ -129,24 +137,58 @@ def pull_of(odometry: Samples, truth: Samples, free: Samples | None = None) -> P
     swing = np.column_stack((own[:, :1], sides)) * own[:, 2:]
     aside = np.column_stack((moves, np.abs(moves[:, 1:]), dt_s, swing, changes, later))
     position, heading = 0.0, 0.0
-    if free is not None:
-        aside = aside[:, :0]
-    for earlier in _EARLIER if free is None else (0,):
-        rows = np.flatnonzero(usual)[earlier:]
-        before = off[rows - earlier]
-        # rotate the earlier error into the robot's present axes
-        turned = real_xyt[rows - earlier, 2] - real_xyt[rows, 2]
-        before = np.column_stack((rotate(before[:, :2], turned), before[:, 2]))
-        span_s = float(t_s[-1] - t_s[0])
+    for earlier in _EARLIER:
+        rows = at.rows[earlier:]
+        before = at.off_before(rows, earlier)
         both = _fading(error[rows, :2], before[:, :2], aside[rows], dt_s[rows])
         across = _fading(sideways[rows, None], before[:, 1:2], aside[rows], dt_s[rows])
         alone = _fading(error[rows, 2:], before[:, 2:], aside[rows], dt_s[rows])
         itself = across.rate + _SURELY * max(across.usual, across.clustered) > _OWN * both.rate
-        if both.plain(span_s) and (free is not None or (not truth.localised if omni else itself)):
+        if both.plain(at.span_s) and (not truth.localised if omni else itself):
             position = max(position, both.rate)
-        if alone.plain(span_s):
+        if alone.plain(at.span_s):
             heading = max(heading, alone.rate)
     return Pull(position, heading if position or not truth.localised else 0.0)
+
+
+def _pull_of_steps(odometry: Samples, free: Samples, truth: Samples) -> Pull:
+    """Return the decay rates by the sudden steps of odometry alone; `free` is the odometry without them.
+
+    The steps contain no gain, bias or noise of the truth, and wheels cannot cause them, so that no other regressors and
+    no earlier errors are needed.
+    """
+    at = _aligned(odometry, truth)
+    if at is None:
+        return Pull(0.0, 0.0)
+    without = free.trajectory().at(at.t_s, int(odometry.stamps_ns[0]))
+    step = between(at.own_xyt[:-1], at.own_xyt[1:]) - between(without[:-1], without[1:])
+    step[:, 2] = wrap(step[:, 2])
+    rows, dt_s = at.rows, np.diff(at.t_s)
+    before, none = at.off_before(rows, 0), np.zeros((len(rows), 0))
+    both = _fading(step[rows, :2], before[:, :2], none, dt_s[rows])
+    alone = _fading(step[rows, 2:], before[:, 2:], none, dt_s[rows])
+    position, heading = (found.rate if found.plain(at.span_s) else 0.0 for found in (both, alone))
+    return Pull(position, heading if position or not truth.localised else 0.0)
+
+
+def _aligned(odometry: Samples, truth: Samples) -> _Aligned | None:
+    """Return odometry and truth at common times; None without headings, or if they share less than a minute."""
+    if not (truth.headed and odometry.headed):
+        return None
+    real, path = truth.trajectory(), odometry.trajectory()
+    origin = int(odometry.stamps_ns[0])
+    real_s, own_s = real.seconds_since(origin), path.seconds_since(origin)
+    inside = np.flatnonzero((real_s >= own_s[0]) & (real_s <= own_s[-1]))
+    if len(inside) < _FEW:
+        return None
+    grid = np.arange(real_s[inside[0]], real_s[inside[-1]], _STEP_S)
+    picked = np.unique(inside[np.minimum(np.searchsorted(real_s[inside], grid), len(inside) - 1)])
+    if len(picked) < _FEW:
+        return None
+    t_s, real_xyt, own_xyt = real_s[picked], real.xyt[picked], path.at(real_s[picked], origin)
+    off = _off(own_xyt, real_xyt)
+    off[:, :2] = rotate(off[:, :2], -real_xyt[:, 2])
+    return _Aligned(t_s, real_xyt, own_xyt, off, np.flatnonzero(np.diff(t_s) < 3.0 * _STEP_S))
 
 
 def _sideways(xyt: Array) -> Array:

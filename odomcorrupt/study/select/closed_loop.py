@@ -119,6 +119,7 @@ def may_be_of_lags(fit: Fit, score: Score) -> bool:
     own = rest.of(fit.noise.whitener.whiten(score.term.columns(problem)))
     for channel, column in (("along", 0), ("yaw", 2)):
         late_s = clock_s + sum(getattr(lag, "tau", 0.0) for lag in lags if getattr(lag, "channel", "") == channel)
+        # per interval: the second derivative of the speed times the interval's length
         bends = np.concatenate([np.gradient(m.acceleration[:, column]) for m in problem.motions])
         form = problem.nodes.column(bends[:, None] * np.eye(3)[column])[:, :, None]
         other = rest.of(fit.noise.whitener.whiten(form))
