@@ -7,6 +7,8 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any, Self
 
 from odomcorrupt.bags.block import Block, without
+from odomcorrupt.bags.file_copy import FileState
+from odomcorrupt.bags.output import Original
 from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import Undecodable, loss_of
 from odomcorrupt.bags.source import Source
@@ -43,6 +45,7 @@ class RecordReader(ABC):
         self._threads = threads
         self._source = self._reading = source
         self._undecodable = Undecodable()
+        self._state: FileState | None = None
         self._begun = False
         self._first_losses = 0  # those of the header
         self._data_start = 0
@@ -60,6 +63,7 @@ class RecordReader(ABC):
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
                 self._reading = source
+                self._state = source.state()
                 source.seek(self._data_start)
                 yield from self._pass(source)
         else:
@@ -78,6 +82,13 @@ class RecordReader(ABC):
                     "damaged; --recover saves those"
                 )
             )
+
+    def originals(self, block: Block) -> list[Original]:
+        """Return the file's bytes that a block's chunks had, chunk by chunk; none if it is not known what changed."""
+        if self._state is None or block.changed is None or block.added or not block.places:
+            return []
+        spans = zip(block.places, block.changed_spans(), strict=True)
+        return [Original(self.paths[0], self._state, place, changed) for place, changed in spans]
 
     def _pass(self, source: Source) -> Iterator[Block]:
         """Yield the blocks of a source, and register channels on the way."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from odomcorrupt.bags.block import BagReader
-    from odomcorrupt.bags.output import Output
+    from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
 
 __all__ = ["Connections", "Ros1Writer"]
@@ -158,9 +158,12 @@ class Ros1Writer(OutputContext):
             codec = "lz4"
         if added.data.size:
             framed = framed.followed_by(added)
+        codec = self._codec or codec
+        native = self._results.beside and isinstance(framing, Ros1Framing) and isinstance(self._reader, Ros1Reader)
+        originals = self._reader.originals(block) if native and codec == "none" else []  # type: ignore[attr-defined]
         if framed.data.size:
-            for chunk in framed.chunks():
-                self._write_chunk(chunk, self._codec or codec)
+            for chunk, original in zip_longest(framed.chunks(), originals):
+                self._write_chunk(chunk, codec, original)
 
     def settle(self) -> None:
         """Wait until all blocks passed to `write` are written and may change."""
@@ -180,26 +183,35 @@ class Ros1Writer(OutputContext):
             framed = replace(framed.followed_by(chunk), ends=ends)
         return framed
 
-    def _write_chunk(self, framed: Framed, codec: str) -> None:
+    def _write_chunk(self, framed: Framed, codec: str, original: Original | None) -> None:
         if framed.data.size >= _CHUNK_LIMIT:
             raise BagError(f"{self._output.name}: a chunk of {framed.data.size} bytes is too large for a ROS 1 bag")
         self._written += len(framed.table)
         self._results.put(
             partial(self.pack, codec, framed.data, self._level),
-            partial(self._write_packed, framed, codec, indexes(framed)),
+            partial(self._write_packed, framed, codec, indexes(framed), original),
             framed.data.size,
             worth=codec != "none",
         )
 
     def _write_packed(
-        self, framed: Framed, codec: str, found: list[tuple[int, int, bytes]], packed: bytes | memoryview
+        self,
+        framed: Framed,
+        codec: str,
+        found: list[tuple[int, int, bytes]],
+        original: Original | None,
+        packed: bytes | memoryview,
     ) -> None:
         """Write a compressed chunk and its indexes."""
         position = self._output.position
         header = pack_fields(
             {"compression": codec.encode(), "op": bytes([CHUNK]), "size": struct.pack("<I", framed.data.size)}
         )
-        self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)), packed)
+        self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)))
+        if original is None:
+            self._output.write(packed)
+        else:
+            self._output.write_changed(memoryview(packed), 0, original)
         self._output.write(b"".join(index for _, _, index in found))
         times = framed.table["log_ns"]
         info = pack_fields(
