@@ -50,10 +50,6 @@ _SMALL = (1 << 16) - 1
 """Ids up to here are counted fastest by np.bincount; those of an MCAP are never larger."""
 
 
-_CLOSE_BYTES = 1 << 13
-"""So many bytes between two messages are written as quickly as left out."""
-
-
 @dataclass(frozen=True, slots=True)
 class Channel:
     """A topic of one publisher.
@@ -100,23 +96,6 @@ class Block:
     ends: tuple[int, ...] = ()
     places: tuple[int, ...] = ()
     changed: NDArray[np.int64] | None = None
-
-    def changed_spans(self) -> list[list[tuple[int, int]]]:
-        """Return for each of its chunks where what changed begins and ends in it, bytes; close ones as one."""
-        rows = self.table[np.unique(self.changed if self.changed is not None else np.arange(len(self.table)))]
-        chunk_ends = np.array(self.ends or (self.data.size,))
-        spans: list[list[tuple[int, int]]] = [[] for _ in chunk_ends]
-        if not rows.size:
-            return spans
-        begins, ends = rows["offset"], np.maximum.accumulate(rows["offset"] + rows["length"])
-        chunks = np.searchsorted(chunk_ends, begins, side="right")
-        apart = np.flatnonzero((begins[1:] > ends[:-1] + _CLOSE_BYTES) | (chunks[1:] != chunks[:-1])) + 1
-        first, last = np.concatenate(([0], apart)), np.concatenate((apart - 1, [-1]))
-        within = np.concatenate(([0], chunk_ends))[chunks[first]]
-        found = (chunks[first], begins[first] - within, ends[last] - within)
-        for chunk, begin, end in zip(*map(np.ndarray.tolist, found), strict=True):
-            spans[chunk].append((begin, end))
-        return spans
 
     def present(self) -> set[int]:
         """Return the ids of the channels of its messages."""

@@ -89,7 +89,9 @@ class FileCopy:
     def require_unchanged(self) -> None:
         """Raise BagError if the source was replaced or written to since it was read."""
         if FileState.of(self._source) != self._state:
-            raise BagError(f"{self._name}: was written to while it was read; nothing is kept, run again when it is done")
+            raise BagError(
+                f"{self._name}: was written to while it was read; nothing is kept, run again when it is done"
+            )
 
     def _run(self) -> None:
         with suppress(OSError, AttributeError):

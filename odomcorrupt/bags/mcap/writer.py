@@ -33,7 +33,7 @@ from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -178,7 +178,7 @@ class McapWriter(OutputContext):
         stops = np.searchsorted(framed.table["offset"], ends[:-1]).tolist()
         rows = zip((0, *ends[:-1]), ends, (0, *stops), (*stops, framed.table.size), strict=True)
         chunks = [ChunkRows(*row) for row in rows]
-        same = originals or [None] * len(chunks)
+        same: Sequence[Original | None] = originals or [None] * len(chunks)
         for chunk, indexes, original in zip(chunks, message_indexes(framed.table, chunks), same, strict=True):
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
             span = ChunkSpan(*span_ns(framed.table[chunk.start : chunk.stop]), codec, data.size)

@@ -102,8 +102,9 @@ def _publisher(definition: Definition) -> dict[str, str]:
     return {key: definition.metadata[key] for key in ("callerid", "latching") if key in definition.metadata}
 
 
-_HEADER_BYTES = 4096
-"""What rosbag reserves for the bag header, so that it can be written over when the index is known."""
+_HEADER_BYTES = 4104
+"""What rosbag reserves for the bag header's record, so that it can be written over when the index is known."""
+_MOST_HEADER_BYTES = 1 << 16
 _CHUNK_LIMIT = 1 << 32
 
 
@@ -135,8 +136,11 @@ class Ros1Writer(OutputContext):
         self.pack = compress_for_ros1
         self._connections = Connections(reader)
         self._reader = reader
-        self._written = self._added = 0
         self._infos: list[bytes] = []
+        # the chunks of another ROS 1 bag stay where they are
+        taken = reader.header_bytes if isinstance(reader, Ros1Reader) else _HEADER_BYTES
+        self._header_bytes = taken if len(self._header(0, 0, 0)) <= taken <= _MOST_HEADER_BYTES else _HEADER_BYTES
+        self._written = self._added = 0
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel with the latching and callerid of another one; return it with a new id."""
@@ -227,8 +231,8 @@ class Ros1Writer(OutputContext):
         counts = b"".join(struct.pack("<II", connection, count) for connection, count, _ in found)
         self._infos.append(pack_record(info, counts))
 
-    def _header(self, index_at: int, connections: int) -> bytes:
-        """Return the bag header, padded to a fixed size."""
+    def _header(self, index_at: int, connections: int, size: int) -> bytes:
+        """Return the bag header's record, padded to a size in bytes."""
         header = pack_fields(
             {
                 "chunk_count": struct.pack("<I", len(self._infos)),
@@ -237,7 +241,7 @@ class Ros1Writer(OutputContext):
                 "op": bytes([BAG_HEADER]),
             }
         )
-        return pack_record(header, b" " * (_HEADER_BYTES - len(header)))
+        return pack_record(header, b" " * (size - 8 - len(header)))
 
     def _finish(self) -> None:
         self._results.finish()
@@ -245,10 +249,10 @@ class Ros1Writer(OutputContext):
         index_at = self._output.position
         connections = self._connections.packed()
         self._output.write(*connections, *self._infos)
-        self._output.rewrite(len(MAGIC), self._header(index_at, len(connections)))
+        self._output.rewrite(len(MAGIC), self._header(index_at, len(connections), self._header_bytes))
 
     def _begin(self) -> None:
-        self._output.write(MAGIC, self._header(0, 0))
+        self._output.write(MAGIC, self._header(0, 0, self._header_bytes))
 
 
 def _messages(block: Block) -> list[Message]:
