@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 from contextlib import suppress
@@ -49,12 +50,20 @@ class FileCopy:
     state : FileState, optional
         The source's when it was read; by default the present one.
 
+    Raises
+    ------
+    OSError
+        If the source cannot be opened, or is not the file that was read.
+
     """
 
     def __init__(self, source: Path, target: int, begin: int = 0, state: FileState | None = None) -> None:
         self._name = str(source)
         self._source, self._target = os.open(source, os.O_RDONLY | getattr(os, "O_BINARY", 0)), target
-        self._state = FileState.of(self._source) if state is None else state
+        self._state = FileState.of(self._source)
+        if state not in (None, self._state):
+            os.close(self._source)
+            raise OSError(errno.ESTALE, os.strerror(errno.ESTALE), self._name)
         self._position = begin
         self._ended = self._stopped = False
         self._progress = threading.Condition()

@@ -132,7 +132,10 @@ class Output:
                 self._copy.stop()
             return False
         if self._copy is None:
-            self._copy = FileCopy(original.path, self._stream.fileno(), self.position, original.state)
+            try:
+                self._copy = FileCopy(original.path, self._stream.fileno(), self.position, original.state)
+            except OSError:  # the input was moved away meanwhile; its reader still has it
+                return False
         return self._copy.reaches(self.position + size)
 
     def write_shared(self, shared: Shared) -> None:

@@ -144,6 +144,28 @@ def test_an_input_that_changes_under_the_copy_leaves_nothing(bag, tmp_path, monk
     assert threading.active_count() == 1
 
 
+@pytest.mark.parametrize("replaced", [False, True])
+def test_an_input_that_is_moved_away_is_written_as_it_was_read(bag, replaced, tmp_path, monkeypatch, copied):
+    one, source, write = (
+        corrupt(bag, tmp_path / f"one{bag.suffix}", 1),
+        tmp_path / f"in{bag.suffix}",
+        Output.write_changed,
+    )
+    source.write_bytes(bag.read_bytes())
+
+    def late(output, piece, crc, original):
+        if source.exists() and not replaced:
+            source.unlink()
+        elif replaced:
+            (tmp_path / "other").write_bytes(b"another")
+            (tmp_path / "other").replace(source)
+        write(output, piece, crc, original)
+
+    monkeypatch.setattr(Output, "write_changed", late)
+    assert corrupt(source, tmp_path / f"two{bag.suffix}") == one
+    assert not copied
+
+
 def test_an_interrupt_ends_the_copy(bag, tmp_path, monkeypatch):
     def interrupted(*_words):
         raise KeyboardInterrupt
