@@ -85,6 +85,8 @@ class Block:
     raw : format-specific data for writing (compression, record framing, non-message records)
     added : messages to append, in order
     ends : end offsets of the chunks that were joined; empty for a single chunk
+    places : where the data of its chunks begin in its file, if they are not compressed there; else empty
+    changed : (n,) rows of the table of all messages that are not as they were read, None where this is not known
     """
 
     data: NDArray[np.uint8]
@@ -92,6 +94,8 @@ class Block:
     raw: Any = None
     added: list[Message] = field(default_factory=list)
     ends: tuple[int, ...] = ()
+    places: tuple[int, ...] = ()
+    changed: NDArray[np.int64] | None = None
 
     def present(self) -> set[int]:
         """Return the ids of the channels of its messages."""

@@ -39,6 +39,7 @@ class Chunk:
     """A decompressed chunk or a part of one, and the contents of the indexes that follow it.
 
     open : records of a ROS 1 chunk that was never finished
+    place : where its data are in the file, if these are not compressed
     """
 
     data: NDArray[np.uint8]
@@ -46,6 +47,7 @@ class Chunk:
     what: str
     indexes: list[bytes] = field(default_factory=list)
     open: bytearray = field(default_factory=bytearray)
+    place: int | None = None
 
     def append(self, _opcode: int, content: bytes, _what: str) -> None:
         """Append an index."""
@@ -78,7 +80,8 @@ def read_chunks(source: Source, head: ChunkHead, record_bytes: RecordBytes, *, v
     if head.codec == "none" and head.size != head.packed:
         raise BagError(f"{named}: says it holds {head.size} bytes, but has {head.packed}; the bag is damaged")
     if head.size <= LARGE_BYTES:
-        yield Chunk(_read_whole(source, head, named), head.codec, named)
+        place = source.position if head.codec == "none" else None
+        yield Chunk(_read_whole(source, head, named), head.codec, named, place=place)
         return
     budget: Budget | None = source.budget
     if verify and (head.crc or head.codec != "none"):

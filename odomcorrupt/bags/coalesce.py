@@ -65,7 +65,9 @@ class _Run:
         table = np.concatenate([block.table.view(np.uint8) for block in self.blocks]).view(TABLE)
         table["offset"] += np.repeat(begins, [len(block.table) for block in self.blocks])
         raw = first.raw.joined([block.raw for block in self.blocks[1:]], begins[1:])
-        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends))
+        places = tuple(place for block in self.blocks for place in block.places)
+        places = places if len(places) == len(ends) else ()
+        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends), places=places)
 
 
 def _address(block: Block) -> int:

@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Self
 
 from odomcorrupt.bags.checksum import crc32, crc_of_both
+from odomcorrupt.bags.file_copy import FileCopy
 from odomcorrupt.bags.placement import beside, is_stream, place, sweep
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from types import TracebackType
 
-__all__ = ["Output", "OutputContext", "Shared"]
+    from odomcorrupt.bags.file_copy import FileState
+
+__all__ = ["Original", "Output", "OutputContext", "Shared"]
 
 _WORTH_BYTES = 1 << 16
 """Less is written as quickly as copied."""
@@ -37,6 +40,21 @@ class Shared:
     home: tuple[int, int] | None = None
 
 
+@dataclass(slots=True)
+class Original:
+    """Bytes of a file that an output has, too, but for some.
+
+    path, state : the file, when it was read
+    position : where they begin in it
+    changed : begin and end of each span that differs, counted from `position`
+    """
+
+    path: Path
+    state: FileState
+    position: int
+    changed: list[tuple[int, int]]
+
+
 class Output:
     """A file or stream being written.
 
@@ -56,6 +74,7 @@ class Output:
         self._path = path
         self._partial: Path | None = None
         self._stream = stream
+        self._copy: FileCopy | None = None
 
     def open(self) -> None:
         """Open a hidden temporary file in the target's directory, or the stream itself; discard it if that fails."""
@@ -85,6 +104,39 @@ class Output:
             self.summing = summing
         if summing:
             self.crc = crc_of_both(self.crc, crc, piece)
+
+    def write_changed(self, piece: memoryview, crc: int, original: Original) -> None:
+        """Write bytes with a known CRC-32; of those that a file has at the same position only what differs."""
+        try:
+            if self._stream is None or not self._has_copied(original, len(piece)):
+                self.write_summed(piece, crc)
+                return
+            for begin, end in original.changed:
+                self._stream.seek(self.position + begin)
+                self._stream.write(piece[begin:end])
+            self.position += len(piece)
+            self._stream.seek(self.position)
+        except BagError:
+            raise
+        except OSError as error:
+            raise self._failed(error) from error
+        if self.summing:
+            self.crc = crc_of_both(self.crc, crc, piece)
+
+    def _has_copied(self, original: Original, size: int) -> bool:
+        """Return whether the next `size` bytes are there, copied by a thread that the first call starts."""
+        if 2 * sum(end - begin for begin, end in original.changed) > size:
+            return False
+        if self._partial is None or self._stream is None or original.position != self.position:
+            if self._copy is not None:
+                self._copy.stop()
+            return False
+        if self._copy is None:
+            try:
+                self._copy = FileCopy(original.path, self._stream.fileno(), self.position, original.state)
+            except OSError:  # the input was moved away meanwhile; its reader still has it
+                return False
+        return self._copy.reaches(self.position + size)
 
     def write_shared(self, shared: Shared) -> None:
         """Write bytes common to several outputs; between files the kernel copies them from the first one."""
@@ -132,6 +184,8 @@ class Output:
         try:
             for piece in pieces:
                 view = memoryview(piece)
+                if self._copy is not None:
+                    self._copy.reaches(self.position + len(view))
                 if self.summing:
                     self.crc = crc32(view, self.crc)
                 # Up to the next border of a piece: what the buffer hands on are then whole pages. An unbuffered stdout
@@ -159,6 +213,10 @@ class Output:
         if self._stream is None:
             return
         try:
+            if self._copy is not None:
+                self._copy.stop()
+                self._copy.require_unchanged()
+                self._stream.truncate(self.position)
             self._stream.flush()
             if self._partial is not None and self._path is not None:
                 self._stream.close()
@@ -172,6 +230,9 @@ class Output:
 
     def discard(self) -> None:
         """Remove the temporary file, also where an interrupt came before it was known to be open."""
+        if self._copy is not None:
+            self._copy.close()
+            self._copy = None
         if self._path is None:
             return
         # Buffered bytes that a full disk rejects are discarded with the file.

@@ -6,7 +6,10 @@ from abc import ABC, abstractmethod
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from odomcorrupt.bags.block import Block, without
+from odomcorrupt.bags.output import Original
 from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import Undecodable, loss_of
 from odomcorrupt.bags.source import Source
@@ -17,9 +20,15 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.bags.block import Channel
+    from odomcorrupt.bags.file_copy import FileState
 
 __all__ = ["RecordReader"]
+
+_CLOSE_BYTES = 1 << 13
+"""So many bytes between two messages are written as quickly as left out."""
 
 
 class RecordReader(ABC):
@@ -43,6 +52,7 @@ class RecordReader(ABC):
         self._threads = threads
         self._source = self._reading = source
         self._undecodable = Undecodable()
+        self._state: FileState | None = None
         self._begun = False
         self._first_losses = 0  # those of the header
         self._data_start = 0
@@ -60,6 +70,7 @@ class RecordReader(ABC):
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
                 self._reading = source
+                self._state = source.state()
                 source.seek(self._data_start)
                 yield from self._pass(source)
         else:
@@ -78,6 +89,13 @@ class RecordReader(ABC):
                     "damaged; --recover saves those"
                 )
             )
+
+    def originals(self, block: Block) -> list[Original]:
+        """Return the file's bytes that a block's chunks had, chunk by chunk; none if it is not known what changed."""
+        if self._state is None or block.changed is None or block.added or not block.places:
+            return []
+        spans = zip(block.places, _changed_spans(block, block.changed), strict=True)
+        return [Original(self.paths[0], self._state, place, changed) for place, changed in spans]
 
     def _pass(self, source: Source) -> Iterator[Block]:
         """Yield the blocks of a source, and register channels on the way."""
@@ -140,3 +158,21 @@ class RecordReader(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._source.close()
+
+
+def _changed_spans(block: Block, changed: NDArray[np.int64]) -> list[list[tuple[int, int]]]:
+    """Return for each chunk of a block where changed messages (n,) begin and end in it, bytes; close ones as one."""
+    rows = block.table[np.unique(changed)]
+    chunk_ends = np.array(block.ends or (block.data.size,))
+    spans: list[list[tuple[int, int]]] = [[] for _ in chunk_ends]
+    if not rows.size:
+        return spans
+    begins, ends = rows["offset"], np.maximum.accumulate(rows["offset"] + rows["length"])
+    chunks = np.searchsorted(chunk_ends, begins, side="right")
+    apart = np.flatnonzero((begins[1:] > ends[:-1] + _CLOSE_BYTES) | (chunks[1:] != chunks[:-1])) + 1
+    first, last = np.concatenate(([0], apart)), np.concatenate((apart - 1, [-1]))
+    chunk_begins = np.concatenate(([0], chunk_ends))[chunks[first]]
+    found = (chunks[first], begins[first] - chunk_begins, ends[last] - chunk_begins)
+    for chunk, begin, end in zip(*map(np.ndarray.tolist, found), strict=True):
+        spans[chunk].append((begin, end))
+    return spans

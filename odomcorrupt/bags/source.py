@@ -11,6 +11,7 @@ import numpy as np
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.buffer_pool import BufferPool
 from odomcorrupt.bags.checksum import crc32, crc_of_both
+from odomcorrupt.bags.file_copy import FileState
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -73,6 +74,10 @@ class Source:
         source._owned = True
         source.size = path.stat().st_size if stream.seekable() else None
         return source
+
+    def state(self) -> FileState:
+        """Return the state of the file."""
+        return FileState.of(self._stream.fileno())
 
     def spooled(self) -> Self:
         """Return the rest of a pipe as a source on a temporary, seekable file."""

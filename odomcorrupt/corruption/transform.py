@@ -279,6 +279,9 @@ class Transform:
 
     def _patch(self, held: _Held) -> Block:
         targets = self._targets(held)
+        # also those of them whose bytes the patches leave as they are
+        rows = [target.layout.rows for target in targets]
+        held.block.changed = np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
         if not targets or self._first_ns is None:
             return held.block
         self._curve.forget(int(min(target.time_ns[0] for target in targets)))

@@ -72,7 +72,9 @@ class Known:
             contents = read_contents(part.data, part.indexes, part.what)
             for other in contents.others:
                 self._learn_within(part.data, other)
-            block, what = Block(part.data, contents.table, McapFraming("chunk", part.codec)), part.what
+            places = () if part.place is None else (part.place,)
+            block = Block(part.data, contents.table, McapFraming("chunk", part.codec), places=places)
+            what = part.what
         else:
             for opcode, content in part.others:
                 self.learn(opcode, content)

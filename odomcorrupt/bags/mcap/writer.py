@@ -33,13 +33,13 @@ from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.bags.definition import Definition
-    from odomcorrupt.bags.output import Output, Shared
+    from odomcorrupt.bags.output import Original, Output, Shared
     from odomcorrupt.bags.pipeline import Workers
 
 __all__ = ["McapWriter", "Packed", "packed"]
@@ -138,7 +138,10 @@ class McapWriter(OutputContext):
             self._results.put_behind(partial(self._output.write, framed.data.data), framed.data.size)
         else:
             codec = getattr(framing, "codec", "zstd")
-            self._write_chunks(framed, self._codec or (codec if codec in CODECS else "zstd"))
+            codec = self._codec or (codec if codec in CODECS else "zstd")
+            native = self._results.beside and framing is block.raw and isinstance(self._reader, McapReader)
+            originals = self._reader.originals(block) if native and codec == "none" else []  # type: ignore[attr-defined]
+            self._write_chunks(framed, codec, originals)
 
     def settle(self) -> None:
         """Wait until all blocks passed to `write` are written and may change."""
@@ -169,29 +172,34 @@ class McapWriter(OutputContext):
         data = self._directory.take_records(channels)
         return Framed(np.frombuffer(data, dtype=np.uint8), np.empty(0, dtype=TABLE))
 
-    def _write_chunks(self, framed: Framed, codec: str) -> None:
+    def _write_chunks(self, framed: Framed, codec: str, originals: list[Original]) -> None:
         self._index.count(framed.table)
         ends = framed.ends or (framed.data.size,)
         stops = np.searchsorted(framed.table["offset"], ends[:-1]).tolist()
         rows = zip((0, *ends[:-1]), ends, (0, *stops), (*stops, framed.table.size), strict=True)
         chunks = [ChunkRows(*row) for row in rows]
-        for chunk, indexes in zip(chunks, message_indexes(framed.table, chunks), strict=True):
+        same: Sequence[Original | None] = originals or [None] * len(chunks)
+        for chunk, indexes, original in zip(chunks, message_indexes(framed.table, chunks), same, strict=True):
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
             span = ChunkSpan(*span_ns(framed.table[chunk.start : chunk.stop]), codec, data.size)
             self._results.put(
                 partial(self.pack, codec, data, self._level),
-                partial(self._write_chunk, span, indexes),
+                partial(self._write_chunk, span, indexes, original),
                 data.size,
                 worth=codec != "none",
             )
 
-    def _write_chunk(self, span: ChunkSpan, indexes: list[tuple[int, bytes]], chunk: Packed) -> None:
+    def _write_chunk(
+        self, span: ChunkSpan, indexes: list[tuple[int, bytes]], original: Original | None, chunk: Packed
+    ) -> None:
         """Write a chunk and its message indexes."""
         position, size = self._output.position, len(chunk.data)
         head = chunk_head(span.start_ns, span.end_ns, size=span.size, crc=chunk.crc, codec=span.codec, packed=size)
         self._output.write(head)
         if chunk.shared is not None:
             self._output.write_shared(chunk.shared)
+        elif original is not None:
+            self._output.write_changed(memoryview(chunk.data), chunk.crc, original)
         elif chunk.packed_crc is not None:
             self._output.write_summed(chunk.data, chunk.packed_crc)
         else:

@@ -56,7 +56,10 @@ class _Connected(NamedTuple):
 
 
 class Ros1Reader(RecordReader):
-    """A ROS 1 bag, file or pipe."""
+    """A ROS 1 bag, file or pipe.
+
+    header_bytes : size of the bag header's record, padding included; 0 if it is damaged
+    """
 
     kind: Kind = "ros1"
     _teller = "index tells"
@@ -67,6 +70,7 @@ class Ros1Reader(RecordReader):
         self.channels: Mapping[int, Channel] = self._channels
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as a ROS 1 bag of version 2.0 does")
+        self.header_bytes = 0
         self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = 0
         try:
             self._read_header(source)
@@ -104,6 +108,7 @@ class Ros1Reader(RecordReader):
         self._index_at = number(head.fields, "index_pos", self.name)
         self._chunk_count = number(head.fields, "chunk_count", self.name)
         self._connection_count = number(head.fields, "conn_count", self.name)
+        self.header_bytes = source.position - len(MAGIC)
 
     def definition(self, channel: Channel) -> Definition:
         """Return the bag's definition of a channel's type."""
@@ -211,7 +216,8 @@ class Ros1Reader(RecordReader):
         contents = read_contents(data, chunk.indexes, chunk.what)
         for header, fields in contents.connections:
             self._learn(header, fields)
-        block = Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
+        places = () if chunk.place is None else (chunk.place,)
+        block = Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts), places=places)
         unknown = block.present() - self.channels.keys()
         if unknown:
             raise BagError(f"{chunk.what}: messages of connection {min(unknown)}, which is not defined; damaged bag")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from odomcorrupt.bags.block import BagReader
-    from odomcorrupt.bags.output import Output
+    from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
 
 __all__ = ["Connections", "Ros1Writer"]
@@ -102,8 +102,9 @@ def _publisher(definition: Definition) -> dict[str, str]:
     return {key: definition.metadata[key] for key in ("callerid", "latching") if key in definition.metadata}
 
 
-_HEADER_BYTES = 4096
-"""What rosbag reserves for the bag header, so that it can be written over when the index is known."""
+_HEADER_BYTES = 4104
+"""What rosbag reserves for the bag header's record, so that it can be written over when the index is known."""
+_MOST_HEADER_BYTES = 1 << 16
 _CHUNK_LIMIT = 1 << 32
 
 
@@ -135,8 +136,11 @@ class Ros1Writer(OutputContext):
         self.pack = compress_for_ros1
         self._connections = Connections(reader)
         self._reader = reader
-        self._written = self._added = 0
         self._infos: list[bytes] = []
+        # the chunks of another ROS 1 bag stay where they are
+        taken = reader.header_bytes if isinstance(reader, Ros1Reader) else _HEADER_BYTES
+        self._header_bytes = taken if len(self._header(0, 0, 0)) <= taken <= _MOST_HEADER_BYTES else _HEADER_BYTES
+        self._written = self._added = 0
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel with the latching and callerid of another one; return it with a new id."""
@@ -158,9 +162,12 @@ class Ros1Writer(OutputContext):
             codec = "lz4"
         if added.data.size:
             framed = framed.followed_by(added)
+        codec = self._codec or codec
+        native = self._results.beside and isinstance(framing, Ros1Framing) and isinstance(self._reader, Ros1Reader)
+        originals = self._reader.originals(block) if native and codec == "none" else []  # type: ignore[attr-defined]
         if framed.data.size:
-            for chunk in framed.chunks():
-                self._write_chunk(chunk, self._codec or codec)
+            for chunk, original in zip_longest(framed.chunks(), originals):
+                self._write_chunk(chunk, codec, original)
 
     def settle(self) -> None:
         """Wait until all blocks passed to `write` are written and may change."""
@@ -180,26 +187,35 @@ class Ros1Writer(OutputContext):
             framed = replace(framed.followed_by(chunk), ends=ends)
         return framed
 
-    def _write_chunk(self, framed: Framed, codec: str) -> None:
+    def _write_chunk(self, framed: Framed, codec: str, original: Original | None) -> None:
         if framed.data.size >= _CHUNK_LIMIT:
             raise BagError(f"{self._output.name}: a chunk of {framed.data.size} bytes is too large for a ROS 1 bag")
         self._written += len(framed.table)
         self._results.put(
             partial(self.pack, codec, framed.data, self._level),
-            partial(self._write_packed, framed, codec, indexes(framed)),
+            partial(self._write_packed, framed, codec, indexes(framed), original),
             framed.data.size,
             worth=codec != "none",
         )
 
     def _write_packed(
-        self, framed: Framed, codec: str, found: list[tuple[int, int, bytes]], packed: bytes | memoryview
+        self,
+        framed: Framed,
+        codec: str,
+        found: list[tuple[int, int, bytes]],
+        original: Original | None,
+        packed: bytes | memoryview,
     ) -> None:
         """Write a compressed chunk and its indexes."""
         position = self._output.position
         header = pack_fields(
             {"compression": codec.encode(), "op": bytes([CHUNK]), "size": struct.pack("<I", framed.data.size)}
         )
-        self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)), packed)
+        self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)))
+        if original is None:
+            self._output.write(packed)
+        else:
+            self._output.write_changed(memoryview(packed), 0, original)
         self._output.write(b"".join(index for _, _, index in found))
         times = framed.table["log_ns"]
         info = pack_fields(
@@ -215,8 +231,8 @@ class Ros1Writer(OutputContext):
         counts = b"".join(struct.pack("<II", connection, count) for connection, count, _ in found)
         self._infos.append(pack_record(info, counts))
 
-    def _header(self, index_at: int, connections: int) -> bytes:
-        """Return the bag header, padded to a fixed size."""
+    def _header(self, index_at: int, connections: int, size: int) -> bytes:
+        """Return the bag header's record, padded to a size in bytes."""
         header = pack_fields(
             {
                 "chunk_count": struct.pack("<I", len(self._infos)),
@@ -225,7 +241,7 @@ class Ros1Writer(OutputContext):
                 "op": bytes([BAG_HEADER]),
             }
         )
-        return pack_record(header, b" " * (_HEADER_BYTES - len(header)))
+        return pack_record(header, b" " * (size - 8 - len(header)))
 
     def _finish(self) -> None:
         self._results.finish()
@@ -233,10 +249,10 @@ class Ros1Writer(OutputContext):
         index_at = self._output.position
         connections = self._connections.packed()
         self._output.write(*connections, *self._infos)
-        self._output.rewrite(len(MAGIC), self._header(index_at, len(connections)))
+        self._output.rewrite(len(MAGIC), self._header(index_at, len(connections), self._header_bytes))
 
     def _begin(self) -> None:
-        self._output.write(MAGIC, self._header(0, 0))
+        self._output.write(MAGIC, self._header(0, 0, self._header_bytes))
 
 
 def _messages(block: Block) -> list[Message]:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sqlite3
-import threading
 from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Channel, PartContents
+from odomcorrupt.bags.file_copy import FileCopy
 from odomcorrupt.bags.placement import sweep
 from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, has_log, read_only, reported
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["SqliteWriter"]
 
-_AT_ONCE_BYTES = 64 << 20
-"""What the system copies in one call: an interrupt waits for no more."""
 _HELD_BYTES = 16 << 20
 """Blocks whose changes wait for the copy, bytes."""
 
@@ -50,7 +47,7 @@ class SqliteWriter(SqliteOutput):
         self.keeps_rest = not reader.damaged
         self._added: dict[int, str] = {}
         self._copying_thread = copying_thread
-        self._copying: _Copying | None = None
+        self._copying: FileCopy | None = None
         self._waiting: list[tuple[str, list[Any]]] = []
         self._held_bytes = 0
         self._journal = ""
@@ -198,15 +195,19 @@ class SqliteWriter(SqliteOutput):
             with closing(read_only(self._reader.path)) as source, closing(sqlite3.connect(self._partial)) as target:
                 source.backup(target)
         else:
-            self._copying = _Copying(self._reader.path, self._partial)
+            self._copied_to = self._partial.open("xb")
+            self._copying = FileCopy(self._reader.path, self._copied_to.fileno())
         if self._copying is None or not self._copying_thread:
             self._begin_changes()
 
     def _begin_changes(self) -> None:
         """Wait for the copy, begin the transaction, and make the changes that have waited."""
         if self._copying is not None:
-            self._copying.wait()
-            self._copying = None
+            complete = self._copying.complete()
+            self._copying.require_unchanged()
+            self._end_copy()
+            if not complete:
+                self._copy_here()
         self._open = sqlite3.connect(self._partial, isolation_level=None)
         (self._journal,) = self._connection.execute("PRAGMA journal_mode").fetchone()
         # No journal: on any failure the whole file is removed.
@@ -245,50 +246,18 @@ class SqliteWriter(SqliteOutput):
 
     def _discard(self) -> None:
         if self._copying is not None:
-            self._copying.stop()
-            self._copying = None
+            self._end_copy()
         super()._discard()
 
+    def _end_copy(self) -> None:
+        if self._copying is not None:
+            self._copying.close()
+            self._copying = None
+            self._copied_to.close()
 
-class _Copying:
-    """Copy of a file, made by a thread of its own: the system makes it, Python goes on meanwhile."""
-
-    def __init__(self, source: Path, target: Path) -> None:
-        self._source, self._target = source, target
-        self._stopped = False
-        self._error: OSError | None = None
-        self._thread = threading.Thread(target=self._run, name="copy", daemon=True)
-        self._thread.start()
-
-    @property
-    def done(self) -> bool:
-        """Whether it is complete, or has failed."""
-        return not self._thread.is_alive()
-
-    def wait(self) -> None:
-        """Wait until it is complete; BagError if it failed."""
-        self._thread.join()
-        if self._error is not None:
-            raise BagError(f"{self._target}: cannot be written: {self._error.strerror}") from self._error
-
-    def stop(self) -> None:
-        """End it early."""
-        self._stopped = True
-        self._thread.join()
-
-    def _run(self) -> None:
+    def _copy_here(self) -> None:
+        """Copy the file where the system has no call for it, or the call failed."""
         try:
-            if not self._copied():
-                # another file system, or no such call
-                shutil.copyfile(self._source, self._target)
+            shutil.copyfile(self._reader.path, self._partial)
         except OSError as error:
-            self._error = error
-
-    def _copied(self) -> bool:
-        """Copy within the kernel, as a reflink where the file system has them (Btrfs, XFS); return whether it did."""
-        with suppress(OSError, AttributeError), self._source.open("rb") as here, self._target.open("wb") as there:
-            size = os.fstat(here.fileno()).st_size
-            while not self._stopped and os.copy_file_range(here.fileno(), there.fileno(), _AT_ONCE_BYTES):
-                pass
-            return self._stopped or os.fstat(there.fileno()).st_size == size
-        return False
+            raise BagError(f"{self._path}: cannot be written: {error.strerror}") from error

@@ -117,7 +117,7 @@ class Rosbag2Writer:
         messages = [replace(one, channel=self._written_id(part, one.channel)) for one in block.added]
         for one in block.added:
             self._additions[part].note(self._described(one.channel).name, one.log_ns)
-        written = Block(block.data, own.table, own.raw, messages, own.ends)
+        written = Block(block.data, own.table, own.raw, messages, own.ends, own.places, block.changed)
         if self._mode == "message" and (len(own.table) or messages):
             written = compressed_block(written, self._level)
         self._writers[part].write(written)

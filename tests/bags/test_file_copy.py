@@ -1,0 +1,191 @@
+"""An uncompressed bag is copied by the kernel and changed in place: the same bytes as written from beginning to end."""
+
+import errno
+import os
+import threading
+from itertools import count
+
+import pytest
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapLibraryWriter
+from oracles import FIXTURES
+from rosbags.rosbag1 import Writer as Ros1LibraryWriter
+
+from odomcorrupt.bags.file_copy import FileState
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.output import Original, Output
+from odomcorrupt.corruption.run import Container, corrupt_bag
+from odomcorrupt.corruption.transform import Options
+from odomcorrupt.errors import BagError
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+
+MODEL = MotionModel(Noise("diffusion", Coefficients(0.05, 0.02, 0.05, 0.01)))
+
+
+def corrupt(source, target, threads=2, *, recover=False, **options):
+    container = Container(threads=threads, recover=recover, overwrite=True)
+    corrupt_bag(source, target, MODEL, seed=7, run=0, options=Options(**options), container=container)
+    return target.read_bytes()
+
+
+def messages(name):
+    """Yield the first messages of a fixture, and noise that does not change between them."""
+    numbers = count()
+    with open_reader(FIXTURES / name) as reader:
+        for block in reader.blocks():
+            for channel, log_ns, offset, length in block.table.tolist():
+                yield reader.channels[channel], log_ns, block.data[offset : offset + length].tobytes()
+                if (number := next(numbers)) % 10 == 0:
+                    yield None, log_ns, bytes([number % 251]) * 40_000
+                if number > 1500:
+                    return
+
+
+def write_mcap(path, **options):
+    with path.open("wb") as stream, open_reader(FIXTURES / "office.mcap") as reader:
+        writer = McapLibraryWriter(stream, chunk_size=1 << 18, compression=CompressionType.NONE, **options)
+        writer.start("ros2", "test")
+        ids = {None: writer.register_channel("/noise", "raw", 0)}
+        for channel in reader.channels.values():
+            definition = reader.definition(channel)
+            schema = writer.register_schema(definition.name, definition.encoding, definition.text)
+            ids[channel.id] = writer.register_channel(channel.topic, channel.encoding, schema)
+        writer.add_metadata("test", {"a": "b"})
+        for channel, log_ns, data in messages("office.mcap"):
+            writer.add_message(ids[channel and channel.id], log_ns, data, log_ns)
+        writer.finish()
+    return path
+
+
+def write_ros1(path):
+    with Ros1LibraryWriter(path) as writer, open_reader(FIXTURES / "office.bag") as reader:
+        writer.chunk_threshold = 1 << 18
+        ids = {None: writer.add_connection("/noise", "a/msg/Noise", msgdef="uint8[] data", md5sum="0" * 32)}
+        for channel in reader.channels.values():
+            fields = channel.raw.fields
+            text, md5 = fields["message_definition"].decode(), fields["md5sum"].decode()
+            ids[channel.id] = writer.add_connection(channel.topic, channel.msgtype, msgdef=text, md5sum=md5)
+        for channel, log_ns, data in messages("office.bag"):
+            writer.write(ids[channel and channel.id], log_ns, data)
+    return path
+
+
+@pytest.fixture(scope="module", params=["mcap", "bag"])
+def bag(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bag") / f"in.{request.param}"
+    return write_mcap(path) if request.param == "mcap" else write_ros1(path)
+
+
+@pytest.fixture
+def copied(monkeypatch):
+    """Return the numbers of bytes that the kernel has copied."""
+    sizes, call = [], os.copy_file_range
+
+    def counted(*words):
+        sizes.append(call(*words))
+        return sizes[-1]
+
+    monkeypatch.setattr("os.copy_file_range", counted)
+    return sizes
+
+
+def test_the_copy_makes_the_same_bytes(bag, tmp_path, copied):
+    one = corrupt(bag, tmp_path / f"one{bag.suffix}", 1)
+    assert not copied
+    assert corrupt(bag, tmp_path / f"two{bag.suffix}", 2) == one
+    assert sum(copied) > 0.9 * bag.stat().st_size
+    assert threading.active_count() == 1
+
+
+@pytest.mark.parametrize("options", [{"keep_truth": "/odom_true"}, {"new_odom_frame": "odom1"}, {"recover": True}])
+def test_messages_that_are_added_move_the_rest(bag, options, tmp_path):
+    one, two = (corrupt(bag, tmp_path / f"{n}{bag.suffix}", n, **options) for n in (1, 2))
+    assert one == two
+
+
+@pytest.mark.parametrize("index_types", [IndexType.ALL & ~IndexType.MESSAGE, IndexType.NONE])
+def test_a_bag_without_indexes_gets_them(index_types, tmp_path):
+    source = write_mcap(tmp_path / "in.mcap", index_types=index_types)
+    one, two = (corrupt(source, tmp_path / f"{n}.mcap", n) for n in (1, 2))
+    assert one == two
+
+
+@pytest.mark.parametrize("good", [0, 1])
+def test_a_copy_that_fails_is_made_by_writing(bag, good, tmp_path, monkeypatch):
+    one, call, calls = corrupt(bag, tmp_path / f"one{bag.suffix}", 1), os.copy_file_range, count()
+
+    def full(source, target, size, *places):
+        if next(calls) >= good:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return call(source, target, min(size, 1 << 20), *places)
+
+    monkeypatch.setattr("os.copy_file_range", full)
+    assert corrupt(bag, tmp_path / f"two{bag.suffix}") == one
+
+
+def test_an_input_that_changes_under_the_copy_leaves_nothing(bag, tmp_path, monkeypatch):
+    source, call = tmp_path / f"in{bag.suffix}", os.copy_file_range
+    source.write_bytes(bag.read_bytes())
+
+    def changed(*words):
+        with source.open("r+b") as stream:
+            stream.seek(-1, os.SEEK_END)
+            last = stream.read()
+            stream.seek(-1, os.SEEK_END)
+            stream.write(last)
+        return call(*words)
+
+    monkeypatch.setattr("os.copy_file_range", changed)
+    os.utime(source, ns=(0, 0))
+    with pytest.raises(BagError, match="was written to while it was read"):
+        corrupt(source, tmp_path / f"out{bag.suffix}")
+    assert list(tmp_path.iterdir()) == [source]
+    assert threading.active_count() == 1
+
+
+@pytest.mark.parametrize("replaced", [False, True])
+def test_an_input_that_is_moved_away_is_written_as_it_was_read(bag, replaced, tmp_path, monkeypatch, copied):
+    one, source, write = (
+        corrupt(bag, tmp_path / f"one{bag.suffix}", 1),
+        tmp_path / f"in{bag.suffix}",
+        Output.write_changed,
+    )
+    source.write_bytes(bag.read_bytes())
+
+    def late(output, piece, crc, original):
+        if source.exists() and not replaced:
+            source.unlink()
+        elif replaced:
+            (tmp_path / "other").write_bytes(b"another")
+            (tmp_path / "other").replace(source)
+        write(output, piece, crc, original)
+
+    monkeypatch.setattr(Output, "write_changed", late)
+    assert corrupt(source, tmp_path / f"two{bag.suffix}") == one
+    assert not copied
+
+
+def test_an_interrupt_ends_the_copy(bag, tmp_path, monkeypatch):
+    def interrupted(*_words):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Output, "commit", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        corrupt(bag, tmp_path / f"out{bag.suffix}")
+    assert list(tmp_path.iterdir()) == []
+    assert threading.active_count() == 1
+
+
+def test_an_output_ends_where_it_was_written_to(tmp_path):
+    source, target = tmp_path / "in", tmp_path / "out"
+    source.write_bytes(bytes(range(200)))
+    with source.open("rb") as stream:
+        original = Original(source, FileState.of(stream.fileno()), 3, [(1, 2)])
+    output = Output(target)
+    output.open()
+    output.write(b"abc")
+    output.write_changed(memoryview(b"\x03!" + bytes(range(5, 13))), 0, original)
+    output.write(b"z")
+    output.commit()
+    assert target.read_bytes() == b"abc\x03!" + bytes(range(5, 13)) + b"z"
