@@ -115,7 +115,7 @@ def test_the_turns_of_sweeps_are_taken_where_the_odometry_turns_too_far():
     odometry = Trajectory(np.round(t_s * 1e9).astype(np.int64), np.column_stack((xy, 1.06 * yaw)))
     after_s = np.linspace(-0.05, 0.05, 180, endpoint=False)
     sweeps = []
-    for k in range(20, len(t_s) - 20, 10):
+    for k in range(20, len(t_s) - 20, 18):
         turned = np.interp(t_s[k] + after_s, t_s, yaw) - yaw[k]
         clean = seen(np.array([*xy[k], yaw[k]]), 0.005, rng, beams=180)
         # each return is taken at its own heading
