@@ -90,8 +90,9 @@ def _extras(row: dict[str, Any], who: str) -> list[str]:
 
 
 def _wrong_and_sure(row: dict[str, Any]) -> bool:
+    """Return whether a name of the final model is wrong and certain; a step that was taken back is not reported."""
     return any(
-        step["added"] and not right(step["added"], row) and step.get("confidence", 0.0) >= _SURE
+        step["added"] in row["answer"]["added"] and not right(step["added"], row) and step["confidence"] >= _SURE
         for step in row["answer"]["looks"]
     )
 

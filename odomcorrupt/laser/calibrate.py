@@ -30,7 +30,7 @@ _APART_M, _APART_RAD = 0.25, 0.15
 _LAG_S, _LAG_STEP_S = 0.6, 0.01
 _OVERLAP = 0.6
 _LEAST_PAIRS = 8
-_TURNS_RAD = 0.5
+_TURNS_RAD, _TURN_RATIOS = 0.5, (0.5, 2.0)
 _PLAIN_RATIO = 0.05
 _DIFFERS_RAD = np.radians(15.0)
 _FEWER = 0.8
@@ -139,8 +139,7 @@ def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tupl
         pairs = _matched(sweeps, motion, mirrored=mirrored, free=not sure)
         if len(pairs.pose) < _LEAST_PAIRS:
             continue
-        lagged = Motion(motion.odometry, motion.origin_ns, _lag(pairs, motion), motion.mount)
-        turned = _turned(pairs, lagged)
+        turned = _turned(pairs, replace(motion, lag_s=_lag(pairs, motion)))
         rms = float(np.median(np.abs(wrap(pairs.pose[:, 2] - turned)))) + 1e-3
         if best is None or rms < 0.5 * best[0]:
             best = (rms, pairs, mirrored)
@@ -155,14 +154,15 @@ def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tupl
 
 
 def _refined(pairs: _Pairs, motion: Motion, *, by_tf: Array | None) -> tuple[Motion, Array | None]:
-    """Return the motion with lag and mounting from matched pairs, and the mounting (3,) that they determine or None.
+    """Return the motion with lag, turn ratio and mounting from matched pairs, and the mounting (3,) or None.
 
     by_tf : (3,) the mounting from TF, kept unless its yaw differs from that of the pairs by more than 15 deg
     """
-    motion = Motion(motion.odometry, motion.origin_ns, _lag(pairs, motion), motion.mount)
+    motion = replace(motion, lag_s=_lag(pairs, motion))
+    motion = replace(motion, turn_ratio=_turn_ratio(pairs, motion))
     found = _mounting(pairs, motion)
     if found is not None and (by_tf is None or abs(wrap(np.asarray(found[2] - by_tf[2]))) > _DIFFERS_RAD):
-        motion = Motion(motion.odometry, motion.origin_ns, motion.lag_s, found)
+        motion = replace(motion, mount=found)
     return motion, found
 
 
@@ -316,8 +316,8 @@ def _lag(pairs: _Pairs, motion: Motion) -> float:
     lags = np.arange(-_LAG_S, _LAG_S + _LAG_STEP_S / 2.0, _LAG_STEP_S)
     cost = []
     for lag in lags:
-        turned = _turned(pairs, Motion(motion.odometry, motion.origin_ns, float(lag), motion.mount))
-        scale = float(np.clip(measured @ turned / max(float(turned @ turned), 1e-9), 0.5, 2.0))
+        turned = _turned(pairs, replace(motion, lag_s=float(lag)))
+        scale = float(np.clip(measured @ turned / max(float(turned @ turned), 1e-9), *_TURN_RATIOS))
         miss = np.abs(wrap(measured - scale * turned))
         cost.append(float(np.minimum(miss, 0.1).sum()))
     best = int(np.argmin(cost))
@@ -327,6 +327,19 @@ def _lag(pairs: _Pairs, motion: Motion) -> float:
     if near[0] <= 0.0:
         return float(lags[best])
     return float(np.clip(-near[1] / (2.0 * near[0]), lags[best] - 0.04, lags[best] + 0.04))
+
+
+def _turn_ratio(pairs: _Pairs, motion: Motion) -> float:
+    """Return the turns of the sweeps over those of the odometry, by robust regression; 1 with too little turning."""
+    measured, turned = pairs.pose[:, 2], _turned(pairs, motion)
+    ratio, weight = 1.0, np.ones(len(turned))
+    if len(turned) < _LEAST_PAIRS or min(np.abs(measured).sum(), np.abs(turned).sum()) < _TURNS_RAD:
+        return ratio
+    for _ in range(8):
+        ratio = float(np.clip((weight * turned) @ measured / ((weight * turned) @ turned), *_TURN_RATIOS))
+        miss = np.abs(wrap(measured - ratio * turned))
+        weight = 1.0 / (1.0 + (miss / (2.0 * max(float(np.median(miss)), 1e-4))) ** 2)
+    return ratio
 
 
 def _mounting(pairs: _Pairs, motion: Motion) -> Array | None:

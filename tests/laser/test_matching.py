@@ -5,6 +5,7 @@ import pytest
 
 from odomcorrupt.geometry.se2 import between, compose, inverse, rotate
 from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.deskewing import Deskewing, Motion
 from odomcorrupt.laser.icp import WEAK, match, surface_of
 from odomcorrupt.laser.pose_graph import Edges, optimise
@@ -88,12 +89,13 @@ def test_inverse_mounting_brings_the_laser_back_to_the_robot():
     assert compose(compose(robot, mount), inverse(mount)) == pytest.approx(robot)
 
 
-def test_a_turn_that_accelerates_within_a_sweep_is_taken_out_whole():
+@pytest.mark.parametrize("ratio", [1.0, 0.9])
+def test_a_turn_that_accelerates_within_a_sweep_is_taken_out_whole(ratio):
     # what is left is an error of the heading at starts and stops, and looks like slip there
     t_s = np.linspace(-0.5, 0.5, 1001)
     accelerates = 10.0
-    poses = np.column_stack((np.zeros((1001, 2)), 0.5 * accelerates * t_s**2))
-    motion = Motion(Trajectory(np.round(t_s * 1e9).astype(np.int64), poses), 0, 0.0, np.zeros(3))
+    poses = np.column_stack((np.zeros((1001, 2)), 0.5 * accelerates / ratio * t_s**2))
+    motion = Motion(Trajectory(np.round(t_s * 1e9).astype(np.int64), poses), 0, 0.0, np.zeros(3), ratio)
     after_s = np.linspace(-0.1, 0.1, 401)
     bearing = np.linspace(-np.pi, np.pi, 401) - 0.5 * accelerates * after_s**2
     xy = 5.0 * np.stack((np.cos(bearing), np.sin(bearing)), axis=1)
@@ -103,3 +105,23 @@ def test_a_turn_that_accelerates_within_a_sweep_is_taken_out_whole():
     found = Deskewing(sweeps, motion, mirrored=False)[0]
     off_rad = np.mean(found[:, 1] * fixed[:, 0] - found[:, 0] * fixed[:, 1]) / 25.0
     assert abs(off_rad) < 2e-4
+
+
+def test_the_turns_of_sweeps_are_taken_where_the_odometry_turns_too_far():
+    rng = np.random.default_rng(5)
+    t_s = np.arange(0.0, 30.0, 0.02)
+    yaw = 1.5 * np.sin(0.5 * t_s)
+    xy = np.stack((np.sin(0.3 * t_s), np.cos(0.4 * t_s)), axis=1)
+    odometry = Trajectory(np.round(t_s * 1e9).astype(np.int64), np.column_stack((xy, 1.06 * yaw)))
+    after_s = np.linspace(-0.05, 0.05, 180, endpoint=False)
+    sweeps = []
+    for k in range(20, len(t_s) - 20, 18):
+        turned = np.interp(t_s[k] + after_s, t_s, yaw) - yaw[k]
+        clean = seen(np.array([*xy[k], yaw[k]]), 0.005, rng, beams=180)
+        # each return is taken at its own heading
+        c, s = np.cos(-turned), np.sin(-turned)
+        moved = np.stack((c * clean[:, 0] - s * clean[:, 1], s * clean[:, 0] + c * clean[:, 1]), axis=1)
+        sweeps.append(Sweep(round(t_s[k] * 1e9), moved.astype(np.float32), after_s.astype(np.float32)))
+    log_ns = np.array([sweep.stamp_ns for sweep in sweeps])
+    whole = Sweeps("run: /scan", "/scan", "laser", tuple(sweeps), 2.0 * np.pi, log_ns, None)
+    assert calibrate(whole, odometry, 0).motion.turn_ratio == pytest.approx(1.0 / 1.06, abs=0.003)

@@ -13,6 +13,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.noise_fit import outliers
 from odomcorrupt.study.estimate.outliers import slip_bursts
 from odomcorrupt.study.io.clock import Clock
 
@@ -53,3 +54,20 @@ def test_slips_of_nearly_the_whole_way_become_bursts_within_their_bounds():
     bursts = slip_bursts(fit([slipping(2, 0.0)], approach=Approach()))
     assert bursts is not None
     check_bounds(bursts)
+
+
+def test_a_single_jump_is_down_weighted_in_a_long_recording():
+    steps = wander(3, 400.0)
+    run = recording(steps, noisy_path(steps, QUIET, 3), truth_mm=1.0, truth_rad=0.001, seed=3)
+    aside = np.where(np.arange(len(run.truth.xyt)) > len(run.truth.xyt) // 2, 0.5, 0.0)
+    jumped = run.truth.xyt + np.column_stack((aside, 0.0 * aside, 0.0 * aside))
+    weights = fit([replace(run, truth=replace(run.truth, xyt=jumped))], approach=Approach()).noise.weights
+    assert len(weights) > 500
+    assert 1 <= np.count_nonzero(weights > 100.0) <= 2
+
+
+def test_intervals_no_more_and_no_larger_than_by_chance_are_no_outliers():
+    square = np.full(1000, 3.0)
+    assert not outliers(np.where(np.arange(1000) == 7, 21.0, square)).any()
+    assert outliers(np.where(np.arange(1000) == 7, 40.0, square)).sum() == 1
+    assert outliers(np.where(np.arange(1000) < 3, 21.0, square)).sum() == 3

@@ -100,7 +100,7 @@ def findings_brief(
         lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected"))
     # the identity of an effect is more important than its gain
     at = max(len(search.matters), 1)
-    lines[at:at] = [*_open_lines(search, advice), *_gyro_lines(advice), *_drive_lines(search)]
+    lines[at:at] = [*_open_lines(search, advice), *_limit_lines(advice), *_drive_lines(search)]
     last = comparison.judgements[-1]
     if last.verdict.fails:
         said = f"the model is still rejected: errors are {last.verdict.misfit:.2g} times the predicted ones"
@@ -217,9 +217,9 @@ def _open_lines(search: Learned, advice: Advice) -> list[Line]:
     return [Line("open", said, "warning")] if said else []
 
 
-def _gyro_lines(advice: Advice) -> list[Line]:
-    """Return the effects that a gyro as the truth cannot show because of its own scale error, and the remedy."""
-    hidden = [one for one in advice.untestable if one.limited_by_gyro]
+def _limit_lines(advice: Advice) -> list[Line]:
+    """Return the effects that the scale error of a gyro or laser as the truth hides, and the remedy."""
+    hidden = [one for one in advice.untestable if one.limited_by_truth]
     return [Line("not testable", f"{one.effect}: {one.why}; {one.hint}", "warning") for one in hidden]
 
 

@@ -36,6 +36,8 @@ __all__ = [
 
 FOUND = 4.2
 """Size in standard errors at which an effect is found nearly always."""
+_RULER_ERRORS = 2.0
+"""Size in standard errors of a laser's scale from which a scale of the wheels that is not named is reported."""
 MASKED = 4.0
 """An included term masks an effect if it increases the effect's standard error by this factor."""
 _NO_TRACK = (
@@ -43,6 +45,7 @@ _NO_TRACK = (
     "drive and steer it"
 )
 _DATA_SHEET = "give --gyro-scale-accuracy from the data sheet"
+_TAPE = "compare the map with a tape measure, and give --laser-scale-accuracy"
 _REFUSALS = ("not testable", "not separable")
 """Beginnings of refusals that are due to the drive and not to the effect."""
 
@@ -54,14 +57,14 @@ class UntestableEffect:
     why : the reason, in words
     plan : the drive that would show its typical size, or None
     hint : the alternative if there is no plan
-    limited_by_gyro : whether the limit is the gyro that serves as truth, not the drive
+    limited_by_truth : whether the limit is the scale of the sensor that serves as truth, and not the drive
     """
 
     effect: str
     why: str
     plan: Plan | None
     hint: str = ""
-    limited_by_gyro: bool = False
+    limited_by_truth: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +87,16 @@ def is_untestable(candidate: Candidate) -> bool:
 
 def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
     """Return why a candidate cannot be tested on these drives, and the drive on which it could."""
-    effect = candidate.score.effect
-    accuracy = max(r.turn_scale_error for r in drives.learned.fit.problem.recordings)
-    if effect.name in GAINS_OF_TURNS.values() and float(candidate.score.standard_error[0]) < 2.0 * accuracy:
+    effect, runs = candidate.score.effect, drives.learned.fit.problem.recordings
+    size, error = float(candidate.score.estimate[0]), float(candidate.score.standard_error[0])
+    accuracy = max(r.turn_scale_error for r in runs)
+    if effect.name in GAINS_OF_TURNS.values() and error < 2.0 * accuracy:
         why = f"the gyro's own scale is known to {100.0 * accuracy:.2g} % only"
-        return UntestableEffect(effect.name, why, None, _DATA_SHEET, limited_by_gyro=True)
+        return UntestableEffect(effect.name, why, None, _DATA_SHEET, limited_by_truth=True)
+    ruler = max(r.truth_scale_error for r in runs)
+    if effect.name == "wheel_scale" and _RULER_ERRORS * ruler < abs(size) and error < 2.0 * ruler:
+        why = f"the laser measures {100.0 * size:+.2f} %, and its own scale is known to {100.0 * ruler:.2g} % only"
+        return UntestableEffect(effect.name, why, None, _TAPE, limited_by_truth=True)
     gain = shows(drives, candidate)
     plan, nats = best_plan(drives, gain)
     why = missing_motion(drives, gain, nats) or _short_of(candidate)

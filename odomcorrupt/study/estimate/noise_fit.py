@@ -21,6 +21,8 @@ from odomcorrupt.study.estimate.random_process import joined, root_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.intervals import Intervals
@@ -28,12 +30,12 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.random_process import Root
     from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
-__all__ = ["CHANCE", "OUTLIER", "NoiseStart", "fit_noise", "fit_noise_beside", "without_process"]
+__all__ = ["NoiseStart", "fit_noise", "fit_noise_beside", "outliers", "without_process"]
 
 _ROBUST_ROUNDS = 5
-CHANCE, _SIGNAL = 0.002, 0.05
-"""Shares of outliers among the nodes: no more than chance produces; too many to be outliers."""
-OUTLIER = float(chi2.isf(2e-4, 3))
+_CHANCE, _SIGNAL = 0.002, 0.05
+"""Shares of outliers among the nodes, or probability of one: as chance produces; too many to be outliers."""
+_OUTLIER = float(chi2.isf(2e-4, 3))
 """Sum of squared innovations above which a node is an outlier: 1 in 5000 by chance, so trimming adds no bias."""
 _MOST_ROUNDS = 8
 _SETTLED = 0.03
@@ -57,6 +59,17 @@ class NoiseStart:
     weights: Array | None = None
     elsewhere: bool = False
     bursts: bool = False
+
+
+def outliers(square: Array) -> NDArray[np.bool_]:
+    """Return a mask (K,) of the intervals that are outliers; none if they are no more and no larger than by chance.
+
+    square : (K,) sums of three squared innovations. The largest of K normal triples is beyond the limit in one fit of
+        500: a single jump of the truth counts, however long the recording
+    """
+    odd: NDArray[np.bool_] = square > _OUTLIER
+    by_chance = odd.mean() < _CHANCE and not (square > chi2.isf(_CHANCE / len(square), 3)).any()
+    return np.zeros_like(odd) if by_chance else odd
 
 
 def fit_noise(
@@ -85,8 +98,8 @@ def fit_noise(
         return plain
     for _ in range(_ROBUST_ROUNDS):
         square = np.sum(done.innovations.reshape(-1, 3) ** 2, axis=1)
-        worse = square > OUTLIER
-        if worse.mean() < CHANCE:
+        worse = outliers(square)
+        if not worse.any():
             break
         heavier = np.where(worse, done.weights * square / 3.0, done.weights)
         likelihood = NoiseLikelihood(nodes, components, columns, heavier, headings=headings)

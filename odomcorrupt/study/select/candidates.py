@@ -31,7 +31,7 @@ from odomcorrupt.study.select.closed_loop import (
     of_pulls,
 )
 from odomcorrupt.study.select.decisions import error_shares
-from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.elimination import drift_grows, drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.score import project_out
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.estimate.drift_error import Drift
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
@@ -294,18 +293,12 @@ def tried(
     if beyond:
         return Candidate(score=score, fit=with_it, gain=gain, refused=beyond)
     before, after = drift(fit), drift(with_it)
-    worse = _worse(after, before, decisions)
+    worse = drift_grows(after, before, decisions)
     if worse and has_bias(fit.problem):
         # compare without the truth's own scale errors: a move from one wrong scale to another is no deterioration
-        worse = _worse(drift(with_it, truths_scaled=True), drift(fit, truths_scaled=True), decisions)
+        worse = drift_grows(drift(with_it, truths_scaled=True), drift(fit, truths_scaled=True), decisions)
     refused = "gains nothing when everything is fitted together" if gain <= least else _DRIFT if worse else ""
     return Candidate(score=score, fit=with_it, gain=gain, rmse=(before.rmse, after.rmse), refused=refused)
-
-
-def _worse(after: Drift, before: Drift, decisions: Decisions) -> bool:
-    return after.worse_than(
-        before, factor=decisions.drift_factor, plain=decisions.drift_plain, errors=decisions.drift_errors
-    )
 
 
 def channels_of(fit: Fit, effect: Effect) -> list[str]:
@@ -361,7 +354,11 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
 
 
 def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
-    """Return the fit with the word-valued parameters of a term chosen by refits, all but the source of the heading."""
+    """Return the fit with the word-valued parameters of a term chosen by refits, all but the source of the heading.
+
+    Robust weights stay fixed, so that likelihoods compare. Among words that the data do not separate, none is chosen
+    that increases the drift.
+    """
     if not isinstance(score.term, LibraryTerm):
         return fit, score
     effect = next(e for e in fit.effects if e.name == score.term.name)
@@ -370,13 +367,16 @@ def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[F
         for other in score.term.with_words((word,)) if word != "heading" else ():
             said = replace(effect, **{word: getattr(other.start, word)})  # type: ignore[type-var]  # a dataclass
             try:
-                tried_fit = fit.refit([said if e is effect else e for e in fit.effects])
+                tried_fit = fit.refit([said if e is effect else e for e in fit.effects], weights=fit.noise.weights)
             except EffectError:  # the effect acts on single wheels, and the track is unknown
                 continue
-            if tried_fit.log_likelihood > best.log_likelihood + decisions.reshape_nats:
+            more = tried_fit.log_likelihood - best.log_likelihood
+            if more > decisions.alternative_nats or (
+                more > decisions.reshape_nats and not drift_grows(drift(tried_fit), drift(best), decisions)
+            ):
                 best, chosen = tried_fit, other
         if best is not fit:
-            fit, score = best, replace(score, term=chosen)
+            fit, score = best.refit(), replace(score, term=chosen)
             effect = next(e for e in fit.effects if e.name == score.term.name)
     return fit, score
 

@@ -77,7 +77,8 @@ class Decisions:
     max_share : largest fraction of the robot's own motion that a basis function may explain as odometry error
     drift_factor, drift_plain, drift_errors : an inclusion is refused if the 10 s position error of the fitted data
         grows by more than a factor of `drift_factor`, unless paired windows show less than `drift_errors` standard
-        errors of growth; above `drift_plain` always. An effect with little influence on the drift changes it by ~1 %
+        errors of growth; above `drift_plain` always. An effect with little influence on the drift changes it by ~1 %.
+        The same limit decides between shapes and sources of the heading that the likelihood does not separate
 
     alternative_nats : effects within this gain of the best one are alternatives that the data do not separate; 3 nats
         are odds of 20 to 1. Correlated noise needs this much more than the best effect and dependence

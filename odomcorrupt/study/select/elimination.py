@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import choices, parameters
+from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.estimate.heading_source import heading_source_of
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.random_effects import is_remainder, remeasured
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Container
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.estimate.drift_error import Drift
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.random_effects import RandomCoefficient
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "absorb",
     "backward_eliminate",
+    "drift_grows",
     "drop_term",
     "eliminate_random",
     "eliminate_untested",
@@ -47,6 +50,13 @@ def drop_term(fit: Fit, effect: Effect) -> Fit:
     noise = replace(fit.noise, innovations=fit.noise.innovations + explained)
     others = tuple(e for e in fit.effects if e is not effect)
     return replace(fit, noise=noise, problem=replace(fit.problem, effects=others, left=()))
+
+
+def drift_grows(after: Drift, before: Drift, decisions: Decisions) -> bool:
+    """Return whether a drift is larger than another one of the same data, see `Decisions.drift_factor`."""
+    return after.worse_than(
+        before, factor=decisions.drift_factor, plain=decisions.drift_plain, errors=decisions.drift_errors
+    )
 
 
 def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
@@ -136,7 +146,9 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
     """Return the fit with one source of the heading for all effects: the wheels, unless a gyro gains clearly more.
 
     A single effect may prefer "gyro" only because two wheel effects cancel in the heading. If a gyro bias is in the
-    model, no gain is required: heading errors of wheels and the scale error of a gyro may be the same function.
+    model, no gain is required: heading errors of wheels and the scale error of a gyro may be the same function. A gyro
+    that gains less is the source all the same if wheels increase the drift. The scale of a laser is uncertain, so the
+    likelihood hardly weighs travel that a wheel effect must give up to leave turns as they are.
 
     given : names of effects whose parameters were chosen by the user
     """
@@ -156,7 +168,10 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
         else:
             found[word] = fit if words == {word} else fit.refit(same)
     least = decisions.known_gyro_nats if known else decisions.unusual_nats
-    better = "gyro" if found["gyro"].log_likelihood > found["wheels"].log_likelihood + least else "wheels"
+    more = found["gyro"].log_likelihood - found["wheels"].log_likelihood
+    if 0.0 < more <= least and drift_grows(drift(found["wheels"]), drift(found["gyro"]), decisions):
+        least = 0.0
+    better = "gyro" if more > least else "wheels"
     if words == {better}:
         return fit
     return found[better].refit(free_clocks=fit.free_clocks) if clocked else found[better]

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
-from odomcorrupt.study.estimate.noise_fit import CHANCE, OUTLIER
+from odomcorrupt.study.estimate.noise_fit import outliers
 from odomcorrupt.study.estimate.problem import Problem, pose_problem, undo
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
 from odomcorrupt.study.estimate.regressors import truth_noise
@@ -224,8 +224,8 @@ def _robust_truth(nodes: Intervals, q: Array, recording: Recording) -> tuple[Tru
         except FitError:
             break
         square = np.sum(white.whiten(nodes.residual).reshape(-1, 3) ** 2, axis=1)
-        worse = square > OUTLIER
-        if worse.mean() < CHANCE:
+        worse = outliers(square)
+        if not worse.any():
             break
         own = np.eye(3) * FLOOR + interval_covariance(nodes, usual, truth)
         usual = usual + np.where(worse, np.maximum(square / 3.0 - 1.0, 0.0), 0.0)[:, None, None] * own
