@@ -31,17 +31,10 @@ class Commands:
 
 
 def obey(commands: Commands, grid_s: np.ndarray) -> np.ndarray:
-    """Return the speeds set by the base's controller: the last command, with limited acceleration.
+    """Return the speeds (n, 2), m/s and rad/s, set by the base's controller: the last command, limited in acceleration.
 
-    Parameters
-    ----------
-    grid_s : ndarray, shape (n,)
-        Times, s; the first command comes `REST_S` after the first of them, and after the last one the robot stops.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Forward speed in m/s, turn rate in rad/s.
+    grid_s : (n,) times, s; the first command comes `REST_S` after the first of them, and after the last one the robot
+        stops
     """
     step_s = float(grid_s[1] - grid_s[0])
     last = np.searchsorted(commands.times_s, grid_s - REST_S, side="right") - 1
@@ -59,13 +52,8 @@ def _approach(wanted: list[float], change: float) -> list[float]:
     return speeds
 
 
-def read_commands(path: str | Path, topic: str | None = None) -> Commands:
-    """Return the speed commands of a bag (MCAP file, ROS 1 bag or rosbag2 directory).
-
-    Parameters
-    ----------
-    topic : str, optional
-        Topic of the Twist or TwistStamped; by default /cmd_vel, or else the only one there is.
+def read_commands(path: str | Path) -> Commands:
+    """Return the speed commands of a bag (MCAP file, ROS 1 bag or rosbag2 directory): /cmd_vel, or the only topic.
 
     Raises
     ------
@@ -80,9 +68,7 @@ def read_commands(path: str | Path, topic: str | None = None) -> Commands:
     try:
         with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             found = [c for c in reader.connections if c.msgtype in TYPES]
-            chosen = [c for c in found if c.topic == topic] if topic else found
-            if topic is None and any(c.topic == "/cmd_vel" for c in found):
-                chosen = [c for c in found if c.topic == "/cmd_vel"]
+            chosen = [c for c in found if c.topic == "/cmd_vel"] or found
             if len({c.topic for c in chosen}) != 1:
                 names = ", ".join(sorted({c.topic for c in reader.connections})) or "nothing"
                 raise TopicError(f"{path}: no one topic of speed commands (found {names}); record /cmd_vel as Twist")
@@ -184,10 +170,7 @@ class _Planner:
 def draw_route(duration_s: float, rng: np.random.Generator) -> tuple[Segment, ...]:
     """Return a random office drive that starts and ends at rest.
 
-    Parameters
-    ----------
-    duration_s : float
-        Time before which the robot must be at rest, s.
+    duration_s : time before which the robot must be at rest, s
     """
     planner = _Planner(rng)
     route = [planner.stand(1.5, 2.5)]
@@ -201,19 +184,10 @@ def draw_route(duration_s: float, rng: np.random.Generator) -> tuple[Segment, ..
 
 
 def follow(route: Sequence[Segment], grid_s: np.ndarray) -> np.ndarray:
-    """Return the commanded speeds: S-shaped ramps (bounded jerk) from rest, constant between them.
+    """Return the commanded speeds (n, 2), m/s and rad/s: S-shaped ramps (bounded jerk) from rest, constant between.
 
-    Parameters
-    ----------
-    route : sequence of Segment
-        After the last one its speeds are kept.
-    grid_s : ndarray, shape (n,)
-        Times, s.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Forward speed in m/s, turn rate in rad/s.
+    route : after the last one its speeds are kept
+    grid_s : (n,) times, s
     """
     starts_s = np.concatenate(([0.0], np.cumsum([s.ramp_s + s.hold_s for s in route[:-1]])))
     ramps_s = np.array([s.ramp_s for s in route])

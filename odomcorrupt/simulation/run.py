@@ -84,8 +84,6 @@ def simulate(
     **changes
         Fields of the scenario that differ.
     """
-    if changes.get("rig", True) is None:
-        del changes["rig"]
     what = replace(scenario or Scenario(), **changes)
     tracker = TRACKERS[what.truth] if isinstance(what.truth, str) else what.truth
     robot_seed = seed if what.robot_seed is None else what.robot_seed
