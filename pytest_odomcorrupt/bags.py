@@ -69,7 +69,6 @@ class CorruptedBag:
             Topic or edge of TF of this run's bag with the truth. None: the odometry before it was corrupted.
         align
             As `odomcorrupt.scoring.path_errors` has it.
-
         """
         covariance = None
         if isinstance(estimate, str | Path):
@@ -129,7 +128,6 @@ def corrupted(
     ------
     OdomCorruptError
         Where a run cannot be made.
-
     """
     source, chosen = Path(clean), _model(model)
     if runs < 1:

@@ -166,7 +166,6 @@ def batch(
     >>> runs = oc.batch("fixtures/office.mcap", "runs", model="typical", runs=3, seed=1, output="trajectories")
     >>> len(runs.paths)
     3
-
     """
     from odomcorrupt.batching.plan import BatchSpec, plan, run_batch, seed_of
 

@@ -146,7 +146,6 @@ def compare(
     >>> table = oc.compare(rec, ["typical", oc.Model(oc.Noise(alpha=(0.1, 0.1, 0.1, 0.1)))]).rows()
     >>> [row["model"] for row in table]
     ['typical', 'model 2']
-
     """
     named = _named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)

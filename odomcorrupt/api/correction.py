@@ -137,7 +137,6 @@ def correct(
     >>> done = oc.correct("fixtures/office.mcap", "corrected.mcap", model=model, overwrite=True)
     >>> [effect.name for effect in done.outcome.effects.undone]
     ['wheelbase']
-
     """
     import numpy as np
 

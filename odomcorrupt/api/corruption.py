@@ -190,7 +190,6 @@ def corrupt(
     >>> done = oc.corrupt("fixtures/office.mcap", "noisy.mcap", model=noise, seed=7, overwrite=True)
     >>> done.seed, done.moved["/odom"]
     (7, 3000)
-
     """
     from odomcorrupt.bags.provenance import ProvenanceWatcher
     from odomcorrupt.corruption.run import corrupt_bag

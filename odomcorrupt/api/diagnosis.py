@@ -76,7 +76,6 @@ class Findings(Result):
         -------
         str
             Description of the drive; "" if no drive would decide anything, in which case no file is written.
-
         """
         from odomcorrupt.files import refuse_existing, write_bytes
         from odomcorrupt.report.text.design import drive_sentence
@@ -186,7 +185,6 @@ def diagnose(
     >>> import odomcorrupt as oc
     >>> oc.diagnose("fixtures/mystery.mcap").verdict
     'missing'
-
     """
     known = None if model is None else as_model(model).motion_model
     runs = as_recordings(recordings)

@@ -111,7 +111,6 @@ def fit(
     >>> result = oc.fit("fixtures/mystery.mcap", ["wheel_scale"])
     >>> "wheel_scale.e" in result.model.parameters
     True
-
     """
     from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
     from odomcorrupt.study.pipeline import LAW

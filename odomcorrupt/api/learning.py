@@ -132,7 +132,6 @@ def learn(
     >>> result = oc.learn(rec, validate="fixtures/mystery_other.mcap")
     >>> result.missing
     ('wheelbase',)
-
     """
     runs = require_travel(as_recordings(recordings))
     held_out = validate if isinstance(validate, Recordings) or validate else ()

@@ -119,7 +119,6 @@ def sample(
     >>> import odomcorrupt as oc
     >>> oc.sample((0, 0, 0), (1, 0.35, 0.7), count=500, seed=1).xyt.shape
     (500, 3)
-
     """
     from odomcorrupt.rng import draw_seed, stream
     from odomcorrupt.sampling.samples import move_sampled
@@ -237,7 +236,6 @@ class Density(Result):
         Returns
         -------
         matplotlib.figure.Figure
-
         """
         from odomcorrupt.report.plots.samples import draw_density
         from odomcorrupt.rng import stream
@@ -293,7 +291,6 @@ def density(
     >>> import odomcorrupt as oc
     >>> round(oc.density((0, 0, 0), (1, 0, 0), [(1, 0, 0)], model="typical").grid.integral, 3)
     1.0
-
     """
     import numpy as np
 

@@ -144,7 +144,6 @@ def fit_returns(
         If the drives do not separate the effects.
     RecordingError
         If the last sweeps of a drive do not match its first.
-
     """
     require("scipy", "the study needs it", "study")
     import numpy as np

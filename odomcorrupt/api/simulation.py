@@ -169,7 +169,6 @@ def simulate(
     >>> run = oc.simulate(effects=["wheelbase"], seed=3, duration_s=20.0)
     >>> run.answer["cause"]
     'wheelbase'
-
     """
     require("scipy", "the study needs it", "study")
     import io

@@ -129,7 +129,6 @@ def bag_words(given: Mapping[str, Any]) -> BagOptions:
     ------
     click.UsageError
         If only one of --tf correction and its frame is given.
-
     """
     tf = given.get("tf", "odometry")
     if (tf != "odometry") != (given.get("new_odom_frame") is not None):

@@ -100,7 +100,6 @@ def choose_model(given: Mapping[str, Any]) -> Model:
         If options contradict each other or one is invalid.
     ModelError
         If the model file is invalid.
-
     """
     from odomcorrupt.api.model import Model
     from odomcorrupt.errors import ModelError

@@ -54,8 +54,6 @@ class Voice:
     def show(self, result: Result, *, files: Files | None = None, err: bool = False) -> None:
         """Print a result.
 
-        Parameters
-        ----------
         result : result to print
         files : output files, written after the verdict is printed and before the suggested next command
         err : whether to print on stderr, because stdout may carry a bag
@@ -137,8 +135,6 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def typed_words(*without: str) -> list[str]:
     """Return the words typed after the command's name, for use in a suggested next command.
 
-    Parameters
-    ----------
     without : options to omit with their values, as in "--output", by their long spelling
     """
     ctx = click.get_current_context()

@@ -109,7 +109,6 @@ def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None)
     ------
     BagError
         If the bag cannot be read.
-
     """
     topics: dict[str, TopicRecord] = {}
     odometry: dict[str, _Odometry] = {}

@@ -43,7 +43,6 @@ def summarise(
     ------
     TopicError
         If `odom_topic` is not an odometry topic of the bag.
-
     """
     source = _source(scan, odom_topic)
     frames = _frames(source, odom_frame, base_frame)
@@ -77,8 +76,6 @@ def summarise(
 def brief(values: dict[str, Any], name: str) -> Summary:
     """Return a short summary: odometry source, its motion, messages that would be modified, warnings.
 
-    Parameters
-    ----------
     values : result of `summarise`, with the bag's provenance
     name : name of the bag
     """

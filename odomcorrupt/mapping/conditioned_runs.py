@@ -83,7 +83,6 @@ def move_sampled_in_map(
     ------
     MapError
         If the motion begins in a wall, or no candidate is free.
-
     """
     if tries < 1:
         raise ModelError(f"tries: {tries}; there must be one or more")
@@ -247,7 +246,6 @@ class FreeRuns:
         ------
         MapError
             If the first pose is not free, or an increment has no free try in any run.
-
         """
         if not self._reader.begun:
             require_free(self._space, clean_xyt[0])

@@ -85,16 +85,12 @@ def plan_path(
 ) -> Plan:
     """Return the normals of a path that is free as a whole.
 
-    Parameters
-    ----------
-    stamps_ns, clean_xyt : (n,) and (n, 3)
-        Odometry, nanoseconds, metres and radians.
+    stamps_ns, clean_xyt : (n,) and (n, 3) odometry, nanoseconds, metres and radians
 
     Raises
     ------
     MapError
         If the drive's first pose is not free, or all paths are stuck at one place.
-
     """
     runs = FreeRuns(model, space, seed=seed, runs=range(run, run + 1), check=check, tries=tries, particles=PARTICLES)
     beginnings = []
@@ -129,7 +125,6 @@ def whole_path(
     MapError
         If map and drive do not match: much of the odometry is not free, no path is free, or the only free ones
         are far outside the noise.
-
     """
     require_free(space, clean_xyt[0])
     astray = 1.0 - float(np.mean(space.free(clean_xyt[:, :2])))
@@ -219,7 +214,6 @@ class FreePath:
         ------
         MapError
             If the first pose is not free, or no try of an increment ends in free space.
-
         """
         if not len(stamps_ns):
             return self._path.feed(stamps_ns, clean_xyt)

@@ -77,18 +77,12 @@ def free_space(
 ) -> FreeSpace:
     """Prepare a map for a round robot.
 
-    Parameters
-    ----------
-    grid
-        Occupancy grid.
-    radius_m
-        Radius of the robot. A cell is blocked if a wall is nearer than this to its centre, to half a cell's diagonal.
-    unknown
-        Whether the robot's centre may be in an unknown cell, or beyond the map. Only walls are inflated by the
-        radius; unknown cells are not.
-    map_from_odom
-        Pose of the odom frame in the map; by default the same frame.
-
+    grid : occupancy grid
+    radius_m : radius of the robot. A cell is blocked if a wall is nearer than this to its centre, to half a cell's
+        diagonal
+    unknown : whether the robot's centre may be in an unknown cell, or beyond the map. Only walls are inflated by the
+        radius; unknown cells are not
+    map_from_odom : pose of the odom frame in the map; by default the same frame
     """
     if not (np.isfinite(radius_m) and radius_m >= 0.0):
         raise MapError(f"robot radius: {radius_m} m; it must be zero or more")

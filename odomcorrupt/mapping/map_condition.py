@@ -97,7 +97,6 @@ def read_odom_frame(path: Path, options: Options, learned_from: str | None = Non
     ------
     TopicError
         If the bag has no odometry.
-
     """
     source = OdometrySource(options.odom_topic, options.odom_frame, options.base_frame, learned_from)
     with open_reader(path, recover=recover) as reader:
@@ -192,7 +191,6 @@ def read_condition(
     ------
     MapError
         If the map cannot be read, or the pose of odom in it is unknown.
-
     """
     frame = "map"
     if is_map_file(name):

@@ -147,7 +147,6 @@ def read_cloud(data: bytes, topic: str, encoding: str) -> CloudMessage:
     ------
     BagError
         If the message is damaged, or has no x, y and z of 4 or 8 bytes.
-
     """
     cursor = _Cursor(data, topic, encoding)
     stamp, frame = cursor.header()

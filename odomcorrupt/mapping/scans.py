@@ -51,22 +51,15 @@ class Rays:
 def read_rays(path: Path, topic: str | None, base_frame: str, mount: Mount | None) -> Rays:
     """Read all scans of a topic.
 
-    Parameters
-    ----------
-    path
-        A bag.
-    topic
-        Topic of laser scans; None takes the only one.
-    base_frame
-        The robot's frame, which TF must connect with the laser's.
-    mount
-        Pose of the laser, to be used instead of TF.
+    path : a bag
+    topic : topic of laser scans; None takes the only one
+    base_frame : the robot's frame, which TF must connect with the laser's
+    mount : pose of the laser, to be used instead of TF
 
     Raises
     ------
     TopicError
         If there are no scans, several topics of them, or TF does not contain the laser's pose.
-
     """
     scans: list[ScanMessage] = []
     tree = FrameTree()

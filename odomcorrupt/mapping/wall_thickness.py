@@ -53,10 +53,7 @@ def distance_to_surface(clean_xy: Array, noisy_xy: Array, *, cell_m: float = 0.0
     The displacement of a hit is measured across the wall of its clean counterpart: shifts along a wall are not visible
     in a map, and a wall displaced by more than the window is still compared with itself.
 
-    Parameters
-    ----------
     clean_xy, noisy_xy : (n, 2) ends of the same rays, transformed by clean and by noisy odometry, metres
-
     """
     xx, xy, yy = _covariances(clean_xy, cell_m)
     smaller = np.maximum(_smaller(xx, xy, yy), 0.0)

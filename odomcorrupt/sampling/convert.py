@@ -48,7 +48,6 @@ def drift_of(noise: Noise) -> Drift:
     ------
     ModelError
         If a per-step law is applied once per message, because its drift then depends on the message rate.
-
     """
     law = noise.law
     if law.per_step and noise.step is None:
@@ -65,7 +64,6 @@ def convert(noise: Noise, law: Law, step: Step | None) -> Noise:
     ------
     ModelError
         If a step is missing, or the other law cannot give this drift.
-
     """
     if law.per_step and step is None:
         raise ModelError(f"law {law.name}: its coefficients depend on the step; name it, as in --to-step 0.25m,0.2rad")

@@ -68,7 +68,6 @@ def hypothetical(xyt: Array, move: Move, noise: Noise) -> Array:
     ------
     ModelError
         If the noise has a step (`--step`), which is undefined for a motion to a pose.
-
     """
     if noise.step is not None:
         raise ModelError("hypothetical: this noise has a step of its own (--step); the book's table has none")
@@ -156,7 +155,6 @@ def within_map(grid: DensityGrid, space: FreeSpace, start_xy: Array, check: Chec
     ------
     MapError
         If no part of it is free.
-
     """
     gx, gy = np.meshgrid(grid.x_m, grid.y_m)
     ends = np.column_stack((gx.ravel(), gy.ravel()))

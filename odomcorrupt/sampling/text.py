@@ -49,8 +49,6 @@ class Drawn:
 def brief(drawn: Drawn, following: str = "") -> Summary:
     """Return mean and spread of the samples, and those of the linearised model.
 
-    Parameters
-    ----------
     drawn : motion, noise and samples
     following : the command to type next, "" for none
     """

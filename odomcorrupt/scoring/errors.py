@@ -173,7 +173,6 @@ def path_errors(
     ------
     ScoreError
         If they do not overlap in time.
-
     """
     origin = int(truth.stamps_ns[0])
     t_s = estimate.seconds_since(origin)

@@ -58,8 +58,6 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
     That is a file or bag in `directory` with the run's name, with or without a suffix (`run_000012.tum`,
     `run_000012_amcl.mcap`, a ROS 2 bag `run_000012/`), else the run's bag itself.
 
-    Parameters
-    ----------
     directory : directory of the localisation's outputs
     run_file : corrupted run
     needs_topic : whether a topic was given, so that the run's bag itself may contain the estimate
@@ -70,7 +68,6 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
         If there is none.
     ScoreError
         If several files are possible.
-
     """
     name = run_file.name.split(".")[0]
     own = run_file.resolve()
@@ -104,7 +101,6 @@ def read_estimate(path: Path, address: str | None) -> Estimate:
     ------
     OdomCorruptError
         If the file cannot be read, or has no such topic; NoEstimateError if the topic has no message.
-
     """
     place = str(path)
     covariance = None

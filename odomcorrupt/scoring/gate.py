@@ -109,7 +109,6 @@ def parse_rule(text: str) -> Rule:
     ------
     ScoreError
         If it is not a rule.
-
     """
     match = _RULE.match(text)
     way_out = 'write it as "ate_p90 +20%", "lost +5%" or "ate_median > 0.3"'
@@ -150,7 +149,6 @@ def compare_paired(old: Array, new: Array, *, rise: float = 0.2, statistic: str 
     ------
     ScoreError
         If there are fewer than `LEAST_PAIRS` pairs, or a number is not above zero.
-
     """
     if len(old) != len(new) or len(old) < LEAST_PAIRS:
         raise ScoreError(
@@ -244,7 +242,6 @@ def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str
     ------
     ScoreError
         If a rule is invalid, a rise has no baseline, or the two have too few runs with equal seeds.
-
     """
     return [_verdict(parse_rule(text), report, baseline) for text in rules]
 

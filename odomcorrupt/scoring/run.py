@@ -201,7 +201,6 @@ def score(
     >>> from odomcorrupt.scoring import score
     >>> report = score("runs", "/amcl_pose", truth="/ground_truth")  # doctest: +SKIP
     >>> report.summary("ate_m").p90.value  # doctest: +SKIP
-
     """
     limits = limits or Limits()
     roots = [Path(runs)] if isinstance(runs, str | Path) else [Path(one) for one in runs]

@@ -78,20 +78,12 @@ RULES: tuple[Rule, ...] = get_args(Rule)
 def integrate(start_xyt: Array, twist: Array, t_s: Array, rule: Rule, *, hold: Hold = "next") -> Array:
     """Return poses (..., n, 3) at n stamps, the first one being the start.
 
-    Parameters
-    ----------
-    start_xyt : (3,)
-        Metres and radians.
-    twist : (..., n, 3)
-        vx, vy in m/s and yaw rate in rad/s, in the robot's frame.
-    t_s : (n,)
-        Ascending times, seconds.
-    rule
-        Over an interval of constant twist: a straight line along the initial heading (`euler`) or the heading at
-        mid-interval (`midpoint`), or the circular arc (`exact`).
-    hold
-        Whether a twist holds from its stamp to the next one (`next`), or from the previous one to its own.
-
+    start_xyt : (3,) metres and radians
+    twist : (..., n, 3) vx, vy in m/s and yaw rate in rad/s, in the robot's frame
+    t_s : (n,) ascending times, seconds
+    rule : over an interval of constant twist: a straight line along the initial heading (`euler`) or the heading at
+        mid-interval (`midpoint`), or the circular arc (`exact`)
+    hold : whether a twist holds from its stamp to the next one (`next`), or from the previous one to its own
     """
     if rule not in RULES:
         raise ModelError(f"rule {rule}: is not one of {', '.join(RULES)}")

@@ -97,8 +97,6 @@ def report_text(particles: ParticleSet) -> str:
 def brief(particles: ParticleSet, model: str, drive: str, following: Sequence[object]) -> Summary:
     """Return a summary of the runs' spread at the end and on the way.
 
-    Parameters
-    ----------
     particles : the particle set
     model, drive : descriptions of noise model and odometry
     following : the command to type next

@@ -293,8 +293,6 @@ def _step(judgement: Judgement) -> dict[str, Any]:
 def fit_json(result: RobotFit, laws: Mapping[str, RobotFit]) -> dict[str, Any]:
     """Return a fit as plain values.
 
-    Parameters
-    ----------
     result : fit of a robot
     laws : fits of all laws if all were tried, the likeliest first
     """

@@ -74,8 +74,6 @@ def draw_corruption(
 ) -> Figure:
     """Draw a path before and after a change, and the difference in position and heading against distance.
 
-    Parameters
-    ----------
     before_xyt, after_xyt : (n, 3) metres and radians, the same messages in the same order
     title : title of the figure
     names : names of the two paths

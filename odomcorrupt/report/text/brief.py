@@ -67,8 +67,6 @@ def findings_brief(
 ) -> Summary:
     """Return the findings of a search: each effect with size and probability, held-out errors, undecided alternatives.
 
-    Parameters
-    ----------
     search, advice : the findings, and the alternatives that the data leave undecided
     comparison : the evaluated models; the first one lacks the findings
     fit : final fit, if it is not that of the search
