@@ -134,7 +134,7 @@ def sample(
     else:
         from odomcorrupt.mapping.conditioned_runs import move_sampled_in_map
 
-        free = move_sampled_in_map(move, variances, count, rng, within.space, check=within.check, tries=within.tries)
+        free = move_sampled_in_map(move, variances, count, rng, within)
         xyt, notes = free.xyt, (free.account(),)
     noise = chosen.motion_model.noise
     drawn = Drawn(move, noise, variances, xyt, drawn_seed, chosen.origin, notes)
@@ -244,7 +244,7 @@ class Density(Result):
         xyt = move_sampled(self.move, self.variances, count, stream(seed, 0, "sample"))
         if self.within is not None:
             starts = self.move.start_xyt[:2] + 0.0 * xyt[:, :2]
-            xyt = xyt[self.within.space.allows(starts, xyt[:, :2], self.within.check)]
+            xyt = xyt[self.within.allows(starts, xyt[:, :2])]
         name = "Density of end poses" if self.reading == "pose" else f"p1 p2 p3 ({self.reading}) at end poses"
         per_area = "density (1/m^2)" if self.reading == "pose" else "p1 p2 p3, summed (1/(m rad))"
         title = f"{name}: {self.law.partition(' (')[0]}, samples of seed {seed}"
@@ -311,8 +311,8 @@ def density(
     part = 1.0
     if within is not None:
         start_xy = move.start_xyt[:2]
-        grid, part = within_map(grid, within.space, start_xy, within.check)
-        free = within.space.allows(np.broadcast_to(start_xy, (len(at), 2)), at[:, :2], within.check)
+        grid, part = within_map(grid, within, start_xy)
+        free = within.allows(np.broadcast_to(start_xy, (len(at), 2)), at[:, :2])
         values = np.where(free, values / part, 0.0)
     law = law_words(chosen.noise)
     return Density(at, values, reading, grid, move, variances, law, part, within)

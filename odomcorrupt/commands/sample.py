@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 _RUNS = 300
 """Default number of runs along a bag."""
 
@@ -63,8 +61,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
     else:
         places = places_along(drive, every)
         free = free_paths(
-            drive.stamps_ns, drive.xyt, chosen.motion_model, condition.space, seed=seed, runs=range(runs),
-            places=places, check=condition.check, tries=condition.tries,
+            drive.stamps_ns, drive.xyt, chosen.motion_model, condition, seed=seed, runs=range(runs), places=places
         )  # fmt: skip
         cloud = particles_at(drive, places, free.xyt, seed)
         voice.note(free.account())

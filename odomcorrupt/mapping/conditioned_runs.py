@@ -31,14 +31,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.free_space import Check, FreeSpace
+    from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.samples import Move
 
-__all__ = ["MAX_TRIES", "FreePaths", "FreeRuns", "FreeSamples", "free_paths", "move_sampled_in_map"]
-
-MAX_TRIES = 100
+__all__ = ["FreePaths", "FreeRuns", "FreeSamples", "free_paths", "move_sampled_in_map"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +66,7 @@ class FreeSamples:
 
 
 def move_sampled_in_map(
-    move: Move,
-    variances: Variances,
-    count: int,
-    rng: np.random.Generator,
-    space: FreeSpace,
-    *,
-    check: Check = "endpoint",
-    tries: int = MAX_TRIES,
+    move: Move, variances: Variances, count: int, rng: np.random.Generator, within: Constraint
 ) -> FreeSamples:
     """Draw end poses of a motion in the free space of a map; see `samples.move_sampled`.
 
@@ -84,10 +75,10 @@ def move_sampled_in_map(
     MapError
         If the motion begins in a wall, or no candidate is free.
     """
-    if tries < 1:
-        raise ModelError(f"tries: {tries}; there must be one or more")
+    if within.tries < 1:
+        raise ModelError(f"tries: {within.tries}; there must be one or more")
     start = move.start_xyt[None, :2]
-    if not space.free(start)[0]:
+    if not within.space.free(start)[0]:
         x, y = start[0]
         raise MapError(
             f"the motion begins at ({x:.3f} m, {y:.3f} m), which the map does not leave free for this robot; check "
@@ -96,10 +87,10 @@ def move_sampled_in_map(
     out = np.empty((count, 3))
     pending: NDArray[np.intp] = np.arange(count)
     candidates = free_at_first = 0
-    for attempt in range(tries):
+    for attempt in range(within.tries):
         drawn = move_sampled(move, variances, len(pending), rng)
         candidates += len(drawn)
-        good = space.allows(np.broadcast_to(start, (len(drawn), 2)), drawn[:, :2], check)
+        good = within.allows(np.broadcast_to(start, (len(drawn), 2)), drawn[:, :2])
         out[pending[good]] = drawn[good]
         pending = pending[~good]
         free_at_first += int(np.count_nonzero(good)) if attempt == 0 else 0
@@ -109,8 +100,7 @@ def move_sampled_in_map(
         raise MapError(
             f"none of {candidates} candidates is free: the motion ends in a wall, and its noise does not lead out of it"
         )
-    found = np.delete(out, pending, axis=0)
-    return FreeSamples(found, candidates, len(pending), free_at_first, tries)
+    return FreeSamples(np.delete(out, pending, axis=0), candidates, len(pending), free_at_first, within.tries)
 
 
 _AT_ONCE = 1024
@@ -145,19 +135,17 @@ def free_paths(
     stamps_ns: NDArray[np.int64],
     clean_xyt: Array,
     model: MotionModel,
-    space: FreeSpace,
+    within: Constraint,
     *,
     seed: int,
     runs: range,
     places: NDArray[np.intp],
-    check: Check = "endpoint",
-    tries: int = MAX_TRIES,
 ) -> FreePaths:
     """Draw runs of a whole drive within free space, and return their poses at k of its n poses.
 
     See `FreeRuns`; stamps_ns is (n,), clean_xyt (n, 3) the odometry.
     """
-    walkers = FreeRuns(model, space, seed=seed, runs=runs, check=check, tries=tries)
+    walkers = FreeRuns(model, within, seed=seed, runs=runs)
     out = np.empty((len(runs), len(places), 3))
     for begin in range(0, len(stamps_ns), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
@@ -165,7 +153,7 @@ def free_paths(
         walked = walkers.feed(stamps_ns[part], clean_xyt[part])
         out = out[walked.ancestors]
         out[:, here] = walked.xyt[:, places[here] - begin]
-    return FreePaths(out, walkers.redrawn, walkers.resampled, (len(stamps_ns) - 1) * len(runs), tries)
+    return FreePaths(out, walkers.redrawn, walkers.resampled, (len(stamps_ns) - 1) * len(runs), within.tries)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,23 +193,13 @@ class FreeRuns:
     resampled : number of times a run without a free try was replaced by a copy of another one
     """
 
-    def __init__(
-        self,
-        model: MotionModel,
-        space: FreeSpace,
-        *,
-        seed: int,
-        runs: range,
-        check: Check = "endpoint",
-        tries: int = MAX_TRIES,
-        particles: int = 0,
-    ) -> None:
-        self._reader, self._space = MotionReader(without_effects(model)), space
+    def __init__(self, model: MotionModel, within: Constraint, *, seed: int, runs: range, particles: int = 0) -> None:
+        self._reader, self._space = MotionReader(without_effects(model)), within.space
         keys = [(run, 0) for run in runs] if not particles else [(runs.start, number) for number in range(particles)]
         self._own = [stream(seed, run, "noise", number) for run, number in keys]
         again = [stream(seed, run, "map", number) for run, number in keys]
         choose = stream(seed, runs.start, "map resampling")
-        self._walk = _Walk(space, check, tries, again, choose, swing_of(model), whole=bool(particles))
+        self._walk = _Walk(within, again, choose, swing_of(model), whole=bool(particles))
         self.restart()
 
     @property
@@ -273,12 +251,11 @@ class _Walk:
     """Propagates many robots by one increment at a time."""
 
     def __init__(
-        self, space: FreeSpace, check: Check, tries: int, again: list[np.random.Generator],
-        choose: np.random.Generator, swing: float, *, whole: bool,
+        self, within: Constraint, again: list[np.random.Generator], choose: np.random.Generator, swing: float, *,
+        whole: bool,
     ) -> None:  # fmt: skip
-        self._whole = whole
-        self._space, self._check, self._again, self._choose, self._swing = space, check, again, choose, swing
-        self._tries, self._rounds = tries, rounds(tries)
+        self._within, self._again, self._choose, self._swing, self._whole = within, again, choose, swing, whole
+        self._rounds = rounds(within.tries)
         self.redrawn = self.resampled = 0
 
     def on(self, pose: Array, step: Array, sd: Array, normals: Array) -> tuple[Array, NDArray[np.intp]]:
@@ -290,9 +267,9 @@ class _Walk:
         parents: NDArray[np.intp] = np.arange(len(pose))
         if not (sd.any() or step[:3].any()):
             return ahead, parents
-        bad = ~self._space.allows(pose[:, :2], ahead[:, :2], self._check)
+        bad = ~self._within.allows(pose[:, :2], ahead[:, :2])
         # a robot whose pose was set into a wall may leave it
-        stuck = np.flatnonzero(bad & self._space.free(pose[:, :2]))
+        stuck = np.flatnonzero(bad & self._within.space.free(pose[:, :2]))
         self.redrawn += len(stuck)
         for count in () if self._whole and len(stuck) < len(pose) else self._rounds:
             if len(stuck):
@@ -302,8 +279,8 @@ class _Walk:
             if not len(alive):
                 x, y = pose[:, :2].mean(axis=0)
                 raise NoFreePoseError(
-                    f"the map and the drive do not fit: about ({x:.2f} m, {y:.2f} m) none of {self._tries} tries of "
-                    f"any of {len(pose)} paths ends where the map is free; check --map-pose, --robot-radius and "
+                    f"the map and the drive do not fit: about ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries "
+                    f"of any of {len(pose)} paths ends where the map is free; check --map-pose, --robot-radius and "
                     "--unknown, or leave out --map"
                 )
             self.resampled += len(stuck)
@@ -317,7 +294,7 @@ class _Walk:
         again = np.concatenate([self._again[run].standard_normal((count, 4)) for run in stuck])
         origin = np.repeat(pose[stuck], count, axis=0)
         candidates = moved(origin, step, again * sd, self._swing)
-        good = self._space.allows(origin[:, :2], candidates[:, :2], self._check).reshape(-1, count)
+        good = self._within.allows(origin[:, :2], candidates[:, :2]).reshape(-1, count)
         found = good.any(axis=1)
         first = np.argmax(good, axis=1)
         ahead[stuck[found]] = candidates.reshape(-1, count, 3)[found, first[found]]

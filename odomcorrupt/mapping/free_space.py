@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.mapfile import Grid
 
-__all__ = ["CHECKS", "Check", "FreeSpace", "Unknown", "free_space"]
+__all__ = ["CHECKS", "Check", "Constraint", "FreeSpace", "Unknown", "free_space"]
 
 Unknown = Literal["blocked", "free"]
 Check = Literal["endpoint", "path"]
@@ -62,14 +62,23 @@ class FreeSpace:
             clear[left[number[stopped]]] = False
         return clear
 
-    def allows(self, from_xy: Array, to_xy: Array, check: Check) -> NDArray[np.bool_]:
-        """Return whether motions (n, 2) to (n, 2) are possible, by their end or by the whole path."""
-        return self.free(to_xy) if check == "endpoint" else self.reachable(from_xy, to_xy)
-
     def _in_map(self, xy: Array) -> Array:
         turn = np.full(xy.shape[:-1], self.map_from_odom[2])
         out: Array = rotate(xy, turn) + self.map_from_odom[:2]
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class Constraint:
+    """Free space that motions must stay in, whether by their ends or all the way, and the number of draws for each."""
+
+    space: FreeSpace
+    check: Check = "endpoint"
+    tries: int = 100
+
+    def allows(self, from_xy: Array, to_xy: Array) -> NDArray[np.bool_]:
+        """Return whether motions (n, 2) to (n, 2) are possible."""
+        return self.space.free(to_xy) if self.check == "endpoint" else self.space.reachable(from_xy, to_xy)
 
 
 def free_space(

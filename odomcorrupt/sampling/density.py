@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.free_space import Check, FreeSpace
+    from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.samples import Move
@@ -146,7 +146,7 @@ def density_on_grid(
     return DensityGrid(x, y, density.reshape(gx.shape))
 
 
-def within_map(grid: DensityGrid, space: FreeSpace, start_xy: Array, check: Check) -> tuple[DensityGrid, float]:
+def within_map(grid: DensityGrid, within: Constraint, start_xy: Array) -> tuple[DensityGrid, float]:
     """Return p(x_t | u_t, x_t-1, m) on a grid, and the fraction of the density without the map that is in free space.
 
     The book's product of the motion's density and whether the pose is free (section 5.5), divided by its integral.
@@ -158,7 +158,7 @@ def within_map(grid: DensityGrid, space: FreeSpace, start_xy: Array, check: Chec
     """
     gx, gy = np.meshgrid(grid.x_m, grid.y_m)
     ends = np.column_stack((gx.ravel(), gy.ravel()))
-    free = space.allows(np.broadcast_to(start_xy, ends.shape), ends, check).reshape(gx.shape)
+    free = within.allows(np.broadcast_to(start_xy, ends.shape), ends).reshape(gx.shape)
     part = float(grid.density[free].sum() / grid.density.sum())
     if not part > 0.0:
         raise MapError("the motion ends in a wall, and its noise does not lead out of it; check --map-pose")

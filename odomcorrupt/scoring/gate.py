@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from math import comb, exp, log
+from math import comb, erfc, exp, log, sqrt
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -198,7 +198,7 @@ def _signed_rank(d: Array) -> float:
     observed = int(doubled[d > 0.0].sum())
     if n > _EXACT:
         deviation = np.sqrt(np.sum(doubled.astype(float) ** 2)) / 2.0
-        return _normal_tail((observed - doubled.sum() / 2.0 - 1.0) / deviation)
+        return erfc((observed - doubled.sum() / 2.0 - 1.0) / deviation / sqrt(2.0)) / 2.0
     # number of sign patterns with each sum of positive ranks, as probabilities
     part = np.zeros(int(doubled.sum()) + 1)
     part[0] = 1.0
@@ -207,12 +207,6 @@ def _signed_rank(d: Array) -> float:
         shifted[rank:] = part[: len(part) - rank]
         part = (part + shifted) / 2.0
     return float(min(1.0, part[observed:].sum()))
-
-
-def _normal_tail(z: float) -> float:
-    from math import erfc, sqrt  # noqa: PLC0415 - for many runs only
-
-    return erfc(z / sqrt(2.0)) / 2.0
 
 
 def _swap_test(both: Array, statistic: Callable[[Array], Array], observed: float) -> float:

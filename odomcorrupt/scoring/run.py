@@ -266,6 +266,7 @@ class _Truth:
         """Return the truth of a run."""
         if self._shared is not None:
             return self._shared
+        shared = True
         if self._file is not None:
             got = read_estimate(self._file, self._topic)
         elif self._topic is None:
@@ -273,14 +274,11 @@ class _Truth:
         else:
             original = Path(read_beginning(self._directory)["input"]["path"])
             got = read_first([original, run_file, estimate_file], self._topic)
+            shared = got.source.startswith(str(original))
         self.name, self.frame = got.source, got.frame
-        if self._file is not None or self._topic is None or got.source.startswith(str(_original(self._directory))):
+        if shared:
             self._shared = got.trajectory
         return got.trajectory
-
-
-def _original(directory: Path) -> Path:
-    return Path(read_beginning(directory)["input"]["path"])
 
 
 def _scored(
