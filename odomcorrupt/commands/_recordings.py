@@ -121,7 +121,8 @@ _options = added(
     ),
     click.option(
         "--imu", metavar="TOPIC",
-        help="Gyro, a second witness of turning; without truth and laser, for diagnose alone. [default: the only one]",
+        help="Gyro: separates wheel errors from heading errors; without truth or laser it is the truth of headings, "
+        "for diagnose alone. [default: the only Imu]",
     ),
     click.option(
         "--laser-scale-accuracy", type=Share("a share as in 0.3% or 0.003", 0.0, 20.0), metavar="SHARE",

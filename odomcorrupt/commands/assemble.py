@@ -14,8 +14,6 @@ from odomcorrupt.commands._standard import chosen_output, output_option, standar
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 
 @click.command("assemble", short_help="Join an overlay of a batch with its original.")
 @click.argument("run", metavar="RUN", type=click.Path(exists=True, dir_okay=False, path_type=Path))

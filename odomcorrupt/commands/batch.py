@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["command"]
-
 _MODEL_WORDS = {"alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step",
                 "preset": "--preset", "effects": "--effect", "track": "--track"}  # fmt: skip
 _MAP_WORDS = {

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.commands._recordings import Reading
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["REJECTED", "command"]
-
 REJECTED = 4
 """Exit code of --fail-if-rejected."""
 _NAMES = ("error", "path", "nees", "residuals", "map", "pit")

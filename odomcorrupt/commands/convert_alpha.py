@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Noise, Step
     from odomcorrupt.report.text.summary import Summary
 
-__all__ = ["command"]
-
 
 @click.command("convert-alpha", short_help="What the alphas of one law are in another.")
 @click.argument("alphas", nargs=-1, required=True, metavar="A1 A2 A3 A4")

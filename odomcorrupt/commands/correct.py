@@ -16,8 +16,6 @@ from odomcorrupt.commands._standard import chosen_output, output_option, standar
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 
 @click.command("correct", short_help="Take the systematic part out of measured odometry.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))

@@ -17,8 +17,6 @@ from odomcorrupt.commands._standard import chosen_output, output_option, standar
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command", "keep_freed_memory"]
-
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Names of parameters in glibc's malloc.h."""
 _KEPT_BYTES = 32 << 20

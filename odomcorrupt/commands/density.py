@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 
 @click.command(
     "density", cls=AlphaCommand, short_help="How likely an end pose is, p(x_t | u_t, x_t-1), beside samples."

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.commands._recordings import Reading
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 
 @click.command("diagnose", short_help="Name the physical effect that a model misses.")
 @click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... [MODEL.toml]")

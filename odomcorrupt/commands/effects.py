@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.report.text.summary import Summary
 
-__all__ = ["command"]
-
 
 @click.command("effects", short_help="List the physical effects, or explain one.")
 @click.argument("name", required=False)

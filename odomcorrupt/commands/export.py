@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.report.text.summary import Summary
 
-__all__ = ["command"]
-
 _EVERY = "nothing would let amcl update at every scan"
 
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.commands._recordings import Reading
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 
 @click.command("fit", short_help="Fit a robot's motion model to odometry and truth.")
 @click.argument("recordings", nargs=-1, required=True)

@@ -13,8 +13,6 @@ from odomcorrupt.commands._standard import standard_options
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 
 @click.command("info", short_help="Show a bag's odometry, and what corruption would move.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Trajectory
     from odomcorrupt.trajectories.reader import Drive
 
-__all__ = ["command"]
-
 _BAG = click.Path(path_type=Path)
 
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.commands._recordings import Reading
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 
 @click.command("learn", short_help="Fit, diagnose and add, until nothing is missing.")
 @click.argument("recordings", nargs=-1, required=True)

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.mapping.scan_map import Survey
 
-__all__ = ["command"]
-
 
 @click.command("map", cls=AlphaCommand, short_help="What the laser sees through clean and through noisy odometry.")
 @click.argument("bag", type=click.Path(path_type=Path))

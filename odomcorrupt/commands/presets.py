@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.presets import Preset
     from odomcorrupt.report.text.summary import Summary
 
-__all__ = ["command"]
-
 
 @click.command("presets", short_help="List the ready-made noise models, or print one as a model file.")
 @click.argument("name", required=False)

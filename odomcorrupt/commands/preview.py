@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 
 @click.command("preview", cls=AlphaCommand, short_help="Forecast what a motion model will do to a bag.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from odomcorrupt.scoring.gate import Verdict
     from odomcorrupt.scoring.run import ScoreReport
 
-__all__ = ["command"]
-
 _BASELINE_BYTES = 1 << 28
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
-
 _ALONE = {
     "hidden": "stands alone, since what else there is would be known",
     "none": "stands alone; leave it out or leave out the others",

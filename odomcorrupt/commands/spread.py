@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.report.text.summary import Summary
 
-__all__ = ["command"]
-
 _ERRORS = 2.0
 """Standard errors beyond which a dispersion differs from the prediction."""
 

@@ -40,10 +40,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Judgement
 
-__all__ = [
-    "NOTHING", "candidates_table", "contradiction", "dependence", "evidence_words", "found_text", "position_error",
-    "shares_text", "unnamed",
-]  # fmt: skip
+__all__ = ["NOTHING", "candidates_table", "contradiction", "dependence", "evidence_words", "found_text",
+           "position_error", "shares_text", "unnamed"]  # fmt: skip
 
 NOTHING = "nothing is missing: no known effect explains more than chance"
 
