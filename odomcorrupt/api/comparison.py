@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["Comparison", "compare", "named_models"]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -147,7 +147,7 @@ def compare(
     >>> [row["model"] for row in table]
     ['typical', 'model 2']
     """
-    named = _named_models(models)
+    named = named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
     drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")
     runs = (
@@ -170,7 +170,7 @@ def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
     return next(iter([*placed, *origins.values()]), None)
 
 
-def _named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:
+def named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:
     """Return models by name: for files the file name if unique, else the path; "model N" for others."""
     from collections.abc import Mapping, Sequence
 

@@ -53,7 +53,7 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     INPUT and OUTPUT are bags of any kind; - is a pipe. With --map no pose is drawn into a wall: motion as a particle
     has it. Real odometry drifts through walls; leave --map out to imitate that.
     """
-    from odomcorrupt.api.bag_options import options_of
+    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.api.corruption import corrupt
 
     target = chosen_output(output, output_option)
@@ -62,7 +62,7 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     source = source_of(input_)
     options = bag_words(given)
-    condition = choose_condition_of_run(given, source, options_of(options), model.motion_model)
+    condition = choose_condition_of_run(given, source, split_options(options)[0], model.motion_model)
     keep_freed_memory()
     with Progress(quiet=voice.quiet) as progress:
         asked = {"seed": given["seed"], "run": given["run"], "within": condition, "watch": progress}

@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._advice import advice_files, advice_options, check_advice
-from odomcorrupt.commands._recordings import recording_options, split_arguments
+from odomcorrupt.commands._recordings import (
+    advice_files,
+    advice_options,
+    check_advice,
+    recording_options,
+    split_arguments,
+)
 from odomcorrupt.commands._standard import overwrite_option, standard_options
 
 if TYPE_CHECKING:

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.batching.dispersion import SpreadReport
-    from odomcorrupt.batching.dispersion import SpreadRow as _Row
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.report.text.summary import Summary
 
@@ -60,7 +59,7 @@ def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:
     verdict = "AS PREDICTED" if abs(off) <= chance else "WIDER" if off > 0.0 else "NARROWER"
     said = f"{ratio:.3g} times the predicted spread after {last.after_m:.4g} m, {report.runs} runs"
     lines = [Line(verdict, said, "good" if abs(off) <= chance else "warning")]
-    for row in _some(report.rows):
+    for row in (report.rows[i] for i in sorted({0, len(report.rows) // 2, len(report.rows) - 1})):
         measured = f"{row.position_m:.3g} m, {math.degrees(row.heading_rad):.3g} deg"
         predicted = f"{row.position_predicted_m:.3g} m, {math.degrees(row.heading_predicted_rad):.3g} deg"
         lines.append(Line(f"{row.after_m:.4g} m", f"{measured} (predicted {predicted})"))
@@ -69,11 +68,6 @@ def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:
     if report.random_effects:
         lines.append(Line("odd", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
     return Summary((*lines, command_line(["odomcorrupt", *following])))
-
-
-def _some(rows: Sequence[_Row]) -> list[_Row]:
-    """Return the first, the last and one row between."""
-    return [rows[i] for i in sorted({0, len(rows) // 2, len(rows) - 1})]
 
 
 def _text(report: SpreadReport) -> str:

@@ -156,20 +156,14 @@ def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> tuple
 
 def _odometry(record: OdometryRecord, scan: BagScan, frames: Frames | None, *, moved: bool) -> dict[str, Any]:
     found = findings(record)
-    edge = None if frames is None else _own_edge(record, scan)
-    off = None
-    if edge is not None:
-        off = disagreement_m(record, edge, turned=edge.parent != plain(record.frame))
-    values = dataclasses.asdict(found)
+    ends = {plain(record.frame), plain(record.child)}
+    own = (e for e in scan.edges if {e.parent, e.child} == ends and "static" not in e.topic)
+    edge = None if frames is None else next(own, None)
+    off = None if edge is None else disagreement_m(record, edge, turned=edge.parent != plain(record.frame))
     return {
         "topic": record.topic, "frame": record.frame, "child": record.child, "moved": moved,
-        **values, "oddities": list(found.oddities), "tf_differs_m": off,
+        **dataclasses.asdict(found), "oddities": list(found.oddities), "tf_differs_m": off,
     }  # fmt: skip
-
-
-def _own_edge(record: OdometryRecord, scan: BagScan) -> EdgeRecord | None:
-    ends = {plain(record.frame), plain(record.child)}
-    return next((e for e in scan.edges if {e.parent, e.child} == ends and "static" not in e.topic), None)
 
 
 def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:

@@ -252,8 +252,8 @@ class FreePath:
                     return samples
         x, y = self._pose[:2]
         raise NoFreePoseError(
-            f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries ends where "
-            "the map is free; check --map-pose, --robot-radius and --unknown, or leave out --map"
+            f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries ends "
+            "where the map is free; check --map-pose, --robot-radius and --unknown, or leave out --map"
         )
 
 

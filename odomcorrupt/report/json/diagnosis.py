@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.validate.reproduction import Reproduction
@@ -63,7 +62,9 @@ def learned_json(
             entry = _entry(*own[step.added], step.alternatives, step_confidence(step, learned))
             held_out = {"held_out": _held_out(sequence[place], sequence[place + 1])}
             found.append(entry | held_out | _matters(step.added, learned))
-    found += [_noise(gain, learned) for gain in learned.noise]
+    unmeasured = {"held_out": None, "negligible": False}
+    # parameters of random effects have no standard errors
+    found += [_entry(gain.effect, (), (), noise_confidence(gain, learned)) | unmeasured for gain in learned.noise]
     missing = bool(learned.lacking or learned.noise)
     return finite(
         {
@@ -194,11 +195,6 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
     for one in reversed(firsts.values()):
         effect = kinds[one.name](**{amplitudes(kinds[one.name])[0].name: one.value})
         yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out, "negligible": False}
-
-
-def _noise(gain: RandomCoefficient, learned: Learned) -> dict[str, Any]:
-    """Return a random effect; its parameters have no standard errors."""
-    return _entry(gain.effect, (), (), noise_confidence(gain, learned)) | {"held_out": None, "negligible": False}
 
 
 def _matters(name: str, learned: Learned) -> dict[str, Any]:

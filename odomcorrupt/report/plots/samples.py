@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.sampling.density import DensityGrid
     from odomcorrupt.sampling.samples import Moments, Move
 
-__all__ = ["draw_banana", "draw_density"]
+__all__ = ["SIGMAS", "draw_banana", "draw_density", "draw_ellipse"]
 
 SIGMAS = 2.0
 
@@ -118,20 +118,16 @@ def _ellipses(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
         (linearised_moments(move, variances), RED, "-", f"linearised, {SIGMAS:g} sigma"),
         (drawn, ORANGE, (0, (5, 2)), f"of the samples, {SIGMAS:g} sigma"),
     ):
-        e = ellipse(moments, SIGMAS)
-        patch = EllipsePatch(
-            (e.centre_xy[0], e.centre_xy[1]), 2 * e.major_m, 2 * e.minor_m, angle=float(np.degrees(e.angle_rad)),
-            fill=False, edgecolor=colour, linestyle=style, linewidth=1.8, label=label, zorder=5,
-        )  # fmt: skip
-        axes.add_patch(patch)
-    mean: dict[str, Any] = {
-        "color": ORANGE,
-        "markersize": 6,
-        "markeredgecolor": "white",
-        "markeredgewidth": 0.6,
-        "zorder": 8,
-    }
-    axes.plot(*drawn.mean_xyt[:2], "X", label="mean", **mean)
+        draw_ellipse(axes, moments, edgecolor=colour, linestyle=style, linewidth=1.8, label=label, zorder=5)
+    mean: dict[str, Any] = {"markersize": 6, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 8}
+    axes.plot(*drawn.mean_xyt[:2], "X", label="mean", color=ORANGE, **mean)
+
+
+def draw_ellipse(axes: Axes, moments: Moments, **style: Any) -> None:
+    """Draw the ellipse of x and y at `SIGMAS` standard deviations."""
+    e = ellipse(moments, SIGMAS)
+    centre, angle_deg = (e.centre_xy[0], e.centre_xy[1]), float(np.degrees(e.angle_rad))
+    axes.add_patch(EllipsePatch(centre, 2 * e.major_m, 2 * e.minor_m, angle=angle_deg, fill=False, **style))
 
 
 def _headings(axes: Axes, move: Move, xyt: Array) -> None:
