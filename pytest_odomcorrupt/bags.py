@@ -16,12 +16,11 @@ from odomcorrupt.batching.plan import BatchSpec, plan
 from odomcorrupt.batching.runner import attempt
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.scoring.errors import PathErrors, path_errors
+from odomcorrupt.scoring.errors import Alignment, PathErrors, path_errors
 from odomcorrupt.scoring.estimates import read_estimate
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.scoring.errors import Alignment
     from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["CorruptedBag", "CorruptedBags", "corrupted"]

@@ -7,8 +7,8 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.api.model import Model, as_model
-from odomcorrupt.api.recordings import as_recordings, require_travel
+from odomcorrupt.api.model import Model, ModelLike, as_model
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, require_travel
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.model import ModelLike
-    from odomcorrupt.api.recordings import PathLikes, Recordings
     from odomcorrupt.model.motion_model import Origin
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison

@@ -8,8 +8,8 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from odomcorrupt.api.bag_options import as_condition, bag_path, split_options
-from odomcorrupt.api.model import Model, as_model
+from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, split_options
+from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import OdomCorruptError
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.bag_options import BagOptions
-    from odomcorrupt.api.model import ModelLike
     from odomcorrupt.bags.block import Block
     from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.corruption.run import Outcome

@@ -7,15 +7,13 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from odomcorrupt.api.model import as_model
-from odomcorrupt.api.recordings import as_recordings
+from odomcorrupt.api.model import ModelLike, as_model
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings
 from odomcorrupt.api.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.model import ModelLike
-    from odomcorrupt.api.recordings import PathLikes, Recordings
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot

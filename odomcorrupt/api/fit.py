@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.api.model import Model, as_model
-from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
+from odomcorrupt.api.model import Model, ModelLike, as_model
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, require_travel
 from odomcorrupt.api.result import Result
 from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from odomcorrupt.api.model import ModelLike
-    from odomcorrupt.api.recordings import PathLikes
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.validate.round_trip import RoundTrip

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.api.comparison import Comparison
 from odomcorrupt.api.diagnosis import Findings
 from odomcorrupt.api.model import Model
-from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, require_travel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.recordings import PathLikes
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import LearnedRobot

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from odomcorrupt.api.model import as_model
+from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
-    from odomcorrupt.api.model import ModelLike
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.noise_laws import Variances

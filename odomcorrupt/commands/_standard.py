@@ -17,16 +17,14 @@ import click
 from click.core import ParameterSource
 
 from odomcorrupt import commands
-from odomcorrupt.commands._options import added
+from odomcorrupt.commands._options import Decorator, added
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.report.text.summary import wrapped
+from odomcorrupt.report.text.summary import Summary, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from odomcorrupt.api.result import Result
-    from odomcorrupt.commands._options import Decorator
-    from odomcorrupt.report.text.summary import Summary
 
 __all__ = ["WORDS", "Files", "Voice", "chosen_output", "command_names", "output_option", "overwrite_option",
            "standard_options", "typed_words", "written"]  # fmt: skip

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from odomcorrupt.commands._bag import bag_words, container_options
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
-
-if TYPE_CHECKING:
-    from odomcorrupt.commands._standard import Voice
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
 
 
 @click.command("assemble", short_help="Join an overlay of a batch with its original.")

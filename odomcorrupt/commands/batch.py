@@ -13,7 +13,7 @@ from odomcorrupt.commands._bag import bag_words, container_options, moving_optio
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, one_of
-from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.engine import Shard
     from odomcorrupt.batching.estimate import Need
     from odomcorrupt.batching.job import Job
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import MotionModel
 
 _MODEL_WORDS = {"alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step",

@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._options import FILE, check_picture, need_pictures
-from odomcorrupt.commands._recordings import recording_options, split_arguments
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from odomcorrupt.commands._recordings import Reading
-    from odomcorrupt.commands._standard import Voice
 
 REJECTED = 4
 """Exit code of --fail-if-rejected."""

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._standard import standard_options
+from odomcorrupt.commands._standard import Voice, standard_options
 
 if TYPE_CHECKING:
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import Noise, Step
     from odomcorrupt.report.text.summary import Summary
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -11,10 +11,7 @@ from odomcorrupt.commands._bag import bag_words, container_options, frame_option
 from odomcorrupt.commands._model import choose_model
 from odomcorrupt.commands._options import FILE, START
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
-
-if TYPE_CHECKING:
-    from odomcorrupt.commands._standard import Voice
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
 
 
 @click.command("correct", short_help="Take the systematic part out of measured odometry.")

@@ -11,12 +11,10 @@ import click
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_move, move_options
 from odomcorrupt.commands._options import FILE, POSE, check_picture, one_of, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from odomcorrupt.commands._standard import Voice
 
 
 @click.command(

@@ -15,14 +15,13 @@ from odomcorrupt.commands._recordings import (
     recording_options,
     split_arguments,
 )
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.api.diagnosis import Diagnosis
     from odomcorrupt.commands._recordings import Reading
-    from odomcorrupt.commands._standard import Voice
 
 
 @click.command("diagnose", short_help="Name the physical effect that a model misses.")

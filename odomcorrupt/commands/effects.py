@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._standard import standard_options
+from odomcorrupt.commands._standard import Voice, standard_options
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.report.text.summary import Summary
 

@@ -6,16 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, TRACK, Number
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._options import FILE, TRACK, Decorator, Number
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from odomcorrupt.commands._options import Decorator
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.report.text.summary import Summary
 

@@ -10,13 +10,12 @@ import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture
-from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.io.recording import Trajectory

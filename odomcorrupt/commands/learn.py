@@ -17,14 +17,13 @@ from odomcorrupt.commands._recordings import (
     recording_options,
     split_arguments,
 )
-from odomcorrupt.commands._standard import overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.commands._recordings import Reading
-    from odomcorrupt.commands._standard import Voice
 
 
 @click.command("learn", short_help="Fit, diagnose and add, until nothing is missing.")

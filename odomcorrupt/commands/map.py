@@ -12,14 +12,13 @@ from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
 from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.mapping.scan_map import Survey
 
 

@@ -14,13 +14,12 @@ from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
 from odomcorrupt.commands._options import FILE, PICTURES, Number, need_pictures, picture_kind, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.commands._standard import Voice
 
 _RUNS = 300
 """Default number of runs along a bag."""

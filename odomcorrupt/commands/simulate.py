@@ -11,13 +11,12 @@ import click
 
 from odomcorrupt.commands._options import FILE, Number
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.commands._standard import Voice
 
 _ALONE = {
     "hidden": "stands alone, since what else there is would be known",

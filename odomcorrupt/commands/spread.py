@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._options import FILE, check_picture, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.batching.dispersion import SpreadReport
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.report.text.summary import Summary
 
 _ERRORS = 2.0

@@ -13,14 +13,13 @@ from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
 from odomcorrupt.info.checks import CovarianceCheck, disagreement_m, findings
-from odomcorrupt.info.scan import OdometryRecord
+from odomcorrupt.info.scan import BagScan, EdgeRecord, OdometryRecord
 from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.standard_streams import visible
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.info.scan import BagScan, EdgeRecord
 
 __all__ = ["SCHEMA", "brief", "summarise", "summary_text"]
 

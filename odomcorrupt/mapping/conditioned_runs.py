@@ -25,7 +25,7 @@ from odomcorrupt.mapping.constrained_increments import (
     without_effects,
 )
 from odomcorrupt.rng import stream
-from odomcorrupt.sampling.samples import move_sampled
+from odomcorrupt.sampling.samples import Move, move_sampled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.samples import Move
 
 __all__ = ["FreePaths", "FreeRuns", "FreeSamples", "free_paths", "move_sampled_in_map"]
 

@@ -9,14 +9,13 @@ import numpy as np
 
 from odomcorrupt.errors import MapError
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.mapping.mapfile import OCCUPIED, UNKNOWN
+from odomcorrupt.mapping.mapfile import OCCUPIED, UNKNOWN, Grid
 from odomcorrupt.mapping.raycast import traverse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.mapfile import Grid
 
 __all__ = ["CHECKS", "Check", "Constraint", "FreeSpace", "Unknown", "free_space"]
 

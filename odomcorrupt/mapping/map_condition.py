@@ -16,7 +16,7 @@ from odomcorrupt.errors import MapError, TopicError
 from odomcorrupt.mapping.constrained_increments import without_effects
 from odomcorrupt.mapping.constrained_path import FreePath, whole_path
 from odomcorrupt.mapping.frames import FrameTree
-from odomcorrupt.mapping.free_space import Constraint, free_space
+from odomcorrupt.mapping.free_space import Check, Constraint, free_space
 from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN, Grid, read_map
 from odomcorrupt.mapping.messages import GRID, read_grid
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.free_space import Check
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.preview.forecast import CleanDrive
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.mapping.frames import FrameTree
-from odomcorrupt.mapping.messages import SCAN, read_scan
+from odomcorrupt.mapping.frames import FrameTree, Mount
+from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_scan
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Channel
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.frames import Mount
-    from odomcorrupt.mapping.messages import ScanMessage
 
 __all__ = ["Rays", "read_rays"]
 

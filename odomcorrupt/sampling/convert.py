@@ -10,16 +10,12 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.motion_model import Noise, Step
-from odomcorrupt.model.noise_laws import Coefficients
-
-if TYPE_CHECKING:
-    from odomcorrupt.model.noise_laws import Law
+from odomcorrupt.model.noise_laws import Coefficients, Law
 
 __all__ = ["Drift", "convert", "drift_of"]
 

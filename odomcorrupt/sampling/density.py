@@ -21,7 +21,7 @@ from odomcorrupt.errors import MapError, ModelError
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.geometry.se2 import rotate, wrap
 from odomcorrupt.model.noise_laws import variances as variances_of
-from odomcorrupt.sampling.samples import with_noise
+from odomcorrupt.sampling.samples import Move, with_noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.samples import Move
 
 __all__ = ["DensityGrid", "density_on_grid", "hypothetical", "pose_density", "product", "within_map"]
 

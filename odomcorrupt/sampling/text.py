@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.report.text.summary import Line, Summary, command_line
-from odomcorrupt.sampling.samples import ellipse, linearised_moments, sample_moments
+from odomcorrupt.sampling.samples import Moments, Move, ellipse, linearised_moments, sample_moments
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.samples import Moments, Move
 
 __all__ = ["Drawn", "brief", "csv_text", "drawn_json", "law_meaning", "law_words", "report_text", "title"]
 

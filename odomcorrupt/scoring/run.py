@@ -11,7 +11,7 @@ import numpy as np
 from odomcorrupt.batching.manifest import BEGINNING, read_beginning, read_records
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.scoring.errors import Failure, Limits, PathErrors, ScoreError, path_errors
+from odomcorrupt.scoring.errors import Alignment, Failure, Limits, PathErrors, ScoreError, path_errors
 from odomcorrupt.scoring.estimates import NoEstimateError, find_estimate, read_estimate, read_first
 from odomcorrupt.scoring.statistics import Breakdown, Growth, Section, Summary, breakdown, growth, sections, summarise
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.scoring.errors import Alignment
     from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["METRICS", "RunScore", "ScoreReport", "Status", "score"]

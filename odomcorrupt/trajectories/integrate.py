@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate, scatter
+from odomcorrupt.bags.messages import Item, Layout, gather, gather_stamps_ns, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.corruption.odometry_source import ODOMETRY, TRANSFORMS, Frames, plain, side_of
 from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, from_left, from_right
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block
-    from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Trajectory
     from odomcorrupt.trajectories.reader import Drive

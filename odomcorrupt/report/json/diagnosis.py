@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
@@ -24,7 +24,6 @@ from odomcorrupt.study.validate.clock_gain import clock_gain
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.report.text.numbers import LawNumber
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit

@@ -10,7 +10,7 @@ from matplotlib.patches import Ellipse as EllipsePatch
 from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, drawing, new_figure
 from odomcorrupt.report.plots.maps import draw_free_space
-from odomcorrupt.sampling.samples import ellipse, linearised_moments, sample_moments
+from odomcorrupt.sampling.samples import Moments, Move, ellipse, linearised_moments, sample_moments
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.density import DensityGrid
-    from odomcorrupt.sampling.samples import Moments, Move
 
 __all__ = ["SIGMAS", "draw_banana", "draw_density", "draw_ellipse"]
 

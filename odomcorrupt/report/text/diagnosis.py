@@ -22,7 +22,7 @@ from odomcorrupt.report.text.numbers import (
 )
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.intervals import join
-from odomcorrupt.study.estimate.outliers import single_events
+from odomcorrupt.study.estimate.outliers import Event, single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, rmse
 from odomcorrupt.study.terms.drive_type import readings_of
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from odomcorrupt.report.text.numbers import LawNumber
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.estimate.outliers import Event
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
