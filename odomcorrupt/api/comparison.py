@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -13,8 +14,6 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from matplotlib.figure import Figure
 
     from odomcorrupt.model.motion_model import Origin
@@ -170,8 +169,6 @@ def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
 
 def named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:
     """Return models by name: for files the file name if unique, else the path; "model N" for others."""
-    from collections.abc import Mapping, Sequence
-
     if isinstance(models, Mapping):
         return {name: as_model(model) for name, model in models.items()}
     given = list(models) if isinstance(models, Sequence) and not isinstance(models, str) else [models]

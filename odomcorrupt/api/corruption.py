@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
+import tempfile
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
@@ -11,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, split_options
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
-from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.errors import BagError, OdomCorruptError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -215,12 +218,6 @@ def corrupt(
 
 def _kept_pipe(kept: ExitStack) -> Path:
     """Return a temporary file with the contents of stdin: drawing a path within a map needs the whole drive first."""
-    import shutil
-    import sys
-    import tempfile
-
-    from odomcorrupt.errors import BagError
-
     try:
         file = kept.enter_context(tempfile.NamedTemporaryFile(prefix="odomcorrupt"))  # noqa: SIM115 - it is one
         shutil.copyfileobj(sys.stdin.buffer, file)

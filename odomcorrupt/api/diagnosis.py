@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings
 from odomcorrupt.api.result import Result
+from odomcorrupt.files import refuse_existing, write_bytes
+from odomcorrupt.report.text.summary import Line, Summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
     from odomcorrupt.study.validate.compare import Judgement
@@ -75,7 +76,6 @@ class Findings(Result):
         str
             Description of the drive; "" if no drive would decide anything, in which case no file is written.
         """
-        from odomcorrupt.files import refuse_existing, write_bytes
         from odomcorrupt.report.text.design import drive_sentence
         from odomcorrupt.study.design.plan import drive_bag
 
@@ -136,8 +136,6 @@ class Diagnosis(Findings):
         )
         if all(run.positioned for run in self.recordings):
             return brief
-        from odomcorrupt.report.text.summary import Line, Summary
-
         said = "cannot be known from wheels and a gyro alone: not testable are wheel_scale, speed_scale and the like"
         return Summary((*brief.lines, Line("travel", said, "warning")))
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.errors import ModelError
+from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -219,7 +220,6 @@ class Model:
         OdomCorruptError
             If the file exists and `overwrite` is false.
         """
-        from odomcorrupt.files import refuse_existing, write_text
         from odomcorrupt.model.model_file import format_model
 
         target = Path(fspath(path))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.sampling.density import DensityGrid
     from odomcorrupt.sampling.samples import Move
     from odomcorrupt.sampling.text import Drawn
@@ -183,8 +184,6 @@ class Density(Result):
         return "1/(m^2 rad)" if self.reading == "pose" else "1/(m rad^2)"
 
     def _sentences(self) -> list[str]:
-        import math
-
         said = [
             f"at ({x:g} m, {y:g} m, {math.degrees(t):g} deg): {value:.6g} {self.unit}"
             for (x, y, t), value in zip(self.poses.tolist(), self.values.tolist(), strict=True)
@@ -196,8 +195,6 @@ class Density(Result):
 
     def summary(self) -> Summary:
         """Return the density at each pose, and its integral over all poses."""
-        from odomcorrupt.report.text.summary import Line, Summary, command_line
-
         *values, integral = self._sentences()
         lines = [Line("DENSITY", integral, "good"), *(Line("", sentence) for sentence in values)]
         return Summary((*lines, Line("noise", self.law), command_line(self.following)))

@@ -11,6 +11,7 @@ import click
 from click.core import ParameterSource
 
 from odomcorrupt.commands._options import FILE, POSE, added
+from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -102,7 +103,6 @@ def choose_model(given: Mapping[str, Any]) -> Model:
         If the model file is invalid.
     """
     from odomcorrupt.api.model import Model
-    from odomcorrupt.errors import ModelError
 
     brings = _command_line_first({name: given.get(name) for name in ("alpha", "preset", "model")})
     alpha, law, track, model = brings.get("alpha"), given.get("law"), given.get("track"), brings.get("model")
@@ -211,7 +211,6 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
     """Return the motion and the noise of the options."""
     import numpy as np
 
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.geometry.se2 import between, compose
     from odomcorrupt.sampling.samples import DEFAULT_EXAMPLE, example_named
 

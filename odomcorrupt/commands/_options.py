@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
+from odomcorrupt.errors import ModelError
 from odomcorrupt.extras import require
-from odomcorrupt.files import refuse_existing
+from odomcorrupt.files import refuse_existing, write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -90,7 +91,6 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the pose as a tuple of three floats."""
-        from odomcorrupt.errors import ModelError
         from odomcorrupt.model.motion_model import parse_alpha
 
         if not isinstance(value, str):
@@ -142,7 +142,6 @@ def check_picture(path: Path | None, *, overwrite: bool) -> None:
 
 def save_picture(path: Path, figure: Figure) -> None:
     """Write a figure in the format of its file name, completely or not at all."""
-    from odomcorrupt.files import write_bytes
     from odomcorrupt.report.plots.figure import rendered
 
     write_bytes(path, rendered(figure, picture_kind(path) or "png"))

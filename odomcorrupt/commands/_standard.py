@@ -18,6 +18,7 @@ from click.core import ParameterSource
 
 from odomcorrupt import commands
 from odomcorrupt.commands._options import Decorator, added
+from odomcorrupt.files import read_input
 from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.report.text.summary import Summary, wrapped
 
@@ -201,8 +202,6 @@ def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) ->
 
 def _table(file: Path) -> Mapping[str, Any]:
     import tomllib
-
-    from odomcorrupt.files import read_input
 
     data = read_input(file, _LIMIT_BYTES, "file of defaults", click.UsageError)
     try:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from odomcorrupt.commands._standard import Voice, standard_options
+from odomcorrupt.errors import ModelError
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Noise, Step
-    from odomcorrupt.report.text.summary import Summary
 
 
 @click.command("convert-alpha", short_help="What the alphas of one law are in another.")
@@ -36,7 +39,6 @@ def command(
     odomcorrupt convert-alpha 5deg 2deg/m 0.05 0.01 --from diffusion \\
         --to quadratic --to-step 0.25m,0.2rad
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.model.motion_model import Noise, parse_alpha
     from odomcorrupt.model.noise_laws import law_named
     from odomcorrupt.sampling.convert import convert
@@ -62,7 +64,6 @@ def _brief(before: Noise, after: Noise) -> Summary:
     """Return the coefficients of the other law, the drift of both, and how to use them."""
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
     from odomcorrupt.sampling.text import law_meaning
 
     straight, turn = _drifts(after)
@@ -83,8 +84,6 @@ def _flags(noise: Noise) -> str:
 
 def _drifts(noise: Noise) -> tuple[str, str]:
     """Return the standard deviations after ten metres straight, and after a whole turn on the spot, in words."""
-    import math
-
     from odomcorrupt.sampling.convert import drift_of
 
     drift = drift_of(noise)
@@ -109,8 +108,6 @@ makes the same drift on straight drives and on turns as
 
 
 def _values(before: Noise, after: Noise) -> dict[str, Any]:
-    import dataclasses
-
     from odomcorrupt.sampling.convert import drift_of
 
     def side(noise: Noise) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from odomcorrupt.commands._model import choose_model
 from odomcorrupt.commands._options import FILE, START
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
+from odomcorrupt.errors import EffectError
 
 
 @click.command("correct", short_help="Take the systematic part out of measured odometry.")
@@ -42,7 +43,6 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     """
     from odomcorrupt.api.correction import correct
     from odomcorrupt.correction.run import require_start
-    from odomcorrupt.errors import EffectError
 
     target = chosen_output(output, output_option)
     if input_ == "-":

@@ -12,6 +12,7 @@ from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_move, move_options
 from odomcorrupt.commands._options import FILE, POSE, check_picture, one_of, save_picture
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
+from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,7 +49,6 @@ def command(
     odomcorrupt density --example balanced --at 1,0.35,40deg --at 1.1,0.3,40deg
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import density
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.rng import draw_seed
 
     check_picture(output, overwrite=overwrite)

@@ -8,14 +8,15 @@ import click
 
 from odomcorrupt.commands._options import FILE, TRACK, Decorator, Number
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
+from odomcorrupt.errors import ModelError
 from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.report.text.summary import Summary
 
 _EVERY = "nothing would let amcl update at every scan"
 
@@ -51,7 +52,6 @@ def command(
 
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.export.nav2 import amcl_alphas
     from odomcorrupt.export.robot_localization import Steady, twist_variances
     from odomcorrupt.export.ros2_control import wheel_multipliers
@@ -87,7 +87,6 @@ def command(
 def _brief(robot: MotionModel, name: str, text: str, following: Sequence[object]) -> Summary:
     """Return the exported numbers, the effects that cannot be expressed, and the suggested next command."""
     from odomcorrupt.export.yaml_text import numbers_of, unexpressed
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
 
     left = unexpressed(text, robot)
     lines = [Line("EXPORTED", name, "warning" if left else "good")]

@@ -11,13 +11,14 @@ import click
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture
 from odomcorrupt.commands._standard import Voice, chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.files import refuse_existing
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.io.recording import Trajectory
     from odomcorrupt.trajectories.reader import Drive
 
@@ -53,7 +54,6 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     odomcorrupt integrate in.mcap out.mcap --integrate euler --plot errors.png
     odomcorrupt integrate in.mcap --twist-noise 0.2 0.04 --runs 100 --plot runs.png
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.errors import ModelError, OdomCorruptError
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.trajectories.integrate import integrate, noisy_twists
     from odomcorrupt.trajectories.reader import find_truth, read_drive, read_poses
@@ -111,8 +111,6 @@ def _check_name(input_: Path, output: Path | None) -> None:
 
 def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], following: Sequence[object]) -> Summary:
     """Return the integrated odometry's length and errors, the effect of noise, and the suggested next command."""
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
-
     whole = f"{len(drive)} twists of {drive.topic}, {drive.distance_m[-1]:.4g} m in {drive.t_s[-1]:.4g} s"
     lines = [Line("INTEGRATED", whole, "good"), Line("rule", rule)]
     lines += [Line("note", note, "warning") for note in drive.notes]

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from odomcorrupt.commands._standard import Voice, standard_options
+from odomcorrupt.errors import ModelError
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.model.presets import Preset
-    from odomcorrupt.report.text.summary import Summary
 
 
 @click.command("presets", short_help="List the ready-made noise models, or print one as a model file.")
@@ -23,7 +25,6 @@ def command(name: str | None, *, voice: Voice) -> None:
 
     The numbers are alpha1, alpha2, ...; what they mean depends on the law.
     """
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.model.model_file import format_model
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.model.presets import PRESETS, preset_named
@@ -48,8 +49,6 @@ def command(name: str | None, *, voice: Voice) -> None:
 
 def _brief(presets: Sequence[Preset]) -> Summary:
     """Return the names, fitted presets on a separate line."""
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
-
     fitted = [p.name for p in presets if p.source.startswith("fitted")]
     stated = [p.name for p in presets if p.name not in fitted]
     count, first = f"{len(presets)} noise models; -v has their laws, numbers and sources", presets[0].name
@@ -59,8 +58,6 @@ def _brief(presets: Sequence[Preset]) -> Summary:
 
 
 def _values(preset: Preset) -> dict[str, Any]:
-    import dataclasses
-
     noise = preset.noise
     numbers = dataclasses.asdict(noise.coefficients)
     shown = {key: value for key, value in numbers.items() if value or key in noise.law.alphas}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
 from odomcorrupt.commands._options import FILE, PICTURES, Number, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
+from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
@@ -28,7 +30,6 @@ _RUNS = 300
 def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
     """Draw runs of a bag's drive, evaluate them at distances along it, and print and write the result."""
     from odomcorrupt.corruption.summary import model_brief
-    from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.mapping.conditioned_runs import free_paths
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.sampling.text import law_words
@@ -88,8 +89,6 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
 
 def _round(value: float) -> float:
     """Return the smallest of 1, 2 or 5 times a power of ten that is not below a value."""
-    import math
-
     power = 10.0 ** math.floor(math.log10(max(value, 1e-6)))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= 0.999 * value)
 
@@ -117,7 +116,6 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
     odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import sample
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.sampling.text import csv_text, drawn_json
 
     refuse_existing(output, overwrite=overwrite)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,8 +94,6 @@ def _refuse(given: dict[str, Any]) -> None:
 
 
 def _baseline(path: Path) -> dict[str, Any]:
-    import json
-
     from odomcorrupt.scoring.errors import ScoreError
 
     text = read_input(path, _BASELINE_BYTES, "result of score", ScoreError)
@@ -108,8 +107,6 @@ def _baseline(path: Path) -> dict[str, Any]:
 
 
 def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], voice: Voice) -> None:
-    import json
-
     from odomcorrupt import __version__
     from odomcorrupt.report.json.score import score_json
     from odomcorrupt.report.text.score import score_brief, score_text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,12 +11,12 @@ import click
 
 from odomcorrupt.commands._options import FILE, check_picture, save_picture
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.batching.dispersion import SpreadReport
-    from odomcorrupt.report.text.summary import Summary
 
 _ERRORS = 2.0
 """Standard errors beyond which a dispersion differs from the prediction."""
@@ -28,8 +29,6 @@ _ERRORS = 2.0
 @standard_options
 def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voice) -> None:
     """Show how position and heading of a batch's runs spread with the distance, and what the linear model predicts."""
-    from dataclasses import asdict
-
     from odomcorrupt.batching.dispersion import measure
 
     check_picture(output, overwrite=overwrite)
@@ -48,8 +47,6 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
 
 def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:
     """Return whether the dispersion at the end is as predicted, and its values along the drive."""
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
-
     last = report.rows[-1]
     ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
     # standard error of the logarithm of a standard deviation from this many runs in two directions

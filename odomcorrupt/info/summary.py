@@ -10,7 +10,7 @@ from odomcorrupt.corruption.odometry_source import GLOBAL_FRAMES, Frames, plain,
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
-from odomcorrupt.errors import TopicError
+from odomcorrupt.errors import ModelError, TopicError
 from odomcorrupt.geometry.se2 import inverse
 from odomcorrupt.info.checks import CovarianceCheck, disagreement_m, findings
 from odomcorrupt.info.scan import BagScan, EdgeRecord, OdometryRecord
@@ -106,7 +106,6 @@ def brief(values: dict[str, Any], name: str) -> Summary:
 def provenance_words(provenance: Mapping[str, str]) -> str:
     """Return earlier corruptions of a bag, as text."""
     from odomcorrupt.corruption.summary import model_brief  # noqa: PLC0415 - only for bags that were
-    from odomcorrupt.errors import ModelError  # noqa: PLC0415 - as above
     from odomcorrupt.model.model_file import parse_model  # noqa: PLC0415 - as above
 
     parts = [f"{key} {provenance[key]}" for key in ("seed", "run", "version") if key in provenance]
