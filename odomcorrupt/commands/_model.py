@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from odomcorrupt.commands._options import FILE, POSE, added
+from odomcorrupt.commands._options import FILE, POSE, added, usage_errors
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
@@ -214,11 +214,9 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
     from odomcorrupt.geometry.se2 import between, compose
     from odomcorrupt.sampling.samples import DEFAULT_EXAMPLE, example_named
 
-    try:
+    with usage_errors(ModelError):
         example = example_named(given["example"] or DEFAULT_EXAMPLE)
         model = _choose_noise(given, given["example"])
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
     if model.effects:
         raise click.UsageError("effects act along a drive, one motion has no time: name a bag, or leave --effect out")
     first, last = np.array(example.start_xyt), np.array(example.end_xyt)

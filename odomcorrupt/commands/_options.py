@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
-from odomcorrupt.errors import ModelError
+from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.extras import require
 from odomcorrupt.files import refuse_existing, write_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from matplotlib.figure import Figure
 
 __all__ = ["FILE", "PICTURES", "POSE", "START", "TRACK", "Decorator", "Number", "Share", "added", "check_picture",
-           "need_pictures", "one_of", "picture_kind", "save_picture"]  # fmt: skip
+           "need_pictures", "one_of", "picture_kind", "save_picture", "usage_errors"]  # fmt: skip
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 PICTURES = ("png", "svg", "pdf")
@@ -117,6 +118,15 @@ class _Start(_Pose):
 
 
 POSE, START = _Pose(), _Start()
+
+
+@contextmanager
+def usage_errors(kind: type[OdomCorruptError], before: str = "") -> Iterator[None]:
+    """Report errors of one kind as wrong usage: exit code 2, and the hint to the command's help."""
+    try:
+        yield
+    except kind as error:
+        raise click.UsageError(f"{before}{error}") from error
 
 
 def need_pictures() -> None:

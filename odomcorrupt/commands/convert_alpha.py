@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._options import usage_errors
 from odomcorrupt.commands._standard import Voice, standard_options
 from odomcorrupt.errors import ModelError
 from odomcorrupt.report.text.summary import Line, Summary, command_line
@@ -43,14 +44,12 @@ def command(
     from odomcorrupt.model.noise_laws import law_named
     from odomcorrupt.sampling.convert import convert
 
-    try:
+    with usage_errors(ModelError):
         law, other = law_named(source), law_named(target)
         before = Noise(
             source, law.coefficients([parse_alpha(a) for a in alphas]), _step(step) if law.per_step else None
         )
         after = convert(before, other, _step(to_step or step) if other.per_step else None)
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
     voice.say(_brief(before, after), _text(before, after), _values(before, after))
 
 

@@ -9,7 +9,7 @@ import click
 
 from odomcorrupt.commands._bag import bag_words, container_options, frame_options, keeping_options
 from odomcorrupt.commands._model import choose_model
-from odomcorrupt.commands._options import FILE, START
+from odomcorrupt.commands._options import FILE, START, usage_errors
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
 from odomcorrupt.errors import EffectError
@@ -53,10 +53,8 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     chosen = choose_model(given) if given["effects"] or given["model"] else None
     if chosen is not None and given["start"] is None:
-        try:
+        with usage_errors(EffectError):
             require_start(chosen.motion_model)
-        except EffectError as error:
-            raise click.UsageError(str(error)) from error
     with Progress(quiet=voice.quiet) as progress:
         done = correct(input_, target, model=chosen, start_xyt=given["start"], watch=progress, **bag_words(given))
     voice.show(done, err=True)

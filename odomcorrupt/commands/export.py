@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, TRACK, Decorator, Number
+from odomcorrupt.commands._options import FILE, TRACK, Decorator, Number, usage_errors
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError
 from odomcorrupt.files import refuse_existing, write_text
@@ -60,15 +60,13 @@ def command(
 
     refuse_existing(output, overwrite=overwrite)
     robot = read_model(model)
-    try:
+    with usage_errors(ModelError):
         drive = Steady(given["speed"], given["turn_rate"], given["rate"])
         if target == "nav2":
             update, turn = (given["update_min_d"], given["update_min_a"]), given["turn"]
             text = amcl_text(robot, amcl_alphas(robot.noise, *update, turn=turn, drive=drive), *update, turn)
         elif target == "robot_localization":
             text = twists_text(robot, twist_variances(robot.noise, drive), drive, controller)
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
     if target == "ros2_control":
         text = wheels_text(robot, wheel_multipliers(robot, given["track"]), controller)
     values = {"schema": 2, "to": target, "yaml": text}

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._options import usage_errors
 from odomcorrupt.commands._standard import Voice, standard_options
 from odomcorrupt.errors import ModelError
 from odomcorrupt.report.text.summary import Line, Summary, command_line
@@ -38,10 +39,8 @@ def command(name: str | None, *, voice: Voice) -> None:
             {"schema": 2, "presets": [_values(p) for p in chosen]},
         )
         return
-    try:
+    with usage_errors(ModelError):
         preset = preset_named(name)
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
     source = {"preset": preset.name, "from": preset.source}
     text = format_model(MotionModel(preset.noise, source=source))
     voice.say(text.rstrip("\n"), text.rstrip("\n"), {"schema": 2} | _values(preset))

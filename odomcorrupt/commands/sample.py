@@ -14,7 +14,15 @@ import click
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
-from odomcorrupt.commands._options import FILE, PICTURES, Number, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._options import (
+    FILE,
+    PICTURES,
+    Number,
+    need_pictures,
+    picture_kind,
+    save_picture,
+    usage_errors,
+)
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.files import refuse_existing, write_text
@@ -129,11 +137,9 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
         return
     chosen = choose_move(given)
     condition = choose_condition(given, None, "odom")
-    try:
+    with usage_errors(ModelError):
         asked = {"count": chosen.count, "seed": given["seed"], "within": condition}
         drawn = sample(chosen.start_xyt, chosen.end_xyt, model=chosen.model, **asked)
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
 
     def write(path: Path) -> None:
         if kind in PICTURES:
