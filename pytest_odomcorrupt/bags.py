@@ -20,8 +20,8 @@ from odomcorrupt.scoring.errors import Alignment, PathErrors, path_errors
 from odomcorrupt.scoring.estimates import read_estimate
 
 if TYPE_CHECKING:
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["CorruptedBag", "CorruptedBags", "corrupted"]
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.model.motion_model import Origin
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Comparison", "compare", "named_models"]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings
 from odomcorrupt.api.result import Result
-from odomcorrupt.files import refuse_existing, write_bytes
-from odomcorrupt.report.text.summary import Line, Summary
+from odomcorrupt.result_files import refuse_existing, write_bytes
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,9 +13,9 @@ from odomcorrupt.extras import require
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.validate.round_trip import RoundTrip
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Fit", "fit", "require_effects"]
 

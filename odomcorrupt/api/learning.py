@@ -13,11 +13,11 @@ from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, req
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import LearnedRobot
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.work import Watch
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Learned", "learn"]
 

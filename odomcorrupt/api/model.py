@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -132,7 +132,7 @@ def sample(
     if within is None:
         xyt = move_sampled(move, variances, count, rng)
     else:
-        from odomcorrupt.mapping.conditioned_runs import move_sampled_in_map
+        from odomcorrupt.sampling.samples_in_map import move_sampled_in_map
 
         free = move_sampled_in_map(move, variances, count, rng, within)
         xyt, notes = free.xyt, (free.account(),)

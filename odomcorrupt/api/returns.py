@@ -11,7 +11,7 @@ from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.extras import require
-from odomcorrupt.report.text.summary import Line, Summary
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

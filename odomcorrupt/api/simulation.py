@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import EffectError, OdomCorruptError
 from odomcorrupt.extras import require
-from odomcorrupt.files import refuse_existing, write_bytes, write_text
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

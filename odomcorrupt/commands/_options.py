@@ -11,7 +11,7 @@ import click
 
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.extras import require
-from odomcorrupt.files import refuse_existing, write_bytes
+from odomcorrupt.result_files import refuse_existing, write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -17,7 +17,7 @@ from odomcorrupt.commands._options import FILE, TRACK, Number, Share, added, nee
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
-from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -18,9 +18,9 @@ from click.core import ParameterSource
 
 from odomcorrupt import commands
 from odomcorrupt.commands._options import Decorator, added
-from odomcorrupt.files import read_input
+from odomcorrupt.input_files import read_input
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.report.text.summary import Summary, wrapped
+from odomcorrupt.summary import Summary, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -10,7 +10,7 @@ import click
 from odomcorrupt.commands._bag import bag_words, container_options
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary, command_line
 
 
 @click.command("assemble", short_help="Join an overlay of a batch with its original.")

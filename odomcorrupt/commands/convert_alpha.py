@@ -11,7 +11,7 @@ import click
 from odomcorrupt.commands._options import usage_errors
 from odomcorrupt.commands._standard import Voice, standard_options
 from odomcorrupt.errors import ModelError
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Noise, Step

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._standard import Voice, standard_options
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,8 +9,8 @@ import click
 from odomcorrupt.commands._options import FILE, TRACK, Decorator, Number, usage_errors
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError
-from odomcorrupt.files import refuse_existing, write_text
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

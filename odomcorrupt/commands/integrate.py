@@ -12,14 +12,14 @@ from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture, usage_errors
 from odomcorrupt.commands._standard import Voice, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError, OdomCorruptError
-from odomcorrupt.files import refuse_existing
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.result_files import refuse_existing
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.trajectories.reader import Drive
 
 _BAG = click.Path(path_type=Path)

@@ -18,7 +18,7 @@ from odomcorrupt.commands._recordings import (
     split_arguments,
 )
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
-from odomcorrupt.files import refuse_existing
+from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -25,7 +25,7 @@ from odomcorrupt.commands._options import (
 )
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError, OdomCorruptError
-from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -40,8 +40,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.mapping.conditioned_runs import free_paths
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.sampling.text import law_words
-    from odomcorrupt.trajectories.particles import (
+    from odomcorrupt.sampling.particles import (
         brief,
         csv_text,
         json_text,
@@ -50,6 +49,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
         report_text,
         sample_particles,
     )
+    from odomcorrupt.sampling.text import law_words
     from odomcorrupt.trajectories.reader import read_drive
 
     taken = [name for name in ("example", "start", "end") if given[name] is not None]

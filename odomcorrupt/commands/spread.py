@@ -11,7 +11,7 @@ import click
 
 from odomcorrupt.commands._options import FILE, check_picture, save_picture
 from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.geometry.trajectory import Trajectory
 
 __all__ = ["METRICS", "RunScore", "ScoreReport", "Status", "score"]
 

@@ -21,9 +21,9 @@ from odomcorrupt.report.text.numbers import (
     numbers_text,
     step_confidence,
 )
-from odomcorrupt.report.text.summary import Line, Summary, Tone, command_line
-from odomcorrupt.study.terms.drive_type import DriveType, readings_of
+from odomcorrupt.study.estimate.drive_type import DriveType, readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
+from odomcorrupt.summary import Line, Summary, Tone, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
