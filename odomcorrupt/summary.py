@@ -50,20 +50,10 @@ class Summary:
         return "\n".join(part for part in self.parts(width) if part)
 
     def parts(self, width: int = WIDTH, *, colour: bool = False) -> tuple[str, str]:
-        """Return the findings and the suggested next command separately, so that other lines can be printed between.
+        """Return the findings and the suggested next command, "" without one, together at most `most` lines.
 
-        Parameters
-        ----------
-        width : int
-            Columns; a command is folded with backslashes, so that it can be pasted.
-        colour : bool
-            Whether labels have the ANSI colour of their tone.
-
-        Returns
-        -------
-        findings, command : str
-            Together at most `most` lines. The second one is empty if there is no command.
-
+        width : columns; a command is folded with backslashes, so that it can be pasted
+        colour : whether labels have the ANSI colour of their tone
         """
         indent = max((len(line.label) for line in self._shown), default=0) + 2
         blocks = [(line, _folded(line.tone, visible(line.text), max(width - indent, 24))) for line in self._shown]

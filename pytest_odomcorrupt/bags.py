@@ -9,21 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import odomcorrupt
+from odomcorrupt.api.model import as_model
 from odomcorrupt.batching.engine import Shard, missing_runs, tasks_of
 from odomcorrupt.batching.manifest import begin, fingerprint_of, read_records, write_manifest
 from odomcorrupt.batching.plan import BatchSpec, plan
 from odomcorrupt.batching.runner import attempt
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.model.model_file import read_model
-from odomcorrupt.model.motion_model import MotionModel
-from odomcorrupt.model.presets import PRESETS, preset_named
-from odomcorrupt.scoring.errors import PathErrors, path_errors
+from odomcorrupt.scoring.errors import Alignment, PathErrors, path_errors
 from odomcorrupt.scoring.estimates import read_estimate
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.scoring.errors import Alignment
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["CorruptedBag", "CorruptedBags", "corrupted"]
 
@@ -69,7 +67,6 @@ class CorruptedBag:
             Topic or edge of TF of this run's bag with the truth. None: the odometry before it was corrupted.
         align
             As `odomcorrupt.scoring.path_errors` has it.
-
         """
         covariance = None
         if isinstance(estimate, str | Path):
@@ -129,9 +126,8 @@ def corrupted(
     ------
     OdomCorruptError
         Where a run cannot be made.
-
     """
-    source, chosen = Path(clean), _model(model)
+    source, chosen = Path(clean), as_model(model).motion_model
     if runs < 1:
         raise OdomCorruptError(f"runs: {runs}; it takes one or more")
     if not source.exists():
@@ -155,11 +151,3 @@ def corrupted(
             for run in range(runs)
         ]
     )
-
-
-def _model(model: MotionModel | Path | str) -> MotionModel:
-    if isinstance(model, MotionModel):
-        return model
-    if isinstance(model, str) and model in PRESETS:
-        return MotionModel(preset_named(model).noise)
-    return read_model(Path(model))

@@ -57,7 +57,6 @@ class ErrorGate:
         ------
         AssertionError
             Where they have risen; where there is no baseline.
-
         """
         wrong = {name: value for name, value in errors.items() if not (np.isfinite(value) and value >= 0.0)}
         assert not wrong, f"errors must be finite numbers of at least 0: {dict(list(wrong.items())[:3])}"

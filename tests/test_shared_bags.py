@@ -108,9 +108,7 @@ REFUSED = (
     Refused("evo/tf_example", "no nav_msgs/Odometry topic (found /tf, /tf_static); to corrupt TF alone, name its"),
     Refused("foxglove_turtlesim/example.bag", "to corrupt TF alone, name its edge with --odom-frame and --base-frame"),
     Refused(
-        "foxglove_turtlesim/example.bag",
-        "(TF has turtle1 -> ",
-        ("--odom-frame", "odom", "--base-frame", "base_link"),
+        "foxglove_turtlesim/example.bag", "(TF has turtle1 -> ", ("--odom-frame", "odom", "--base-frame", "base_link")
     ),
     Refused("polimi/bag1.bag", "no nav_msgs/Odometry topic (found /robot/pose, /wheel_states); there is nothing to"),
     Refused("malformed/unindexed.bag", "is not indexed, its recording was never closed; --recover reads it"),

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.map_condition import MapCondition
 
-__all__ = ["BagOptions", "as_condition", "bag_path", "options_of", "split_options"]
+__all__ = ["BagOptions", "as_condition", "bag_path", "split_options"]
 
 
 class BagOptions(TypedDict, total=False):
@@ -70,11 +70,6 @@ def split_options(options: BagOptions) -> tuple[Options, Container]:
         Options(**{name: value for name, value in values.items() if name in moved}),
         Container(**{name: value for name, value in values.items() if name not in moved}),
     )
-
-
-def options_of(options: BagOptions) -> Options:
-    """Return the options of the modification, without those of reading and writing."""
-    return split_options(options)[0]
 
 
 def bag_path(path: str | PathLike[str]) -> Path | None:

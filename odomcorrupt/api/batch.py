@@ -7,9 +7,9 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from odomcorrupt.api.bag_options import as_condition, split_options
-from odomcorrupt.api.model import as_model
-from odomcorrupt.api.recordings import as_paths
+from odomcorrupt.api.bag_options import BagOptions, as_condition, split_options
+from odomcorrupt.api.model import ModelLike, as_model
+from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 
 if TYPE_CHECKING:
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.bag_options import BagOptions
-    from odomcorrupt.api.model import ModelLike
-    from odomcorrupt.api.recordings import PathLikes
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.map_condition import MapCondition
@@ -166,7 +163,6 @@ def batch(
     >>> runs = oc.batch("fixtures/office.mcap", "runs", model="typical", runs=3, seed=1, output="trajectories")
     >>> len(runs.paths)
     3
-
     """
     from odomcorrupt.batching.plan import BatchSpec, plan, run_batch, seed_of
 

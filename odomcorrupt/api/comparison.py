@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.api.model import Model, as_model
-from odomcorrupt.api.recordings import as_recordings, require_travel
+from odomcorrupt.api.model import Model, ModelLike, as_model
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, require_travel
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.model import ModelLike
-    from odomcorrupt.api.recordings import PathLikes, Recordings
     from odomcorrupt.model.motion_model import Origin
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison
     from odomcorrupt.summary import Summary
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["Comparison", "compare", "named_models"]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -146,9 +143,8 @@ def compare(
     >>> table = oc.compare(rec, ["typical", oc.Model(oc.Noise(alpha=(0.1, 0.1, 0.1, 0.1)))]).rows()
     >>> [row["model"] for row in table]
     ['typical', 'model 2']
-
     """
-    named = _named_models(models)
+    named = named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
     drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")
     runs = (
@@ -171,10 +167,8 @@ def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
     return next(iter([*placed, *origins.values()]), None)
 
 
-def _named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:
+def named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:
     """Return models by name: for files the file name if unique, else the path; "model N" for others."""
-    from collections.abc import Mapping, Sequence
-
     if isinstance(models, Mapping):
         return {name: as_model(model) for name, model in models.items()}
     given = list(models) if isinstance(models, Sequence) and not isinstance(models, str) else [models]

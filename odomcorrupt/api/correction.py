@@ -7,8 +7,8 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from odomcorrupt.api.bag_options import bag_path, split_options
-from odomcorrupt.api.model import as_model
+from odomcorrupt.api.bag_options import BagOptions, bag_path, split_options
+from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import OdomCorruptError
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.bag_options import BagOptions
-    from odomcorrupt.api.model import ModelLike
     from odomcorrupt.bags.block import Block
     from odomcorrupt.correction.run import Corrected
     from odomcorrupt.corruption.drift import Drift
@@ -137,7 +135,6 @@ def correct(
     >>> done = oc.correct("fixtures/office.mcap", "corrected.mcap", model=model, overwrite=True)
     >>> [effect.name for effect in done.outcome.effects.undone]
     ['wheelbase']
-
     """
     import numpy as np
 

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
+import tempfile
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from odomcorrupt.api.bag_options import as_condition, bag_path, split_options
-from odomcorrupt.api.model import Model, as_model
+from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, split_options
+from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
-from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.errors import BagError, OdomCorruptError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.bag_options import BagOptions
-    from odomcorrupt.api.model import ModelLike
     from odomcorrupt.bags.block import Block
     from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.corruption.run import Outcome
@@ -190,7 +191,6 @@ def corrupt(
     >>> done = oc.corrupt("fixtures/office.mcap", "noisy.mcap", model=noise, seed=7, overwrite=True)
     >>> done.seed, done.moved["/odom"]
     (7, 3000)
-
     """
     from odomcorrupt.bags.provenance import ProvenanceWatcher
     from odomcorrupt.corruption.run import corrupt_bag
@@ -218,12 +218,6 @@ def corrupt(
 
 def _kept_pipe(kept: ExitStack) -> Path:
     """Return a temporary file with the contents of stdin: drawing a path within a map needs the whole drive first."""
-    import shutil
-    import sys
-    import tempfile
-
-    from odomcorrupt.errors import BagError
-
     try:
         file = kept.enter_context(tempfile.NamedTemporaryFile(prefix="odomcorrupt"))  # noqa: SIM115 - it is one
         shutil.copyfileobj(sys.stdin.buffer, file)

@@ -7,20 +7,19 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from odomcorrupt.api.model import as_model
-from odomcorrupt.api.recordings import as_recordings
+from odomcorrupt.api.model import ModelLike, as_model
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings
 from odomcorrupt.api.result import Result
+from odomcorrupt.result_files import refuse_existing, write_bytes
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.model import ModelLike
-    from odomcorrupt.api.recordings import PathLikes, Recordings
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.work import Watch
-    from odomcorrupt.summary import Summary
 
 __all__ = ["Diagnosis", "Findings", "diagnose"]
 
@@ -76,10 +75,8 @@ class Findings(Result):
         -------
         str
             Description of the drive; "" if no drive would decide anything, in which case no file is written.
-
         """
         from odomcorrupt.report.text.design import drive_sentence
-        from odomcorrupt.result_files import refuse_existing, write_bytes
         from odomcorrupt.study.design.plan import drive_bag
 
         target = Path(fspath(path))
@@ -139,8 +136,6 @@ class Diagnosis(Findings):
         )
         if all(run.positioned for run in self.recordings):
             return brief
-        from odomcorrupt.summary import Line, Summary
-
         said = "cannot be known from wheels and a gyro alone: not testable are wheel_scale, speed_scale and the like"
         return Summary((*brief.lines, Line("travel", said, "warning")))
 
@@ -186,7 +181,6 @@ def diagnose(
     >>> import odomcorrupt as oc
     >>> oc.diagnose("fixtures/mystery.mcap").verdict
     'missing'
-
     """
     known = None if model is None else as_model(model).motion_model
     runs = as_recordings(recordings)

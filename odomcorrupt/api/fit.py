@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.api.model import Model, as_model
-from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
+from odomcorrupt.api.model import Model, ModelLike, as_model
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, require_travel
 from odomcorrupt.api.result import Result
 from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from odomcorrupt.api.model import ModelLike
-    from odomcorrupt.api.recordings import PathLikes
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.validate.round_trip import RoundTrip
     from odomcorrupt.summary import Summary
@@ -111,7 +109,6 @@ def fit(
     >>> result = oc.fit("fixtures/mystery.mcap", ["wheel_scale"])
     >>> "wheel_scale.e" in result.model.parameters
     True
-
     """
     from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
     from odomcorrupt.study.pipeline import LAW

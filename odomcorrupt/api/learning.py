@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.api.comparison import Comparison
 from odomcorrupt.api.diagnosis import Findings
 from odomcorrupt.api.model import Model
-from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, require_travel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.api.recordings import PathLikes
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import LearnedRobot
     from odomcorrupt.study.validate.compare import Judgement
@@ -132,7 +131,6 @@ def learn(
     >>> result = oc.learn(rec, validate="fixtures/mystery_other.mcap")
     >>> result.missing
     ('wheelbase',)
-
     """
     runs = require_travel(as_recordings(recordings))
     held_out = validate if isinstance(validate, Recordings) or validate else ()

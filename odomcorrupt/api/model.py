@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.errors import ModelError
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,7 +48,6 @@ class Noise:
     >>> import odomcorrupt as oc
     >>> oc.Noise(alpha=(0.05, "2deg/m", 0.05, 0.01)).law
     'diffusion'
-
     """
 
     alpha: Sequence[float | str] = (0.0, 0.0, 0.0, 0.0)
@@ -62,7 +62,6 @@ class Noise:
         ------
         ModelError
             If there is no such law, or a number is invalid in it.
-
         """
         from odomcorrupt.model import motion_model
         from odomcorrupt.model.noise_laws import law_named
@@ -115,7 +114,6 @@ class Model:
     >>> import odomcorrupt as oc
     >>> oc.Model(oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01)), effects=["wheelbase:e=1%"])
     <Model: law diffusion, rot_rot 0.05 rot_trans 0.02 trans_trans 0.05 trans_rot 0.01; effects wheelbase (e 0.01)>
-
     """
 
     __slots__ = ("motion_model", "origin")
@@ -150,7 +148,6 @@ class Model:
         Returns
         -------
         Model
-
         """
         model = cls.__new__(cls)
         model.motion_model, model.origin = motion_model, origin
@@ -173,7 +170,6 @@ class Model:
         ------
         ModelError
             If the file is not a valid model; the message states the fault.
-
         """
         from odomcorrupt.model.model_file import read_model
 
@@ -197,7 +193,6 @@ class Model:
         ------
         ModelError
             If there is no such preset.
-
         """
         from odomcorrupt.model.motion_model import MotionModel
         from odomcorrupt.model.presets import preset_named
@@ -224,10 +219,8 @@ class Model:
         ------
         OdomCorruptError
             If the file exists and `overwrite` is false.
-
         """
         from odomcorrupt.model.model_file import format_model
-        from odomcorrupt.result_files import refuse_existing, write_text
 
         target = Path(fspath(path))
         refuse_existing(target, overwrite=overwrite)
@@ -251,7 +244,6 @@ class Model:
         ------
         EffectError
             If there is no such effect, or it has no such parameter.
-
         """
         from odomcorrupt.model.effect_notation import parse_effect
 
@@ -319,7 +311,6 @@ class Model:
         >>> model = oc.Model(oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01)))
         >>> model.corrupt_path(t, np.column_stack((0.3 * t, 0 * t, 0 * t)), seed=3, runs=50).shape
         (50, 100, 3)
-
         """
         import numpy as np
 
@@ -363,7 +354,6 @@ def as_model(given: ModelLike | MotionModel | None) -> Model:
     ------
     ModelError
         If a string names neither a model file nor a preset.
-
     """
     if isinstance(given, Model):
         return given

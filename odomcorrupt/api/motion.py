@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from odomcorrupt.api.model import as_model
+from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,14 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
-    from odomcorrupt.api.model import ModelLike
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.density import DensityGrid
     from odomcorrupt.sampling.samples import Move
     from odomcorrupt.sampling.text import Drawn
-    from odomcorrupt.summary import Summary
 
 __all__ = ["Density", "Samples", "density", "sample"]
 
@@ -119,7 +119,6 @@ def sample(
     >>> import odomcorrupt as oc
     >>> oc.sample((0, 0, 0), (1, 0.35, 0.7), count=500, seed=1).xyt.shape
     (500, 3)
-
     """
     from odomcorrupt.rng import draw_seed, stream
     from odomcorrupt.sampling.samples import move_sampled
@@ -135,7 +134,7 @@ def sample(
     else:
         from odomcorrupt.sampling.samples_in_map import move_sampled_in_map
 
-        free = move_sampled_in_map(move, variances, count, rng, within.space, check=within.check, tries=within.tries)
+        free = move_sampled_in_map(move, variances, count, rng, within)
         xyt, notes = free.xyt, (free.account(),)
     noise = chosen.motion_model.noise
     drawn = Drawn(move, noise, variances, xyt, drawn_seed, chosen.origin, notes)
@@ -185,8 +184,6 @@ class Density(Result):
         return "1/(m^2 rad)" if self.reading == "pose" else "1/(m rad^2)"
 
     def _sentences(self) -> list[str]:
-        import math
-
         said = [
             f"at ({x:g} m, {y:g} m, {math.degrees(t):g} deg): {value:.6g} {self.unit}"
             for (x, y, t), value in zip(self.poses.tolist(), self.values.tolist(), strict=True)
@@ -198,8 +195,6 @@ class Density(Result):
 
     def summary(self) -> Summary:
         """Return the density at each pose, and its integral over all poses."""
-        from odomcorrupt.summary import Line, Summary, command_line
-
         *values, integral = self._sentences()
         lines = [Line("DENSITY", integral, "good"), *(Line("", sentence) for sentence in values)]
         return Summary((*lines, Line("noise", self.law), command_line(self.following)))
@@ -237,7 +232,6 @@ class Density(Result):
         Returns
         -------
         matplotlib.figure.Figure
-
         """
         from odomcorrupt.report.plots.samples import draw_density
         from odomcorrupt.rng import stream
@@ -246,7 +240,7 @@ class Density(Result):
         xyt = move_sampled(self.move, self.variances, count, stream(seed, 0, "sample"))
         if self.within is not None:
             starts = self.move.start_xyt[:2] + 0.0 * xyt[:, :2]
-            xyt = xyt[self.within.space.allows(starts, xyt[:, :2], self.within.check)]
+            xyt = xyt[self.within.allows(starts, xyt[:, :2])]
         name = "Density of end poses" if self.reading == "pose" else f"p1 p2 p3 ({self.reading}) at end poses"
         per_area = "density (1/m^2)" if self.reading == "pose" else "p1 p2 p3, summed (1/(m rad))"
         title = f"{name}: {self.law.partition(' (')[0]}, samples of seed {seed}"
@@ -293,7 +287,6 @@ def density(
     >>> import odomcorrupt as oc
     >>> round(oc.density((0, 0, 0), (1, 0, 0), [(1, 0, 0)], model="typical").grid.integral, 3)
     1.0
-
     """
     import numpy as np
 
@@ -314,8 +307,8 @@ def density(
     part = 1.0
     if within is not None:
         start_xy = move.start_xyt[:2]
-        grid, part = within_map(grid, within.space, start_xy, within.check)
-        free = within.space.allows(np.broadcast_to(start_xy, (len(at), 2)), at[:, :2], within.check)
+        grid, part = within_map(grid, within, start_xy)
+        free = within.allows(np.broadcast_to(start_xy, (len(at), 2)), at[:, :2])
         values = np.where(free, values / part, 0.0)
     law = law_words(chosen.noise)
     return Density(at, values, reading, grid, move, variances, law, part, within)

@@ -69,7 +69,6 @@ class Recordings(Sequence["Recording"]):
         Returns
         -------
         Recordings
-
         """
         if track_m is None or self.track_m is not None:
             return self
@@ -87,7 +86,6 @@ class Recordings(Sequence["Recording"]):
         -------
         Recordings
             Steered drives are returned without a track.
-
         """
         said = all(source.drive_type == AUTO for source in self.sources)
         if drive_type in ("", AUTO) or not said:
@@ -114,7 +112,6 @@ class Recordings(Sequence["Recording"]):
         Returns
         -------
         Recordings
-
         """
         from odomcorrupt.study.io.geodesy import in_frame
 
@@ -136,7 +133,6 @@ class Recordings(Sequence["Recording"]):
         ------
         RecordingError
             If the truth of the first recording is in a separate file.
-
         """
         first = self.sources[0]
         if first.truth_path is not None:
@@ -218,7 +214,6 @@ def read_recordings(
     >>> rec = oc.read_recordings("fixtures/mystery.mcap", truth="/ground_truth")
     >>> rec[0].name
     'mystery.mcap'
-
     """
     require("scipy", "the study needs it", "study")
     from odomcorrupt.study.io import Source
@@ -282,7 +277,6 @@ def require_travel(runs: Recordings) -> Recordings:
     ------
     RecordingError
         If the only truth of a recording is a gyro: a model needs travel.
-
     """
     blind = [run.name for run in runs if not run.positioned]
     if blind:

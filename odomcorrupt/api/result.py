@@ -56,7 +56,6 @@ class Result(ABC):
         ------
         OdomCorruptError
             If there is no such figure.
-
         """
         if picture:
             raise OdomCorruptError(f"{picture}: a {type(self).__name__} has one picture only; leave the name out")
@@ -92,7 +91,6 @@ class Result(ABC):
         ------
         OdomCorruptError
             If there is no such figure, the name is not that of a picture file, or the file exists and is not replaced.
-
         """
         require("matplotlib", "pictures need it", "study")
         figure = self.draw(picture)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import degrees
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.model import Model
@@ -10,12 +11,12 @@ from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.extras import require
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.study.estimate.returns import ReturnsFit
-    from odomcorrupt.summary import Summary
 
 __all__ = ["SquareTest", "fit_returns"]
 
@@ -53,7 +54,6 @@ class SquareTest(Result):
     def summary(self) -> Summary:
         """Return the effects with standard errors, and the distance of the ends from the start before and after."""
         from odomcorrupt.report.text.numbers import effects_with_errors, numbers_text
-        from odomcorrupt.summary import Line, Summary
 
         found = self.result
         lines = [
@@ -94,8 +94,6 @@ class SquareTest(Result):
 
     @staticmethod
     def _end(end: Any) -> str:
-        from math import degrees
-
         along, across, yaw = end.tolist()
         return f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, {degrees(yaw):.2f} deg"
 
@@ -144,7 +142,6 @@ def fit_returns(
         If the drives do not separate the effects.
     RecordingError
         If the last sweeps of a drive do not match its first.
-
     """
     require("scipy", "the study needs it", "study")
     import numpy as np

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import EffectError, OdomCorruptError
 from odomcorrupt.extras import require
+from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -17,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.simulation.record import SimulatedRun
-    from odomcorrupt.summary import Summary
 
 __all__ = ["Simulation", "simulate"]
 
@@ -55,8 +57,6 @@ class Simulation(Result):
 
     def summary(self) -> Summary:
         """Return a description of the recording, and the path of its answer."""
-        from odomcorrupt.summary import Line, Summary, command_line
-
         what, robot = self._said
         lines = [Line("RECORDED", f"{what} in {self.target or 'stdout'}", "good"), Line("robot", robot)]
         if self.answer_path is not None:
@@ -169,12 +169,8 @@ def simulate(
     >>> run = oc.simulate(effects=["wheelbase"], seed=3, duration_s=20.0)
     >>> run.answer["cause"]
     'wheelbase'
-
     """
     require("scipy", "the study needs it", "study")
-    import io
-
-    from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
     from odomcorrupt.simulation.bag import write_mcap
     from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
     from odomcorrupt.simulation.record import fingerprint, format_answer

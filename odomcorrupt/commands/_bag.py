@@ -114,8 +114,9 @@ container_options = added(
 """Adds the options for reading and writing bags."""
 
 threads_option = click.option(
-    "--threads", type=click.IntRange(1), metavar="N", help="For the same bytes. [default: one a core, at most 4]"
-)
+    "--threads", type=click.IntRange(1), metavar="N",
+    help="Number of threads; the output does not depend on it. [default: one per core, at most 4]",
+)  # fmt: skip
 """Sets the number of threads that read, compute and compress."""
 
 bag_options = added(frame_options, _RECOVER, unpack_option)
@@ -129,7 +130,6 @@ def bag_words(given: Mapping[str, Any]) -> BagOptions:
     ------
     click.UsageError
         If only one of --tf correction and its frame is given.
-
     """
     tf = given.get("tf", "odometry")
     if (tf != "odometry") != (given.get("new_odom_frame") is not None):

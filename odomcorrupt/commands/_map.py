@@ -64,7 +64,6 @@ def choose_condition_of_run(
         If a pipe would have to be read twice, or --keep-localisation leaves no noise for the map to constrain.
     MapError
         If the map cannot be read, or the pose of odom in it is unknown.
-
     """
     name = given["map_"]
     if name is None:

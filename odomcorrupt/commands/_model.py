@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from odomcorrupt.commands._options import FILE, POSE, added
+from odomcorrupt.commands._options import FILE, POSE, added, usage_errors
+from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -100,10 +101,8 @@ def choose_model(given: Mapping[str, Any]) -> Model:
         If options contradict each other or one is invalid.
     ModelError
         If the model file is invalid.
-
     """
     from odomcorrupt.api.model import Model
-    from odomcorrupt.errors import ModelError
 
     brings = _command_line_first({name: given.get(name) for name in ("alpha", "preset", "model")})
     alpha, law, track, model = brings.get("alpha"), given.get("law"), given.get("track"), brings.get("model")
@@ -212,15 +211,12 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
     """Return the motion and the noise of the options."""
     import numpy as np
 
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.geometry.se2 import between, compose
     from odomcorrupt.sampling.samples import DEFAULT_EXAMPLE, example_named
 
-    try:
+    with usage_errors(ModelError):
         example = example_named(given["example"] or DEFAULT_EXAMPLE)
         model = _choose_noise(given, given["example"])
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
     if model.effects:
         raise click.UsageError("effects act along a drive, one motion has no time: name a bag, or leave --effect out")
     first, last = np.array(example.start_xyt), np.array(example.end_xyt)

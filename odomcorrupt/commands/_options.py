@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
+from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.extras import require
-from odomcorrupt.result_files import refuse_existing
+from odomcorrupt.result_files import refuse_existing, write_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from matplotlib.figure import Figure
 
 __all__ = ["FILE", "PICTURES", "POSE", "START", "TRACK", "Decorator", "Number", "Share", "added", "check_picture",
-           "need_pictures", "one_of", "picture_kind", "save_picture"]  # fmt: skip
+           "need_pictures", "one_of", "picture_kind", "save_picture", "usage_errors"]  # fmt: skip
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 PICTURES = ("png", "svg", "pdf")
@@ -90,7 +92,6 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the pose as a tuple of three floats."""
-        from odomcorrupt.errors import ModelError
         from odomcorrupt.model.motion_model import parse_alpha
 
         if not isinstance(value, str):
@@ -119,6 +120,15 @@ class _Start(_Pose):
 POSE, START = _Pose(), _Start()
 
 
+@contextmanager
+def usage_errors(kind: type[OdomCorruptError], before: str = "") -> Iterator[None]:
+    """Report errors of one kind as wrong usage: exit code 2, and the hint to the command's help."""
+    try:
+        yield
+    except kind as error:
+        raise click.UsageError(f"{before}{error}") from error
+
+
 def need_pictures() -> None:
     """Raise an error with the extra to install if the drawing library is missing."""
     require("matplotlib", "pictures need it", "study")
@@ -143,6 +153,5 @@ def check_picture(path: Path | None, *, overwrite: bool) -> None:
 def save_picture(path: Path, figure: Figure) -> None:
     """Write a figure in the format of its file name, completely or not at all."""
     from odomcorrupt.report.plots.figure import rendered
-    from odomcorrupt.result_files import write_bytes
 
     write_bytes(path, rendered(figure, picture_kind(path) or "png"))

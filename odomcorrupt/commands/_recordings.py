@@ -1,4 +1,4 @@
-"""Arguments and options of the study's commands: recordings, how to read them, and models."""
+"""Arguments and options of the study's commands: recordings, how to read them, models, and what is written."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import TRACK, Number, Share, added
+from odomcorrupt.commands._options import FILE, TRACK, Number, Share, added, need_pictures
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from odomcorrupt.api.diagnosis import Findings
     from odomcorrupt.api.recordings import Recordings
-    from odomcorrupt.commands._standard import Voice
+    from odomcorrupt.commands._standard import Files, Voice
 
-__all__ = ["Reading", "recording_options", "split_arguments"]
+__all__ = ["Reading", "advice_files", "advice_options", "check_advice", "recording_options", "split_arguments"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +123,8 @@ _options = added(
     ),
     click.option(
         "--imu", metavar="TOPIC",
-        help="Gyro, a second witness of turning; without truth and laser, for diagnose alone. [default: the only one]",
+        help="Gyro: separates wheel errors from heading errors; without truth or laser it is the truth of headings, "
+        "for diagnose alone. [default: the only Imu]",
     ),
     click.option(
         "--laser-scale-accuracy", type=Share("a share as in 0.3% or 0.003", 0.0, 20.0), metavar="SHARE",
@@ -182,3 +185,33 @@ def _spooled(path: Path) -> Path:
     with target.open("wb") as stream:
         shutil.copyfileobj(sys.stdin.buffer, stream)
     return target
+
+
+advice_options = added(
+    click.option("--drive", type=FILE, help="Write the drive that would settle what is open, as /cmd_vel in an MCAP."),
+    click.option("--report", type=FILE, help="Write all of it as one page of HTML, pictures too."),
+)
+
+
+def check_advice(drive: Path | None, report: Path | None, *, overwrite: bool) -> None:
+    """Refuse output names that cannot be written; called before any work is done."""
+    if drive is not None and drive.suffix != ".mcap":
+        raise click.UsageError(f"--drive {drive}: commands are written as MCAP; end the name in .mcap")
+    if report is not None:
+        need_pictures()
+    for path in (drive, report):
+        refuse_existing(path, overwrite=overwrite)
+
+
+def advice_files(result: Findings, drive: Path | None, report: Path | None) -> Files:
+    """Return the writers of the drive (/cmd_vel) and the report; no drive is written if nothing is open."""
+    files: dict[Path, Callable[[], object]] = {}
+    if drive is not None:
+        files[drive] = lambda: (
+            f"wrote {drive}: {said}"
+            if (said := result.save_next_drive(drive, overwrite=True))
+            else f"{drive} is not written: nothing is open that a drive would settle"
+        )
+    if report is not None:
+        files[report] = lambda: write_text(report, result.report())
+    return files

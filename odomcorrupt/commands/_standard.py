@@ -17,16 +17,15 @@ import click
 from click.core import ParameterSource
 
 from odomcorrupt import commands
-from odomcorrupt.commands._options import added
+from odomcorrupt.commands._options import Decorator, added
+from odomcorrupt.input_files import read_input
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.summary import wrapped
+from odomcorrupt.summary import Summary, wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from odomcorrupt.api.result import Result
-    from odomcorrupt.commands._options import Decorator
-    from odomcorrupt.summary import Summary
 
 __all__ = ["WORDS", "Files", "Voice", "chosen_output", "command_names", "output_option", "overwrite_option",
            "standard_options", "typed_words", "written"]  # fmt: skip
@@ -54,8 +53,6 @@ class Voice:
     def show(self, result: Result, *, files: Files | None = None, err: bool = False) -> None:
         """Print a result.
 
-        Parameters
-        ----------
         result : result to print
         files : output files, written after the verdict is printed and before the suggested next command
         err : whether to print on stderr, because stdout may carry a bag
@@ -137,8 +134,6 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def typed_words(*without: str) -> list[str]:
     """Return the words typed after the command's name, for use in a suggested next command.
 
-    Parameters
-    ----------
     without : options to omit with their values, as in "--output", by their long spelling
     """
     ctx = click.get_current_context()
@@ -207,8 +202,6 @@ def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) ->
 
 def _table(file: Path) -> Mapping[str, Any]:
     import tomllib
-
-    from odomcorrupt.input_files import read_input
 
     data = read_input(file, _LIMIT_BYTES, "file of defaults", click.UsageError)
     try:

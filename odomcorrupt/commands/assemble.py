@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from odomcorrupt.commands._bag import bag_words, container_options
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
-
-if TYPE_CHECKING:
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
+from odomcorrupt.summary import Line, Summary, command_line
 
 
 @click.command("assemble", short_help="Join an overlay of a batch with its original.")
@@ -33,7 +29,6 @@ def command(
     from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
     from odomcorrupt.batching.split_layout import assemble
-    from odomcorrupt.summary import Line, Summary, command_line
 
     target = Path(chosen_output(output, output_option))
     if original is None:

@@ -13,7 +13,7 @@ from odomcorrupt.commands._bag import bag_words, container_options, moving_optio
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, one_of
-from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,10 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.engine import Shard
     from odomcorrupt.batching.estimate import Need
     from odomcorrupt.batching.job import Job
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import MotionModel
-
-__all__ = ["command"]
 
 _MODEL_WORDS = {"alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step",
                 "preset": "--preset", "effects": "--effect", "track": "--track"}  # fmt: skip
@@ -133,11 +130,13 @@ def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...
 
 def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
     from odomcorrupt.api.bag_options import split_options
+    from odomcorrupt.bags.pipeline import default_threads
     from odomcorrupt.batching.plan import BatchSpec, plan, seed_of
 
     model = _model(given)
     options, container = split_options(bag_words(given))
-    container = replace(container, overwrite=False, threads=_threads(given))
+    threads = max(1, (given["threads"] or default_threads()) // given["jobs"])  # of each process
+    container = replace(container, overwrite=False, threads=threads)
     if given["output"] != "full":
         _require_whole_bags(given)
     if given["shard"] and given["dask"]:
@@ -195,14 +194,6 @@ def _model(given: dict[str, Any]) -> MotionModel:
     return fleet_model({str(path): read_model(path) for path in given["fleet"]})
 
 
-def _threads(given: dict[str, Any]) -> int:
-    """Return the number of threads of each process."""
-    from odomcorrupt.bags.pipeline import default_threads
-
-    threads: int = (given["threads"] or default_threads()) // given["jobs"]
-    return max(1, threads)
-
-
 def _map_words(given: dict[str, Any]) -> list[str]:
     if given["map_"] is None:
         return []
@@ -230,16 +221,10 @@ def _need(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
     from odomcorrupt.batching.engine import count_missing
     from odomcorrupt.batching.estimate import Need, estimate, free_bytes
 
-    count = size = overlay = 0
-    seconds = 0.0
-    for job in jobs:
-        missing = count_missing(job, runs, shard)
-        each = estimate(job)
-        count += missing
-        size += missing * each.bytes
-        overlay += missing * each.overlay_bytes
-        seconds += missing * each.seconds
-    return Need(count, size, seconds, overlay, free_bytes(jobs[0].directory))
+    needs = [(count_missing(job, runs, shard), estimate(job)) for job in jobs]
+    size, overlay = sum(n * each.bytes for n, each in needs), sum(n * each.overlay_bytes for n, each in needs)
+    seconds = sum((n * each.seconds for n, each in needs), 0.0)
+    return Need(sum(n for n, _ in needs), size, seconds, overlay, free_bytes(jobs[0].directory))
 
 
 def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:

@@ -11,18 +11,13 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._options import FILE, check_picture, need_pictures
-from odomcorrupt.commands._recordings import recording_options, split_arguments
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
 from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from odomcorrupt.api.model import Model
-    from odomcorrupt.commands._recordings import Reading
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["REJECTED", "command"]
 
 REJECTED = 4
 """Exit code of --fail-if-rejected."""
@@ -54,8 +49,7 @@ def command(
 
     Recordings that a model was fitted on are cut in halves: the model is refitted on one and evaluated on the other.
     """
-    from odomcorrupt.api.comparison import compare
-    from odomcorrupt.api.model import Model
+    from odomcorrupt.api.comparison import compare, named_models
 
     paths, names = split_arguments(arguments)
     if not names:
@@ -66,12 +60,12 @@ def command(
     if report is not None:
         need_pictures()
     refuse_existing(report, overwrite=overwrite)
-    models = {name: Model.load(name) for name in names}
+    models = named_models(list(dict.fromkeys(names)))
     track = next((m.motion_model.track_m for m in models.values() if m.motion_model.track_m is not None), None)
     with reading.stages(voice) as stages:
         runs = reading.read(paths, voice, stages, track=track)
         stages("comparison", 0.0)
-        result = compare(runs, _short_names(models))
+        result = compare(runs, models)
     words = shlex.join([*map(str, paths), *reading.words(), names[-1]])
     files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     if report is not None:
@@ -95,9 +89,3 @@ def _plots(texts: Iterable[str]) -> dict[Path, str]:
             raise click.UsageError(f"--plot {text}: {file} is the file of another picture already; choose another name")
         found[path] = name
     return found
-
-
-def _short_names(models: dict[str, Model]) -> dict[str, Model]:
-    """Return models by file name alone if these are unique."""
-    short = [Path(name).name for name in models]
-    return dict(zip(short, models.values(), strict=True)) if len(set(short)) == len(models) else models

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._standard import standard_options
+from odomcorrupt.commands._options import usage_errors
+from odomcorrupt.commands._standard import Voice, standard_options
+from odomcorrupt.errors import ModelError
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import Noise, Step
-    from odomcorrupt.summary import Summary
-
-__all__ = ["command"]
 
 
 @click.command("convert-alpha", short_help="What the alphas of one law are in another.")
@@ -39,19 +40,16 @@ def command(
     odomcorrupt convert-alpha 5deg 2deg/m 0.05 0.01 --from diffusion \\
         --to quadratic --to-step 0.25m,0.2rad
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.model.motion_model import Noise, parse_alpha
     from odomcorrupt.model.noise_laws import law_named
     from odomcorrupt.sampling.convert import convert
 
-    try:
+    with usage_errors(ModelError):
         law, other = law_named(source), law_named(target)
         before = Noise(
             source, law.coefficients([parse_alpha(a) for a in alphas]), _step(step) if law.per_step else None
         )
         after = convert(before, other, _step(to_step or step) if other.per_step else None)
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
     voice.say(_brief(before, after), _text(before, after), _values(before, after))
 
 
@@ -66,7 +64,6 @@ def _brief(before: Noise, after: Noise) -> Summary:
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.sampling.text import law_meaning
-    from odomcorrupt.summary import Line, Summary, command_line
 
     straight, turn = _drifts(after)
     new, old = (f"{model_brief(MotionModel(noise), '')}; {law_meaning(noise)}" for noise in (after, before))
@@ -86,8 +83,6 @@ def _flags(noise: Noise) -> str:
 
 def _drifts(noise: Noise) -> tuple[str, str]:
     """Return the standard deviations after ten metres straight, and after a whole turn on the spot, in words."""
-    import math
-
     from odomcorrupt.sampling.convert import drift_of
 
     drift = drift_of(noise)
@@ -112,8 +107,6 @@ makes the same drift on straight drives and on turns as
 
 
 def _values(before: Noise, after: Noise) -> dict[str, Any]:
-    import dataclasses
-
     from odomcorrupt.sampling.convert import drift_of
 
     def side(noise: Noise) -> dict[str, Any]:

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from odomcorrupt.commands._bag import bag_words, container_options, frame_options, keeping_options
 from odomcorrupt.commands._model import choose_model
-from odomcorrupt.commands._options import FILE, START
+from odomcorrupt.commands._options import FILE, START, usage_errors
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
-
-if TYPE_CHECKING:
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
+from odomcorrupt.errors import EffectError
 
 
 @click.command("correct", short_help="Take the systematic part out of measured odometry.")
@@ -47,7 +43,6 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     """
     from odomcorrupt.api.correction import correct
     from odomcorrupt.correction.run import require_start
-    from odomcorrupt.errors import EffectError
 
     target = chosen_output(output, output_option)
     if input_ == "-":
@@ -58,10 +53,8 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     chosen = choose_model(given) if given["effects"] or given["model"] else None
     if chosen is not None and given["start"] is None:
-        try:
+        with usage_errors(EffectError):
             require_start(chosen.motion_model)
-        except EffectError as error:
-            raise click.UsageError(str(error)) from error
     with Progress(quiet=voice.quiet) as progress:
         done = correct(input_, target, model=chosen, start_xyt=given["start"], watch=progress, **bag_words(given))
     voice.show(done, err=True)

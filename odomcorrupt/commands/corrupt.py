@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -12,12 +12,7 @@ from odomcorrupt.commands._bag import bag_words, container_options, moving_optio
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
-
-if TYPE_CHECKING:
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command", "keep_freed_memory"]
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Names of parameters in glibc's malloc.h."""
@@ -55,7 +50,7 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     INPUT and OUTPUT are bags of any kind; - is a pipe. With --map no pose is drawn into a wall: motion as a particle
     has it. Real odometry drifts through walls; leave --map out to imitate that.
     """
-    from odomcorrupt.api.bag_options import options_of
+    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.api.corruption import corrupt
 
     target = chosen_output(output, output_option)
@@ -64,7 +59,7 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     source = source_of(input_)
     options = bag_words(given)
-    condition = choose_condition_of_run(given, source, options_of(options), model.motion_model)
+    condition = choose_condition_of_run(given, source, split_options(options)[0], model.motion_model)
     keep_freed_memory()
     with Progress(quiet=voice.quiet) as progress:
         asked = {"seed": given["seed"], "run": given["run"], "within": condition, "watch": progress}

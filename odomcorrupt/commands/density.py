@@ -10,15 +10,12 @@ import click
 
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_move, move_options
-from odomcorrupt.commands._options import FILE, POSE, check_picture, one_of, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._options import FILE, POSE, check_picture, one_of, save_picture, usage_errors
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
+from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
 
 
 @click.command(
@@ -52,16 +49,13 @@ def command(
     odomcorrupt density --example balanced --at 1,0.35,40deg --at 1.1,0.3,40deg
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import density
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.rng import draw_seed
 
     check_picture(output, overwrite=overwrite)
     chosen = choose_move(given)
-    try:
+    with usage_errors(ModelError):
         condition = choose_condition(given, None, "")
         found = density(chosen.start_xyt, chosen.end_xyt, poses, model=chosen.model, reading=reading, within=condition)
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
 
     def draw(path: Path) -> None:
         seed = draw_seed() if given["seed"] is None else given["seed"]

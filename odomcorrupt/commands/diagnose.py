@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._advice import advice_files, advice_options, check_advice
-from odomcorrupt.commands._recordings import recording_options, split_arguments
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._recordings import (
+    advice_files,
+    advice_options,
+    check_advice,
+    recording_options,
+    split_arguments,
+)
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.api.diagnosis import Diagnosis
     from odomcorrupt.commands._recordings import Reading
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
 
 
 @click.command("diagnose", short_help="Name the physical effect that a model misses.")

@@ -6,16 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._standard import standard_options
+from odomcorrupt.commands._standard import Voice, standard_options
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.effects.effect import Effect, Parameter
-    from odomcorrupt.summary import Summary
-
-__all__ = ["command"]
 
 
 @click.command("effects", short_help="List the physical effects, or explain one.")
@@ -59,8 +56,6 @@ _FAMILIES = {"effect": "SYSTEMATIC", "setup": "setup", "event": "event", "noise"
 
 def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
     """Return the names by kind."""
-    from odomcorrupt.summary import Line, Summary, command_line
-
     names = {label: ", ".join(n for n, one in kinds.items() if one.kind == kind) for kind, label in _FAMILIES.items()}
     lines = [Line(label, text) for label, text in names.items()]
     return Summary((*lines, command_line("odomcorrupt effects NAME, or -v for all in words")), most=20)
@@ -69,7 +64,6 @@ def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
 def _brief_page(kind: type[Effect]) -> Summary:
     """Return an effect's description, its parameters, and a command that applies it to a bag."""
     from odomcorrupt.effects.effect import choices, parameters
-    from odomcorrupt.summary import Line, Summary, command_line
 
     lines = [Line(kind.name, f"{kind.summary} ({kind.kind})", "good")]
     own = parameters(kind)

@@ -6,20 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, TRACK, Number
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._options import FILE, TRACK, Decorator, Number, usage_errors
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
+from odomcorrupt.errors import ModelError
 from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from odomcorrupt.commands._options import Decorator
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.summary import Summary
-
-__all__ = ["command"]
 
 _EVERY = "nothing would let amcl update at every scan"
 
@@ -55,7 +52,6 @@ def command(
 
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.export.nav2 import amcl_alphas
     from odomcorrupt.export.robot_localization import Steady, twist_variances
     from odomcorrupt.export.ros2_control import wheel_multipliers
@@ -64,15 +60,13 @@ def command(
 
     refuse_existing(output, overwrite=overwrite)
     robot = read_model(model)
-    try:
+    with usage_errors(ModelError):
         drive = Steady(given["speed"], given["turn_rate"], given["rate"])
         if target == "nav2":
             update, turn = (given["update_min_d"], given["update_min_a"]), given["turn"]
             text = amcl_text(robot, amcl_alphas(robot.noise, *update, turn=turn, drive=drive), *update, turn)
         elif target == "robot_localization":
             text = twists_text(robot, twist_variances(robot.noise, drive), drive, controller)
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
     if target == "ros2_control":
         text = wheels_text(robot, wheel_multipliers(robot, given["track"]), controller)
     values = {"schema": 2, "to": target, "yaml": text}
@@ -91,7 +85,6 @@ def command(
 def _brief(robot: MotionModel, name: str, text: str, following: Sequence[object]) -> Summary:
     """Return the exported numbers, the effects that cannot be expressed, and the suggested next command."""
     from odomcorrupt.export.yaml_text import numbers_of, unexpressed
-    from odomcorrupt.summary import Line, Summary, command_line
 
     left = unexpressed(text, robot)
     lines = [Line("EXPORTED", name, "warning" if left else "good")]

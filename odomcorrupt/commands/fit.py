@@ -10,18 +10,13 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._options import FILE
-from odomcorrupt.commands._recordings import recording_options, split_arguments
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-
-    from odomcorrupt.commands._recordings import Reading
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
 
 
 @click.command("fit", short_help="Fit a robot's motion model to odometry and truth.")

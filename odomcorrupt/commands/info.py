@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import click
 
 from odomcorrupt.commands._bag import bag_options, report_losses, source_of
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import standard_options
-
-if TYPE_CHECKING:
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
+from odomcorrupt.commands._standard import Voice, standard_options
 
 
 @click.command("info", short_help="Show a bag's odometry, and what corruption would move.")

@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
-from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture
-from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture, usage_errors
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.result_files import refuse_existing
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.summary import Summary
     from odomcorrupt.trajectories.reader import Drive
-
-__all__ = ["command"]
 
 _BAG = click.Path(path_type=Path)
 
@@ -56,7 +54,7 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     odomcorrupt integrate in.mcap out.mcap --integrate euler --plot errors.png
     odomcorrupt integrate in.mcap --twist-noise 0.2 0.04 --runs 100 --plot runs.png
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.errors import ModelError, OdomCorruptError
+    from odomcorrupt.bags.open import form_of, open_reader
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.trajectories.integrate import integrate, noisy_twists
     from odomcorrupt.trajectories.reader import find_truth, read_drive, read_poses
@@ -70,7 +68,9 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
         raise click.UsageError(f"--runs {given['runs']}: without --twist-noise all runs are the same")
     check_picture(plot, overwrite=given["overwrite"])
     refuse_existing(output, overwrite=given["overwrite"])
-    _check_name(input_, output)
+    if output is not None:  # a name that is not a bag's is refused before any work is done
+        with open_reader(input_) as reader:
+            form_of(output, reader)
     drive = read_drive(input_, given["odom_topic"])
     truth_topic = given["truth"] or find_truth(input_)
     truth = None if truth_topic is None else read_poses(input_, truth_topic)
@@ -82,10 +82,8 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     runs, spread = None, []
     if noise is not None:
         seed = draw_seed() if given["seed"] is None else given["seed"]
-        try:
+        with usage_errors(ModelError):
             twists = noisy_twists(drive.twist, *noise, seed=seed, runs=range(given["runs"]))
-        except ModelError as error:
-            raise click.UsageError(str(error)) from error
         runs = integrate(drive.xyt[0], twists, drive.t_s, rule, hold=given["hold"])
         written, provenance = runs[0], provenance | {"seed": str(seed), "twist_noise": f"{noise[0]} {noise[1]}"}
         spread = _spread(runs, clean, noise, seed)
@@ -103,19 +101,8 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     voice.say(brief, "\n".join(said), values, files=files)
 
 
-def _check_name(input_: Path, output: Path | None) -> None:
-    """Refuse a name that is not a bag's; called before any work is done."""
-    from odomcorrupt.bags.open import form_of, open_reader
-
-    if output is not None:
-        with open_reader(input_) as reader:
-            form_of(output, reader)
-
-
 def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], following: Sequence[object]) -> Summary:
     """Return the integrated odometry's length and errors, the effect of noise, and the suggested next command."""
-    from odomcorrupt.summary import Line, Summary, command_line
-
     whole = f"{len(drive)} twists of {drive.topic}, {drive.distance_m[-1]:.4g} m in {drive.t_s[-1]:.4g} s"
     lines = [Line("INTEGRATED", whole, "good"), Line("rule", rule)]
     lines += [Line("note", note, "warning") for note in drive.notes]

@@ -9,19 +9,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._advice import advice_files, advice_options, check_advice
 from odomcorrupt.commands._options import FILE, check_picture
-from odomcorrupt.commands._recordings import recording_options, split_arguments
-from odomcorrupt.commands._standard import overwrite_option, standard_options, written
+from odomcorrupt.commands._recordings import (
+    advice_files,
+    advice_options,
+    check_advice,
+    recording_options,
+    split_arguments,
+)
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
 from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.commands._recordings import Reading
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
 
 
 @click.command("learn", short_help="Fit, diagnose and add, until nothing is missing.")

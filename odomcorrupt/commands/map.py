@@ -12,17 +12,15 @@ from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words
+from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.mapping.scan_map import Survey
-
-__all__ = ["command"]
 
 
 @click.command("map", cls=AlphaCommand, short_help="What the laser sees through clean and through noisy odometry.")
@@ -62,7 +60,6 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
     odomcorrupt map drive.mcap --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.corruption.summary import model_brief
-    from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.sampling.text import law_words
 

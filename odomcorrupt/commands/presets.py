@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._standard import standard_options
+from odomcorrupt.commands._options import usage_errors
+from odomcorrupt.commands._standard import Voice, standard_options
+from odomcorrupt.errors import ModelError
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.presets import Preset
-    from odomcorrupt.summary import Summary
-
-__all__ = ["command"]
 
 
 @click.command("presets", short_help="List the ready-made noise models, or print one as a model file.")
@@ -26,7 +26,6 @@ def command(name: str | None, *, voice: Voice) -> None:
 
     The numbers are alpha1, alpha2, ...; what they mean depends on the law.
     """
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.model.model_file import format_model
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.model.presets import PRESETS, preset_named
@@ -40,10 +39,8 @@ def command(name: str | None, *, voice: Voice) -> None:
             {"schema": 2, "presets": [_values(p) for p in chosen]},
         )
         return
-    try:
+    with usage_errors(ModelError):
         preset = preset_named(name)
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
     source = {"preset": preset.name, "from": preset.source}
     text = format_model(MotionModel(preset.noise, source=source))
     voice.say(text.rstrip("\n"), text.rstrip("\n"), {"schema": 2} | _values(preset))
@@ -51,8 +48,6 @@ def command(name: str | None, *, voice: Voice) -> None:
 
 def _brief(presets: Sequence[Preset]) -> Summary:
     """Return the names, fitted presets on a separate line."""
-    from odomcorrupt.summary import Line, Summary, command_line
-
     fitted = [p.name for p in presets if p.source.startswith("fitted")]
     stated = [p.name for p in presets if p.name not in fitted]
     count, first = f"{len(presets)} noise models; -v has their laws, numbers and sources", presets[0].name
@@ -62,8 +57,6 @@ def _brief(presets: Sequence[Preset]) -> Summary:
 
 
 def _values(preset: Preset) -> dict[str, Any]:
-    import dataclasses
-
     noise = preset.noise
     numbers = dataclasses.asdict(noise.coefficients)
     shown = {key: value for key, value in numbers.items() if value or key in noise.law.alphas}

@@ -13,14 +13,10 @@ from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, check_picture, save_picture
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
 
 
 @click.command("preview", cls=AlphaCommand, short_help="Forecast what a motion model will do to a bag.")

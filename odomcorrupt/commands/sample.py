@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -13,16 +14,22 @@ import click
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
-from odomcorrupt.commands._options import FILE, PICTURES, Number, need_pictures, picture_kind, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._options import (
+    FILE,
+    PICTURES,
+    Number,
+    need_pictures,
+    picture_kind,
+    save_picture,
+    usage_errors,
+)
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
+from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
 
 _RUNS = 300
 """Default number of runs along a bag."""
@@ -31,7 +38,6 @@ _RUNS = 300
 def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
     """Draw runs of a bag's drive, evaluate them at distances along it, and print and write the result."""
     from odomcorrupt.corruption.summary import model_brief
-    from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.mapping.conditioned_runs import free_paths
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.sampling.particles import (
@@ -63,8 +69,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
     else:
         places = places_along(drive, every)
         free = free_paths(
-            drive.stamps_ns, drive.xyt, chosen.motion_model, condition.space, seed=seed, runs=range(runs),
-            places=places, check=condition.check, tries=condition.tries,
+            drive.stamps_ns, drive.xyt, chosen.motion_model, condition, seed=seed, runs=range(runs), places=places
         )  # fmt: skip
         cloud = particles_at(drive, places, free.xyt, seed)
         voice.note(free.account())
@@ -92,8 +97,6 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
 
 def _round(value: float) -> float:
     """Return the smallest of 1, 2 or 5 times a power of ten that is not below a value."""
-    import math
-
     power = 10.0 ** math.floor(math.log10(max(value, 1e-6)))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= 0.999 * value)
 
@@ -121,7 +124,6 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
     odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import sample
-    from odomcorrupt.errors import ModelError
     from odomcorrupt.sampling.text import csv_text, drawn_json
 
     refuse_existing(output, overwrite=overwrite)
@@ -135,11 +137,9 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
         return
     chosen = choose_move(given)
     condition = choose_condition(given, None, "odom")
-    try:
+    with usage_errors(ModelError):
         asked = {"count": chosen.count, "seed": given["seed"], "within": condition}
         drawn = sample(chosen.start_xyt, chosen.end_xyt, model=chosen.model, **asked)
-    except ModelError as error:
-        raise click.UsageError(str(error)) from error
 
     def write(path: Path) -> None:
         if kind in PICTURES:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,16 +11,13 @@ import click
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._options import FILE, Number, check_picture, need_pictures, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
 from odomcorrupt.input_files import read_input
 from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
-    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.scoring.gate import Verdict
     from odomcorrupt.scoring.run import ScoreReport
-
-__all__ = ["command"]
 
 _BASELINE_BYTES = 1 << 28
 
@@ -97,8 +95,6 @@ def _refuse(given: dict[str, Any]) -> None:
 
 
 def _baseline(path: Path) -> dict[str, Any]:
-    import json
-
     from odomcorrupt.scoring.errors import ScoreError
 
     text = read_input(path, _BASELINE_BYTES, "result of score", ScoreError)
@@ -112,8 +108,6 @@ def _baseline(path: Path) -> dict[str, Any]:
 
 
 def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], voice: Voice) -> None:
-    import json
-
     from odomcorrupt import __version__
     from odomcorrupt.report.json.score import score_json
     from odomcorrupt.report.text.score import score_brief, score_text

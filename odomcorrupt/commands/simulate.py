@@ -9,17 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, Number
+from odomcorrupt.commands._options import FILE, Number, usage_errors
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.commands._standard import Voice, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.commands._standard import Voice
-
-__all__ = ["command"]
 
 _ALONE = {
     "hidden": "stands alone, since what else there is would be known",
@@ -116,11 +113,8 @@ def command(
     if piped and given["answer"] is None:
         raise click.UsageError("a bag on a pipe needs a name for its answer; give --answer FILE")
     names, parameters = _faults(effects)
-    try:
-        with Stages("simulation", quiet=voice.quiet):
-            done = simulate(None if piped else target, effects=names, parameters=parameters, size=_size(size), **given)
-    except EffectError as error:
-        raise click.UsageError(f"--effect {error}") from error
+    with usage_errors(EffectError, "--effect "), Stages("simulation", quiet=voice.quiet):
+        done = simulate(None if piped else target, effects=names, parameters=parameters, size=_size(size), **given)
     if piped:
         sys.stdout.buffer.write(done.bag)
         voice.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {done.answer_path}")

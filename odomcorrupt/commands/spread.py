@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from odomcorrupt.commands._options import FILE, check_picture, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.batching.dispersion import SpreadReport
-    from odomcorrupt.batching.dispersion import SpreadRow as _Row
-    from odomcorrupt.commands._standard import Voice
-    from odomcorrupt.summary import Summary
-
-__all__ = ["command"]
 
 _ERRORS = 2.0
 """Standard errors beyond which a dispersion differs from the prediction."""
@@ -32,8 +29,6 @@ _ERRORS = 2.0
 @standard_options
 def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voice) -> None:
     """Show how position and heading of a batch's runs spread with the distance, and what the linear model predicts."""
-    from dataclasses import asdict
-
     from odomcorrupt.batching.dispersion import measure
 
     check_picture(output, overwrite=overwrite)
@@ -52,8 +47,6 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
 
 def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:
     """Return whether the dispersion at the end is as predicted, and its values along the drive."""
-    from odomcorrupt.summary import Line, Summary, command_line
-
     last = report.rows[-1]
     ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
     # standard error of the logarithm of a standard deviation from this many runs in two directions
@@ -62,7 +55,7 @@ def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:
     verdict = "AS PREDICTED" if abs(off) <= chance else "WIDER" if off > 0.0 else "NARROWER"
     said = f"{ratio:.3g} times the predicted spread after {last.after_m:.4g} m, {report.runs} runs"
     lines = [Line(verdict, said, "good" if abs(off) <= chance else "warning")]
-    for row in _some(report.rows):
+    for row in (report.rows[i] for i in sorted({0, len(report.rows) // 2, len(report.rows) - 1})):
         measured = f"{row.position_m:.3g} m, {math.degrees(row.heading_rad):.3g} deg"
         predicted = f"{row.position_predicted_m:.3g} m, {math.degrees(row.heading_predicted_rad):.3g} deg"
         lines.append(Line(f"{row.after_m:.4g} m", f"{measured} (predicted {predicted})"))
@@ -71,11 +64,6 @@ def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:
     if report.random_effects:
         lines.append(Line("odd", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
     return Summary((*lines, command_line(["odomcorrupt", *following])))
-
-
-def _some(rows: Sequence[_Row]) -> list[_Row]:
-    """Return the first, the last and one row between."""
-    return [rows[i] for i in sorted({0, len(rows) // 2, len(rows) - 1})]
 
 
 def _text(report: SpreadReport) -> str:

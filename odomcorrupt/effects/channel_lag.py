@@ -21,6 +21,14 @@ _UNSEEN_RATE = 10.0
 """Largest acceleration assumed during the delay at the end of a recording, m/s^2 and rad/s^2."""
 
 
+def lag_remainder(tau_s: float, seconds: float) -> float:
+    """Return the part of a difference that a first-order lag leaves after a time: the backward Euler step.
+
+    Its mean delay is tau for steps of any length, and its inverse is stable.
+    """
+    return abs(tau_s) / (abs(tau_s) + seconds) if seconds > 0.0 else 1.0
+
+
 @dataclass(frozen=True, slots=True)
 class ChannelLag(Effect):
     """f_yaw = tau d omega / dt, or f_along = tau d v / dt, of the odometry's speeds, which are the filtered true ones.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.effects.channel_lag import lag_remainder
 from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, parameter
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class MotorLag(Effect):
         true = np.empty_like(commanded)
         now = state.twist
         for i, (u, dt_s) in enumerate(zip(commanded, motion.dt_s.tolist(), strict=True)):
-            now = u if now is None else u + self._kept(dt_s) * (now - u)
+            now = u if now is None else u + lag_remainder(self.tau, dt_s) * (now - u)
             true[i] = now
         return TwistError(np.sign(self.tau) * (true - commanded), state._replace(twist=now))
 
@@ -70,14 +71,7 @@ class MotorLag(Effect):
                 continue
             true = step / dt_s
             if before is not None:
-                kept = self._kept(dt_s)
+                kept = lag_remainder(self.tau, dt_s)
                 reported[i] = dt_s * (true - kept * before) / (1.0 - kept)
             before = true
         return Recorded(reported, _Speeds(before, last_s))
-
-    def _kept(self, seconds: float) -> float:
-        """Return the part of a difference in speed that remains after a time: the backward Euler step.
-
-        Its mean delay is tau for steps of any length, and its inverse is stable.
-        """
-        return abs(self.tau) / (abs(self.tau) + seconds) if seconds > 0.0 else 1.0

@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.drive_types import STEERED
-from odomcorrupt.effects.effect import (
-    About,
-    Effect,
-    Motion,
-    Recorded,
-    State,
-    TwistError,
-    parameter,
-    stacked,
-)
+from odomcorrupt.effects.channel_lag import lag_remainder
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, parameter, stacked
 from odomcorrupt.effects.steering import CREEP_MPS
 
 if TYPE_CHECKING:
@@ -70,7 +62,9 @@ class SteeringLag(Effect):
             if abs(v) < CREEP_MPS or not dt_s > 0.0:
                 continue
             steered = omega / v
-            curvature = steered if curvature is None else steered + self._kept(ago_s) * (curvature - steered)
+            curvature = (
+                steered if curvature is None else steered + lag_remainder(self.tau, ago_s) * (curvature - steered)
+            )
             f[i], ago_s = sign * v * (curvature - steered), 0.0
         return TwistError(stacked(0.0, 0.0, f, f), _Steering(curvature, ago_s, last_s))
 
@@ -89,15 +83,8 @@ class SteeringLag(Effect):
             if abs(ds) < CREEP_MPS * dt_s or not dt_s > 0.0:
                 continue
             true = turn / ds
-            kept = self._kept(ago_s)
+            kept = lag_remainder(self.tau, ago_s)
             if curvature is not None and self.tau > 0.0:
                 reported[i, 2] = ds * (true - kept * curvature) / (1.0 - kept)
             curvature, ago_s = true, 0.0
         return Recorded(reported, _Steering(curvature, ago_s, last_s))
-
-    def _kept(self, seconds: float) -> float:
-        """Return the part of a curvature difference that remains after a time: the backward Euler step.
-
-        Its mean delay is tau for steps of any length, and its inverse is stable.
-        """
-        return abs(self.tau) / (abs(self.tau) + seconds)

@@ -41,15 +41,9 @@ def amcl_alphas(
 ) -> AmclAlphas:
     """Return the amcl alphas with the model's variances after one update, for a straight drive and for a turn.
 
-    Parameters
-    ----------
-    update_min_d, update_min_a
-        Distance (m) and angle (rad) after which amcl updates its particles.
-    turn
-        Whether the reference turn is along an arc (`rolling`) or on the spot.
-    drive
-        Speeds of the straight drive and of the turn, and the odometry's rate, for noise that depends on these.
-
+    update_min_d, update_min_a : distance (m) and angle (rad) after which amcl updates its particles
+    turn : whether the reference turn is along an arc (`rolling`) or on the spot
+    drive : speeds of the straight drive and of the turn, and the odometry's rate, for noise that depends on these
     """
     if not (update_min_d > 0.0 and update_min_a > 0.0):
         raise ModelError(

@@ -37,7 +37,6 @@ def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> Wheel
     ------
     ModelError
         If the track is needed and unknown, or a wheel's size would not be positive.
-
     """
     scale = 1.0 + sum(effect.e for effect in model.effects if isinstance(effect, WheelScale))
     turns = scale - sum(effect.e / (1.0 + effect.e) for effect in model.effects if isinstance(effect, Wheelbase))

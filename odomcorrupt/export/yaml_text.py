@@ -6,7 +6,7 @@ import re
 import textwrap
 from typing import TYPE_CHECKING
 
-from odomcorrupt.export.ros2_control import WHEEL_EFFECTS
+from odomcorrupt.export.ros2_control import WHEEL_EFFECTS, WheelMultipliers
 from odomcorrupt.sampling.text import law_words
 
 if TYPE_CHECKING:
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.export.nav2 import AmclAlphas
     from odomcorrupt.export.robot_localization import Steady, TwistVariances
-    from odomcorrupt.export.ros2_control import WheelMultipliers
     from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["amcl_text", "condensed", "numbers_of", "twists_text", "unexpressed", "wheels_text"]

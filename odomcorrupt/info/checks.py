@@ -178,28 +178,25 @@ def _steps_back(stamps_ns: NDArray[np.int64]) -> _StepsBack:
 def _twist_oddities(twist: Array, xyt: Array, dt: Array, good: NDArray[np.bool_], speed: Array) -> list[str]:
     """Return warnings where twists (n, 3) disagree with the rates of the poses, in the body or the odom frame."""
     finite = np.asarray(np.isfinite(twist).all(axis=1), dtype=np.bool_)
-    numberless = [] if finite.all() else [f"{np.count_nonzero(~finite)} twists are not numbers"]
-    return numberless + _misfits(twist, xyt, dt, good & (speed > MOVING) & finite[1:])
-
-
-def _misfits(twist: Array, xyt: Array, dt: Array, moving: NDArray[np.bool_]) -> list[str]:
+    odd = [] if finite.all() else [f"{np.count_nonzero(~finite)} twists are not numbers"]
+    moving = good & (speed > MOVING) & finite[1:]
     if np.count_nonzero(moving) < 10:
-        return []
+        return odd
     steps = increments(xyt)
     # a corrupt number must not overflow when squared
     stated = np.clip(twist[1:][moving], -1e9, 1e9)
     body = np.column_stack((steps.ds_m, steps.dl_m))[moving] / dt[moving, None]
     world = np.diff(xyt[:, :2], axis=0)[moving] / dt[moving, None]
     if not stated.any():
-        return ["twists are all zero while the robot moves"]
+        return [*odd, "twists are all zero while the robot moves"]
     in_body = float(np.sqrt(np.mean((stated[:, :2] - body) ** 2)))
     in_world = float(np.sqrt(np.mean((stated[:, :2] - world) ** 2)))
     typical = float(np.sqrt(np.mean(body**2)))
     if in_world < 0.5 * in_body and in_body > 0.1 * typical:
-        return ["twists seem to be in the odom frame, not in the child frame as the message type asks"]
-    if min(in_body, in_world) > 0.5 * typical:
-        return [f"twists do not fit the poses (they differ by {in_body:.2g} m/s at {typical:.2g} m/s)"]
-    return []
+        odd.append("twists seem to be in the odom frame, not in the child frame as the message type asks")
+    elif min(in_body, in_world) > 0.5 * typical:
+        odd.append(f"twists do not fit the poses (they differ by {in_body:.2g} m/s at {typical:.2g} m/s)")
+    return odd
 
 
 def disagreement_m(record: OdometryRecord, edge: EdgeRecord, *, turned: bool) -> float | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.messages import Layout, gather, gather_stamps_ns, locate
 from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS, plain, stamps_or_log_ns
 from odomcorrupt.corruption.patch import PLANAR
 from odomcorrupt.corruption.pose_faults import PoseFaults
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
-    from odomcorrupt.bags.messages import Layout
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["BagScan", "EdgeRecord", "OdometryRecord", "TopicRecord", "scan_bag"]
@@ -109,7 +108,6 @@ def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None)
     ------
     BagError
         If the bag cannot be read.
-
     """
     topics: dict[str, TopicRecord] = {}
     odometry: dict[str, _Odometry] = {}

@@ -10,17 +10,16 @@ from odomcorrupt.corruption.odometry_source import GLOBAL_FRAMES, Frames, plain,
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
-from odomcorrupt.errors import TopicError
+from odomcorrupt.errors import ModelError, TopicError
 from odomcorrupt.geometry.se2 import inverse
 from odomcorrupt.info.checks import CovarianceCheck, disagreement_m, findings
-from odomcorrupt.info.scan import OdometryRecord
+from odomcorrupt.info.scan import BagScan, EdgeRecord, OdometryRecord
 from odomcorrupt.standard_streams import visible
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.info.scan import BagScan, EdgeRecord
 
 __all__ = ["SCHEMA", "brief", "summarise", "summary_text"]
 
@@ -43,7 +42,6 @@ def summarise(
     ------
     TopicError
         If `odom_topic` is not an odometry topic of the bag.
-
     """
     source = _source(scan, odom_topic)
     frames = _frames(source, odom_frame, base_frame)
@@ -77,8 +75,6 @@ def summarise(
 def brief(values: dict[str, Any], name: str) -> Summary:
     """Return a short summary: odometry source, its motion, messages that would be modified, warnings.
 
-    Parameters
-    ----------
     values : result of `summarise`, with the bag's provenance
     name : name of the bag
     """
@@ -110,7 +106,6 @@ def brief(values: dict[str, Any], name: str) -> Summary:
 def provenance_words(provenance: Mapping[str, str]) -> str:
     """Return earlier corruptions of a bag, as text."""
     from odomcorrupt.corruption.summary import model_brief  # noqa: PLC0415 - only for bags that were
-    from odomcorrupt.errors import ModelError  # noqa: PLC0415 - as above
     from odomcorrupt.model.model_file import parse_model  # noqa: PLC0415 - as above
 
     parts = [f"{key} {provenance[key]}" for key in ("seed", "run", "version") if key in provenance]
@@ -159,20 +154,14 @@ def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> tuple
 
 def _odometry(record: OdometryRecord, scan: BagScan, frames: Frames | None, *, moved: bool) -> dict[str, Any]:
     found = findings(record)
-    edge = None if frames is None else _own_edge(record, scan)
-    off = None
-    if edge is not None:
-        off = disagreement_m(record, edge, turned=edge.parent != plain(record.frame))
-    values = dataclasses.asdict(found)
+    ends = {plain(record.frame), plain(record.child)}
+    own = (e for e in scan.edges if {e.parent, e.child} == ends and "static" not in e.topic)
+    edge = None if frames is None else next(own, None)
+    off = None if edge is None else disagreement_m(record, edge, turned=edge.parent != plain(record.frame))
     return {
         "topic": record.topic, "frame": record.frame, "child": record.child, "moved": moved,
-        **values, "oddities": list(found.oddities), "tf_differs_m": off,
+        **dataclasses.asdict(found), "oddities": list(found.oddities), "tf_differs_m": off,
     }  # fmt: skip
-
-
-def _own_edge(record: OdometryRecord, scan: BagScan) -> EdgeRecord | None:
-    ends = {plain(record.frame), plain(record.child)}
-    return next((e for e in scan.edges if {e.parent, e.child} == ends and "static" not in e.topic), None)
 
 
 def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:

@@ -29,12 +29,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.free_space import Check, FreeSpace
+    from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["MAX_TRIES", "FreePaths", "FreeRuns", "free_paths"]
+__all__ = ["FreePaths", "FreeRuns", "free_paths"]
 
-MAX_TRIES = 100
 
 _AT_ONCE = 1024
 """Largest number of increments held in memory together."""
@@ -68,19 +67,17 @@ def free_paths(
     stamps_ns: NDArray[np.int64],
     clean_xyt: Array,
     model: MotionModel,
-    space: FreeSpace,
+    within: Constraint,
     *,
     seed: int,
     runs: range,
     places: NDArray[np.intp],
-    check: Check = "endpoint",
-    tries: int = MAX_TRIES,
 ) -> FreePaths:
     """Draw runs of a whole drive within free space, and return their poses at k of its n poses.
 
     See `FreeRuns`; stamps_ns is (n,), clean_xyt (n, 3) the odometry.
     """
-    walkers = FreeRuns(model, space, seed=seed, runs=runs, check=check, tries=tries)
+    walkers = FreeRuns(model, within, seed=seed, runs=runs)
     out = np.empty((len(runs), len(places), 3))
     for begin in range(0, len(stamps_ns), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
@@ -88,7 +85,7 @@ def free_paths(
         walked = walkers.feed(stamps_ns[part], clean_xyt[part])
         out = out[walked.ancestors]
         out[:, here] = walked.xyt[:, places[here] - begin]
-    return FreePaths(out, walkers.redrawn, walkers.resampled, (len(stamps_ns) - 1) * len(runs), tries)
+    return FreePaths(out, walkers.redrawn, walkers.resampled, (len(stamps_ns) - 1) * len(runs), within.tries)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,23 +125,13 @@ class FreeRuns:
     resampled : number of times a run without a free try was replaced by a copy of another one
     """
 
-    def __init__(
-        self,
-        model: MotionModel,
-        space: FreeSpace,
-        *,
-        seed: int,
-        runs: range,
-        check: Check = "endpoint",
-        tries: int = MAX_TRIES,
-        particles: int = 0,
-    ) -> None:
-        self._reader, self._space = MotionReader(without_effects(model)), space
+    def __init__(self, model: MotionModel, within: Constraint, *, seed: int, runs: range, particles: int = 0) -> None:
+        self._reader, self._space = MotionReader(without_effects(model)), within.space
         keys = [(run, 0) for run in runs] if not particles else [(runs.start, number) for number in range(particles)]
         self._own = [stream(seed, run, "noise", number) for run, number in keys]
         again = [stream(seed, run, "map", number) for run, number in keys]
         choose = stream(seed, runs.start, "map resampling")
-        self._walk = _Walk(space, check, tries, again, choose, swing_of(model), whole=bool(particles))
+        self._walk = _Walk(within, again, choose, swing_of(model), whole=bool(particles))
         self.restart()
 
     @property
@@ -169,7 +156,6 @@ class FreeRuns:
         ------
         MapError
             If the first pose is not free, or an increment has no free try in any run.
-
         """
         if not self._reader.begun:
             require_free(self._space, clean_xyt[0])
@@ -197,12 +183,11 @@ class _Walk:
     """Propagates many robots by one increment at a time."""
 
     def __init__(
-        self, space: FreeSpace, check: Check, tries: int, again: list[np.random.Generator],
-        choose: np.random.Generator, swing: float, *, whole: bool,
+        self, within: Constraint, again: list[np.random.Generator], choose: np.random.Generator, swing: float, *,
+        whole: bool,
     ) -> None:  # fmt: skip
-        self._whole = whole
-        self._space, self._check, self._again, self._choose, self._swing = space, check, again, choose, swing
-        self._tries, self._rounds = tries, rounds(tries)
+        self._within, self._again, self._choose, self._swing, self._whole = within, again, choose, swing, whole
+        self._rounds = rounds(within.tries)
         self.redrawn = self.resampled = 0
 
     def on(self, pose: Array, step: Array, sd: Array, normals: Array) -> tuple[Array, NDArray[np.intp]]:
@@ -214,9 +199,9 @@ class _Walk:
         parents: NDArray[np.intp] = np.arange(len(pose))
         if not (sd.any() or step[:3].any()):
             return ahead, parents
-        bad = ~self._space.allows(pose[:, :2], ahead[:, :2], self._check)
+        bad = ~self._within.allows(pose[:, :2], ahead[:, :2])
         # a robot whose pose was set into a wall may leave it
-        stuck = np.flatnonzero(bad & self._space.free(pose[:, :2]))
+        stuck = np.flatnonzero(bad & self._within.space.free(pose[:, :2]))
         self.redrawn += len(stuck)
         for count in () if self._whole and len(stuck) < len(pose) else self._rounds:
             if len(stuck):
@@ -226,9 +211,9 @@ class _Walk:
             if not len(alive):
                 x, y = pose[:, :2].mean(axis=0)
                 raise NoFreePoseError(
-                    f"the map and the drive do not fit: about ({x:.2f} m, {y:.2f} m) none of {self._tries} tries of "
-                    f"any of {len(pose)} paths ends where the map is free; check --map-pose, --robot-radius and "
-                    "--unknown, or leave out --map"
+                    f"the map and the drive do not fit: about ({x:.2f} m, {y:.2f} m) none of {self._within.tries} "
+                    f"tries of any of {len(pose)} paths ends where the map is free; check --map-pose, --robot-radius "
+                    "and --unknown, or leave out --map"
                 )
             self.resampled += len(stuck)
             parents[stuck] = alive[self._choose.integers(len(alive), size=len(stuck))]
@@ -241,7 +226,7 @@ class _Walk:
         again = np.concatenate([self._again[run].standard_normal((count, 4)) for run in stuck])
         origin = np.repeat(pose[stuck], count, axis=0)
         candidates = moved(origin, step, again * sd, self._swing)
-        good = self._space.allows(origin[:, :2], candidates[:, :2], self._check).reshape(-1, count)
+        good = self._within.allows(origin[:, :2], candidates[:, :2]).reshape(-1, count)
         found = good.any(axis=1)
         first = np.argmax(good, axis=1)
         ahead[stuck[found]] = candidates.reshape(-1, count, 3)[found, first[found]]

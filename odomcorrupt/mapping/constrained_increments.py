@@ -18,17 +18,8 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = [
-    "FIRST_TRIES",
-    "MotionReader",
-    "Motions",
-    "NoFreePoseError",
-    "moved",
-    "require_free",
-    "rounds",
-    "swing_of",
-    "without_effects",
-]
+__all__ = ["FIRST_TRIES", "MotionReader", "Motions", "NoFreePoseError", "moved", "require_free", "rounds", "swing_of",
+           "without_effects"]  # fmt: skip
 
 FIRST_TRIES = 12
 """Number of tries of the first round, usually sufficient; a stuck robot needs all rounds."""

@@ -21,7 +21,7 @@ import numpy as np
 from odomcorrupt.corruption.drift import DriftMeter
 from odomcorrupt.corruption.path import NoisyPath, PathSamples
 from odomcorrupt.errors import MapError
-from odomcorrupt.mapping.conditioned_runs import MAX_TRIES, FreeRuns
+from odomcorrupt.mapping.conditioned_runs import FreeRuns
 from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
     NoFreePoseError,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.constrained_increments import Motions
-    from odomcorrupt.mapping.free_space import Check, FreeSpace
+    from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["PARTICLES", "FreePath", "Plan", "plan_path", "whole_path"]
@@ -73,30 +73,18 @@ class Plan:
 
 
 def plan_path(
-    stamps_ns: NDArray[np.int64],
-    clean_xyt: Array,
-    model: MotionModel,
-    space: FreeSpace,
-    *,
-    seed: int,
-    run: int = 0,
-    check: Check = "endpoint",
-    tries: int = MAX_TRIES,
+    stamps_ns: NDArray[np.int64], clean_xyt: Array, model: MotionModel, within: Constraint, seed: int, run: int
 ) -> Plan:
     """Return the normals of a path that is free as a whole.
 
-    Parameters
-    ----------
-    stamps_ns, clean_xyt : (n,) and (n, 3)
-        Odometry, nanoseconds, metres and radians.
+    stamps_ns, clean_xyt : (n,) and (n, 3) odometry, nanoseconds, metres and radians
 
     Raises
     ------
     MapError
         If the drive's first pose is not free, or all paths are stuck at one place.
-
     """
-    runs = FreeRuns(model, space, seed=seed, runs=range(run, run + 1), check=check, tries=tries, particles=PARTICLES)
+    runs = FreeRuns(model, within, seed=seed, runs=range(run, run + 1), particles=PARTICLES)
     beginnings = []
     for begin in range(0, len(stamps_ns), _BLOCK):
         beginnings.append(copy.deepcopy(runs))
@@ -110,15 +98,7 @@ def plan_path(
 
 
 def whole_path(
-    stamps_ns: NDArray[np.int64],
-    clean_xyt: Array,
-    model: MotionModel,
-    space: FreeSpace,
-    *,
-    seed: int,
-    run: int = 0,
-    check: Check = "endpoint",
-    tries: int = MAX_TRIES,
+    stamps_ns: NDArray[np.int64], clean_xyt: Array, model: MotionModel, within: Constraint, seed: int, run: int = 0
 ) -> FreePath:
     """Return one run of a known drive within free space, drawn increment by increment if that reaches the end.
 
@@ -129,24 +109,21 @@ def whole_path(
     MapError
         If map and drive do not match: much of the odometry is not free, no path is free, or the only free ones
         are far outside the noise.
-
     """
-    require_free(space, clean_xyt[0])
-    astray = 1.0 - float(np.mean(space.free(clean_xyt[:, :2])))
+    require_free(within.space, clean_xyt[0])
+    astray = 1.0 - float(np.mean(within.space.free(clean_xyt[:, :2])))
     if astray > _MOST_OUTSIDE:
         raise MapError(
             f"the map and the drive do not fit: {astray:.0%} of the odometry's own poses are not free; check "
             "--map-pose, --robot-radius and --unknown, or leave out --map"
         )
     try:
-        samples = FreePath(model, space, seed=seed, run=run, check=check, tries=tries).feed(stamps_ns, clean_xyt)
-        _refuse_held_back(samples)
+        _refuse_held_back(FreePath(model, within, seed, run).feed(stamps_ns, clean_xyt))
     except NoFreePoseError:
-        plan = plan_path(stamps_ns, clean_xyt, model, space, seed=seed, run=run, check=check, tries=tries)
-        trial = FreePath(model, space, seed=seed, run=run, check=check, tries=tries, plan=plan)
-        _refuse_held_back(trial.feed(stamps_ns, clean_xyt))
-        return FreePath(model, space, seed=seed, run=run, check=check, tries=tries, plan=plan)
-    return FreePath(model, space, seed=seed, run=run, check=check, tries=tries)
+        plan = plan_path(stamps_ns, clean_xyt, model, within, seed, run)
+        _refuse_held_back(FreePath(model, within, seed, run, plan).feed(stamps_ns, clean_xyt))
+        return FreePath(model, within, seed, run, plan)
+    return FreePath(model, within, seed, run)
 
 
 def _refuse_held_back(samples: PathSamples) -> None:
@@ -176,18 +153,9 @@ class FreePath:
     """
 
     def __init__(
-        self,
-        model: MotionModel,
-        space: FreeSpace,
-        *,
-        seed: int,
-        run: int = 0,
-        check: Check = "endpoint",
-        tries: int = MAX_TRIES,
-        plan: Plan | None = None,
+        self, model: MotionModel, within: Constraint, seed: int, run: int = 0, plan: Plan | None = None
     ) -> None:
-        self._plan = plan
-        self._space, self._check, self._tries = space, check, tries
+        self._plan, self._within, self._space = plan, within, within.space
         self._swing = swing_of(without_effects(model))
         self._reader = MotionReader(model)
         self._own, self._again = stream(seed, run, "noise"), stream(seed, run, "map")
@@ -219,7 +187,6 @@ class FreePath:
         ------
         MapError
             If the first pose is not free, or no try of an increment ends in free space.
-
         """
         if not len(stamps_ns):
             return self._path.feed(stamps_ns, clean_xyt)
@@ -253,7 +220,7 @@ class FreePath:
         samples = trial.feed(stamps_ns, clean_xyt)
         noisy_xy = clean_xyt[:, :2] + samples.error_xyt[:, :2]
         from_xy = np.concatenate((self._pose[None, :2], noisy_xy[:-1]))
-        good = self._space.allows(from_xy, noisy_xy, self._check)
+        good = self._within.allows(from_xy, noisy_xy)
         good |= (motions.jump | motions.rest)[at : at + count]
         # a robot whose pose was set into a wall may leave it
         good |= ~self._space.free(from_xy)
@@ -270,23 +237,23 @@ class FreePath:
         """Draw one increment again whose first draw is not free."""
         self.redrawn += 1
         clean_xyt, step, sd = motions.clean_xyt[at + 1 : at + 2], motions.step[at], motions.sd[at]
-        for count in rounds(self._tries):
+        for count in rounds(self._within.tries):
             again = self._again.standard_normal((count, 4))
             candidates = moved(self._pose, step, again * sd, self._swing)
             from_xy = np.broadcast_to(self._pose[:2], (count, 2))
-            for number in np.flatnonzero(self._space.allows(from_xy, candidates[:, :2], self._check)):
+            for number in np.flatnonzero(self._within.allows(from_xy, candidates[:, :2])):
                 trial = copy.copy(self._path)
                 self._replay.rows = again[number : number + 1]
                 samples = trial.feed(stamp_ns, clean_xyt)
                 # at the edge of a cell rounding decides, and the path's own pose counts
                 there_xy = clean_xyt[:, :2] + samples.error_xyt[:, :2]
-                if self._space.allows(from_xy[:1], there_xy, self._check)[0]:
+                if self._within.allows(from_xy[:1], there_xy)[0]:
                     self._path = trial
                     return samples
         x, y = self._pose[:2]
         raise NoFreePoseError(
-            f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._tries} tries ends where the "
-            "map is free; check --map-pose, --robot-radius and --unknown, or leave out --map"
+            f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries ends "
+            "where the map is free; check --map-pose, --robot-radius and --unknown, or leave out --map"
         )
 
 

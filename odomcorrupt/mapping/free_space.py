@@ -9,16 +9,15 @@ import numpy as np
 
 from odomcorrupt.errors import MapError
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.mapping.mapfile import OCCUPIED, UNKNOWN
+from odomcorrupt.mapping.mapfile import OCCUPIED, UNKNOWN, Grid
 from odomcorrupt.mapping.raycast import traverse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.mapfile import Grid
 
-__all__ = ["CHECKS", "Check", "FreeSpace", "Unknown", "free_space"]
+__all__ = ["CHECKS", "Check", "Constraint", "FreeSpace", "Unknown", "free_space"]
 
 Unknown = Literal["blocked", "free"]
 Check = Literal["endpoint", "path"]
@@ -62,14 +61,23 @@ class FreeSpace:
             clear[left[number[stopped]]] = False
         return clear
 
-    def allows(self, from_xy: Array, to_xy: Array, check: Check) -> NDArray[np.bool_]:
-        """Return whether motions (n, 2) to (n, 2) are possible, by their end or by the whole path."""
-        return self.free(to_xy) if check == "endpoint" else self.reachable(from_xy, to_xy)
-
     def _in_map(self, xy: Array) -> Array:
         turn = np.full(xy.shape[:-1], self.map_from_odom[2])
         out: Array = rotate(xy, turn) + self.map_from_odom[:2]
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class Constraint:
+    """Free space that motions must stay in, whether by their ends or all the way, and the number of draws for each."""
+
+    space: FreeSpace
+    check: Check = "endpoint"
+    tries: int = 100
+
+    def allows(self, from_xy: Array, to_xy: Array) -> NDArray[np.bool_]:
+        """Return whether motions (n, 2) to (n, 2) are possible."""
+        return self.space.free(to_xy) if self.check == "endpoint" else self.space.reachable(from_xy, to_xy)
 
 
 def free_space(
@@ -77,18 +85,12 @@ def free_space(
 ) -> FreeSpace:
     """Prepare a map for a round robot.
 
-    Parameters
-    ----------
-    grid
-        Occupancy grid.
-    radius_m
-        Radius of the robot. A cell is blocked if a wall is nearer than this to its centre, to half a cell's diagonal.
-    unknown
-        Whether the robot's centre may be in an unknown cell, or beyond the map. Only walls are inflated by the
-        radius; unknown cells are not.
-    map_from_odom
-        Pose of the odom frame in the map; by default the same frame.
-
+    grid : occupancy grid
+    radius_m : radius of the robot. A cell is blocked if a wall is nearer than this to its centre, to half a cell's
+        diagonal
+    unknown : whether the robot's centre may be in an unknown cell, or beyond the map. Only walls are inflated by the
+        radius; unknown cells are not
+    map_from_odom : pose of the odom frame in the map; by default the same frame
     """
     if not (np.isfinite(radius_m) and radius_m >= 0.0):
         raise MapError(f"robot radius: {radius_m} m; it must be zero or more")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from odomcorrupt.errors import MapError, TopicError
 from odomcorrupt.mapping.constrained_increments import without_effects
 from odomcorrupt.mapping.constrained_path import FreePath, whole_path
 from odomcorrupt.mapping.frames import FrameTree
-from odomcorrupt.mapping.free_space import free_space
+from odomcorrupt.mapping.free_space import Check, Constraint, free_space
 from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN, Grid, read_map
 from odomcorrupt.mapping.messages import GRID, read_grid
 
@@ -25,19 +25,11 @@ if TYPE_CHECKING:
 
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.free_space import Check, FreeSpace
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.preview.forecast import CleanDrive
 
-__all__ = [
-    "MapCondition",
-    "RecordedMap",
-    "is_map_file",
-    "read_condition",
-    "read_map_from_odom",
-    "read_odom_frame",
-    "read_recorded_map",
-]
+__all__ = ["MapCondition", "RecordedMap", "is_map_file", "read_condition", "read_map_from_odom", "read_odom_frame",
+           "read_recorded_map"]  # fmt: skip
 
 OCCUPIED_PERCENT, FREE_PERCENT = 65, 25
 """Values of an OccupancyGrid from which a cell is occupied, and up to which it is free: map_server's thresholds."""
@@ -97,7 +89,6 @@ def read_odom_frame(path: Path, options: Options, learned_from: str | None = Non
     ------
     TopicError
         If the bag has no odometry.
-
     """
     source = OdometrySource(options.odom_topic, options.odom_frame, options.base_frame, learned_from)
     with open_reader(path, recover=recover) as reader:
@@ -111,20 +102,9 @@ def read_odom_frame(path: Path, options: Options, learned_from: str | None = Non
         raise TopicError(f"{reader.name}: {source.name} has no message with a pose{source.elsewhere}")
 
 
-class _Given(TypedDict):
-    seed: int
-    run: int
-    check: Check
-    tries: int
-
-
 @dataclass(frozen=True, slots=True)
-class MapCondition:
-    """Free space, the check of a motion against it, and the largest number of draws per motion."""
-
-    space: FreeSpace
-    check: Check = "endpoint"
-    tries: int = 100
+class MapCondition(Constraint):
+    """Constraint on the motions of a corruption by a map, recorded in its output."""
 
     def path(self, model: MotionModel, seed: int, run: int, drive: CleanDrive | None = None) -> FreePath | None:
         """Return the path of one run within the free space; None if no noise is drawn, and nothing moves.
@@ -133,10 +113,9 @@ class MapCondition:
         """
         if without_effects(model).noise.coefficients.silent:
             return None
-        given: _Given = {"seed": seed, "run": run, "check": self.check, "tries": self.tries}
         if drive is None:
-            return FreePath(model, self.space, **given)
-        return whole_path(drive.stamps_ns, drive.xyt, model, self.space, **given)
+            return FreePath(model, self, seed, run)
+        return whole_path(drive.stamps_ns, drive.xyt, model, self, seed, run)
 
     def provenance(self) -> dict[str, str]:
         """Return the map's record for an output: a hash of the blocked cells, without a file name."""
@@ -192,7 +171,6 @@ def read_condition(
     ------
     MapError
         If the map cannot be read, or the pose of odom in it is unknown.
-
     """
     frame = "map"
     if is_map_file(name):

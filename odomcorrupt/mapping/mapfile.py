@@ -83,7 +83,6 @@ def read_map(path: Path) -> Grid:
     ------
     MapError
         If the .yaml or its image cannot be read or is invalid.
-
     """
     keys = _keys(path)
     missing = [key for key in ("image", "resolution", "origin") if key not in keys]

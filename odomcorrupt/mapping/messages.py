@@ -19,17 +19,8 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = [
-    "CLOUD",
-    "GRID",
-    "SCAN",
-    "CloudMessage",
-    "GridMessage",
-    "ScanMessage",
-    "read_cloud",
-    "read_grid",
-    "read_scan",
-]
+__all__ = ["CLOUD", "GRID", "SCAN", "CloudMessage", "GridMessage", "ScanMessage", "read_cloud", "read_grid",
+           "read_scan"]  # fmt: skip
 
 SCAN = "sensor_msgs/msg/LaserScan"
 GRID = "nav_msgs/msg/OccupancyGrid"
@@ -147,7 +138,6 @@ def read_cloud(data: bytes, topic: str, encoding: str) -> CloudMessage:
     ------
     BagError
         If the message is damaged, or has no x, y and z of 4 or 8 bytes.
-
     """
     cursor = _Cursor(data, topic, encoding)
     stamp, frame = cursor.header()

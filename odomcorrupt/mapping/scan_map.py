@@ -10,14 +10,13 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.mapping.raycast import draw_map
+from odomcorrupt.mapping.raycast import Canvas, draw_map
 from odomcorrupt.mapping.wall_thickness import distance_to_surface, wall_thickness
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.mapping.mapfile import Grid
-    from odomcorrupt.mapping.raycast import Canvas
     from odomcorrupt.mapping.scans import Rays
     from odomcorrupt.trajectories.reader import Drive
 

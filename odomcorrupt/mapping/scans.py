@@ -9,8 +9,8 @@ import numpy as np
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.mapping.frames import FrameTree
-from odomcorrupt.mapping.messages import SCAN, read_scan
+from odomcorrupt.mapping.frames import FrameTree, Mount
+from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_scan
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Channel
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.frames import Mount
-    from odomcorrupt.mapping.messages import ScanMessage
 
 __all__ = ["Rays", "read_rays"]
 
@@ -51,22 +49,15 @@ class Rays:
 def read_rays(path: Path, topic: str | None, base_frame: str, mount: Mount | None) -> Rays:
     """Read all scans of a topic.
 
-    Parameters
-    ----------
-    path
-        A bag.
-    topic
-        Topic of laser scans; None takes the only one.
-    base_frame
-        The robot's frame, which TF must connect with the laser's.
-    mount
-        Pose of the laser, to be used instead of TF.
+    path : a bag
+    topic : topic of laser scans; None takes the only one
+    base_frame : the robot's frame, which TF must connect with the laser's
+    mount : pose of the laser, to be used instead of TF
 
     Raises
     ------
     TopicError
         If there are no scans, several topics of them, or TF does not contain the laser's pose.
-
     """
     scans: list[ScanMessage] = []
     tree = FrameTree()

@@ -25,6 +25,9 @@ WINDOW_M = 1.0
 
 MIN_NEIGHBOURS = 8
 
+_CELL_M = 0.02
+"""Side of the cells into which points are binned, metres."""
+
 _FLAT = 0.1
 """Ratio of the smaller to the larger variance above which points are not a wall and have no normal."""
 
@@ -35,7 +38,7 @@ def added_thickness(clean_m: Array, noisy_m: Array) -> Array:
     return out
 
 
-def wall_thickness(points_xy: Array, *, cell_m: float = 0.02) -> float:
+def wall_thickness(points_xy: Array, *, cell_m: float = _CELL_M) -> float:
     """Return the root of the mean plane variance of points (n, 2), metres; nan if no point has neighbours.
 
     Points are binned into cells of `cell_m` and keep their own coordinates in the sums; the window is that of the
@@ -47,18 +50,15 @@ def wall_thickness(points_xy: Array, *, cell_m: float = 0.02) -> float:
     return float(np.sqrt(np.maximum(smaller[known], 0.0).mean())) if known.any() else float("nan")
 
 
-def distance_to_surface(clean_xy: Array, noisy_xy: Array, *, cell_m: float = 0.02) -> Array:
+def distance_to_surface(clean_xy: Array, noisy_xy: Array) -> Array:
     """Return the distance of noisy hits from the walls of the clean map (n,), metres; nan for clean hits on no wall.
 
     The displacement of a hit is measured across the wall of its clean counterpart: shifts along a wall are not visible
     in a map, and a wall displaced by more than the window is still compared with itself.
 
-    Parameters
-    ----------
     clean_xy, noisy_xy : (n, 2) ends of the same rays, transformed by clean and by noisy odometry, metres
-
     """
-    xx, xy, yy = _covariances(clean_xy, cell_m)
+    xx, xy, yy = _covariances(clean_xy, _CELL_M)
     smaller = np.maximum(_smaller(xx, xy, yy), 0.0)
     along = 0.5 * np.arctan2(2.0 * xy, xx - yy)
     shift = noisy_xy - clean_xy

@@ -10,16 +10,12 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.motion_model import Noise, Step
-from odomcorrupt.model.noise_laws import Coefficients
-
-if TYPE_CHECKING:
-    from odomcorrupt.model.noise_laws import Law
+from odomcorrupt.model.noise_laws import Coefficients, Law
 
 __all__ = ["Drift", "convert", "drift_of"]
 
@@ -48,7 +44,6 @@ def drift_of(noise: Noise) -> Drift:
     ------
     ModelError
         If a per-step law is applied once per message, because its drift then depends on the message rate.
-
     """
     law = noise.law
     if law.per_step and noise.step is None:
@@ -65,7 +60,6 @@ def convert(noise: Noise, law: Law, step: Step | None) -> Noise:
     ------
     ModelError
         If a step is missing, or the other law cannot give this drift.
-
     """
     if law.per_step and step is None:
         raise ModelError(f"law {law.name}: its coefficients depend on the step; name it, as in --to-step 0.25m,0.2rad")

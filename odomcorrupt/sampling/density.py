@@ -21,16 +21,15 @@ from odomcorrupt.errors import MapError, ModelError
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.geometry.se2 import rotate, wrap
 from odomcorrupt.model.noise_laws import variances as variances_of
-from odomcorrupt.sampling.samples import with_noise
+from odomcorrupt.sampling.samples import Move, with_noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.free_space import Check, FreeSpace
+    from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.samples import Move
 
 __all__ = ["DensityGrid", "density_on_grid", "hypothetical", "pose_density", "product", "within_map"]
 
@@ -68,7 +67,6 @@ def hypothetical(xyt: Array, move: Move, noise: Noise) -> Array:
     ------
     ModelError
         If the noise has a step (`--step`), which is undefined for a motion to a pose.
-
     """
     if noise.step is not None:
         raise ModelError("hypothetical: this noise has a step of its own (--step); the book's table has none")
@@ -147,7 +145,7 @@ def density_on_grid(
     return DensityGrid(x, y, density.reshape(gx.shape))
 
 
-def within_map(grid: DensityGrid, space: FreeSpace, start_xy: Array, check: Check) -> tuple[DensityGrid, float]:
+def within_map(grid: DensityGrid, within: Constraint, start_xy: Array) -> tuple[DensityGrid, float]:
     """Return p(x_t | u_t, x_t-1, m) on a grid, and the fraction of the density without the map that is in free space.
 
     The book's product of the motion's density and whether the pose is free (section 5.5), divided by its integral.
@@ -156,11 +154,10 @@ def within_map(grid: DensityGrid, space: FreeSpace, start_xy: Array, check: Chec
     ------
     MapError
         If no part of it is free.
-
     """
     gx, gy = np.meshgrid(grid.x_m, grid.y_m)
     ends = np.column_stack((gx.ravel(), gy.ravel()))
-    free = space.allows(np.broadcast_to(start_xy, ends.shape), ends, check).reshape(gx.shape)
+    free = within.allows(np.broadcast_to(start_xy, ends.shape), ends).reshape(gx.shape)
     part = float(grid.density[free].sum() / grid.density.sum())
     if not part > 0.0:
         raise MapError("the motion ends in a wall, and its noise does not lead out of it; check --map-pose")

@@ -22,16 +22,8 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.trajectories.reader import Drive
 
-__all__ = [
-    "ParticleSet",
-    "brief",
-    "csv_text",
-    "json_text",
-    "particles_at",
-    "places_along",
-    "report_text",
-    "sample_particles",
-]
+__all__ = ["ParticleSet", "brief", "csv_text", "json_text", "particles_at", "places_along", "report_text",
+           "sample_particles"]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,29 +76,21 @@ def particles_at(drive: Drive, places: NDArray[np.intp], xyt: Array, seed: int) 
 def report_text(particles: ParticleSet) -> str:
     """Return the particle set as text: one line per place."""
     lines = [f"{len(particles.xyt)} runs, seed {particles.seed}"]
-    for i, distance in enumerate(particles.distance_m):
-        moments = sample_moments(particles.xyt[:, i])
-        about = ellipse(moments, 1.0)
-        lines.append(
-            f"after {distance:6.2f} m: 1 sigma {about.major_m:.3g} m by {about.minor_m:.3g} m, "
-            f"heading {np.degrees(np.sqrt(moments.covariance[2, 2])):.3g} deg"
-        )
+    lines += [f"after {d:6.2f} m: 1 sigma {_spread(particles, i)}" for i, d in enumerate(particles.distance_m)]
     return "\n".join(lines)
 
 
 def brief(particles: ParticleSet, model: str, drive: str, following: Sequence[object]) -> Summary:
     """Return a summary of the runs' spread at the end and on the way.
 
-    Parameters
-    ----------
     particles : the particle set
     model, drive : descriptions of noise model and odometry
     following : the command to type next
     """
     runs, places = len(particles.xyt), len(particles.distance_m)
-    lines = [Line("SPREAD", _spread(particles, places - 1), "good")]
     between = sorted({(places - 1) // 3, 2 * (places - 1) // 3} - {places - 1})
-    lines += [Line("", _spread(particles, i)) for i in between]
+    said = [f"{_spread(particles, i)} (1 sigma) after {particles.distance_m[i]:.4g} m" for i in (places - 1, *between)]
+    lines = [Line("SPREAD", said[0], "good"), *(Line("", one) for one in said[1:])]
     lines += [Line("model", model), Line("runs", f"{runs} of seed {particles.seed}, over {drive}")]
     return Summary((*lines, command_line(following)))
 
@@ -116,8 +100,7 @@ def _spread(particles: ParticleSet, place: int) -> str:
     moments = sample_moments(particles.xyt[:, place])
     about = ellipse(moments, 1.0)
     heading_deg = np.degrees(np.sqrt(moments.covariance[2, 2]))
-    axes = f"{about.major_m:.3g} m by {about.minor_m:.3g} m, heading {heading_deg:.3g} deg"
-    return f"{axes} (1 sigma) after {particles.distance_m[place]:.4g} m"
+    return f"{about.major_m:.3g} m by {about.minor_m:.3g} m, heading {heading_deg:.3g} deg"
 
 
 def csv_text(particles: ParticleSet) -> str:

@@ -10,17 +10,15 @@ import numpy as np
 
 from odomcorrupt.corruption.path import StepGrowth, noise_variances
 from odomcorrupt.errors import ModelError
-from odomcorrupt.geometry.increments import BEARING_MIN_M, increments, rot_trans_rot
+from odomcorrupt.geometry.increments import BEARING_MIN_M, Increments, RotTransRot, increments, rot_trans_rot
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.model.motion_model import Noise
-from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.model.noise_laws import Coefficients, Variances
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.geometry.increments import Increments, RotTransRot
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.model.noise_laws import Variances
 
 __all__ = ["DEFAULT_EXAMPLE", "EXAMPLES", "Moments", "Move", "ellipse", "example_named", "linearised_moments",
            "move_between", "move_sampled", "move_variances", "sample_moments", "with_noise"]  # fmt: skip

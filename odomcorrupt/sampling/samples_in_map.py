@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import MapError, ModelError
-from odomcorrupt.mapping.conditioned_runs import MAX_TRIES
 from odomcorrupt.sampling.samples import move_sampled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.free_space import Check, FreeSpace
+    from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.samples import Move
 
@@ -49,14 +48,7 @@ class FreeSamples:
 
 
 def move_sampled_in_map(
-    move: Move,
-    variances: Variances,
-    count: int,
-    rng: np.random.Generator,
-    space: FreeSpace,
-    *,
-    check: Check = "endpoint",
-    tries: int = MAX_TRIES,
+    move: Move, variances: Variances, count: int, rng: np.random.Generator, within: Constraint
 ) -> FreeSamples:
     """Draw end poses of a motion in the free space of a map; see `samples.move_sampled`.
 
@@ -64,12 +56,11 @@ def move_sampled_in_map(
     ------
     MapError
         If the motion begins in a wall, or no candidate is free.
-
     """
-    if tries < 1:
-        raise ModelError(f"tries: {tries}; there must be one or more")
+    if within.tries < 1:
+        raise ModelError(f"tries: {within.tries}; there must be one or more")
     start = move.start_xyt[None, :2]
-    if not space.free(start)[0]:
+    if not within.space.free(start)[0]:
         x, y = start[0]
         raise MapError(
             f"the motion begins at ({x:.3f} m, {y:.3f} m), which the map does not leave free for this robot; check "
@@ -78,10 +69,10 @@ def move_sampled_in_map(
     out = np.empty((count, 3))
     pending: NDArray[np.intp] = np.arange(count)
     candidates = free_at_first = 0
-    for attempt in range(tries):
+    for attempt in range(within.tries):
         drawn = move_sampled(move, variances, len(pending), rng)
         candidates += len(drawn)
-        good = space.allows(np.broadcast_to(start, (len(drawn), 2)), drawn[:, :2], check)
+        good = within.allows(np.broadcast_to(start, (len(drawn), 2)), drawn[:, :2])
         out[pending[good]] = drawn[good]
         pending = pending[~good]
         free_at_first += int(np.count_nonzero(good)) if attempt == 0 else 0
@@ -91,5 +82,4 @@ def move_sampled_in_map(
         raise MapError(
             f"none of {candidates} candidates is free: the motion ends in a wall, and its noise does not lead out of it"
         )
-    found = np.delete(out, pending, axis=0)
-    return FreeSamples(found, candidates, len(pending), free_at_first, tries)
+    return FreeSamples(np.delete(out, pending, axis=0), candidates, len(pending), free_at_first, within.tries)

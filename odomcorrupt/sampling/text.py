@@ -7,14 +7,13 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.sampling.samples import ellipse, linearised_moments, sample_moments
+from odomcorrupt.sampling.samples import Moments, Move, ellipse, linearised_moments, sample_moments
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.samples import Moments, Move
 
 __all__ = ["Drawn", "brief", "csv_text", "drawn_json", "law_meaning", "law_words", "report_text", "title"]
 
@@ -49,8 +48,6 @@ class Drawn:
 def brief(drawn: Drawn, following: str = "") -> Summary:
     """Return mean and spread of the samples, and those of the linearised model.
 
-    Parameters
-    ----------
     drawn : motion, noise and samples
     following : the command to type next, "" for none
     """

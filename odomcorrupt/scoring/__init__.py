@@ -13,17 +13,8 @@ if TYPE_CHECKING:
     from odomcorrupt.scoring.gate import Verdict, check, compare_paired
     from odomcorrupt.scoring.run import RunScore, ScoreReport, score
 
-__all__ = [
-    "Limits",
-    "PathErrors",
-    "RunScore",
-    "ScoreReport",
-    "Verdict",
-    "check",
-    "compare_paired",
-    "path_errors",
-    "score",
-]
+__all__ = ["Limits", "PathErrors", "RunScore", "ScoreReport", "Verdict", "check", "compare_paired", "path_errors",
+           "score"]  # fmt: skip
 
 _HOMES = {
     "Limits": "errors", "PathErrors": "errors", "path_errors": "errors", "Verdict": "gate", "check": "gate",

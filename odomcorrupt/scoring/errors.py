@@ -9,7 +9,7 @@ with equal stamps the numbers agree.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -23,20 +23,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
 
-__all__ = [
-    "ALIGNMENTS",
-    "RPE_M",
-    "WINDOW_S",
-    "Alignment",
-    "Failure",
-    "Limits",
-    "PathErrors",
-    "ScoreError",
-    "path_errors",
-]
+__all__ = ["RPE_M", "WINDOW_S", "Alignment", "Failure", "Limits", "PathErrors", "ScoreError",
+           "path_errors"]  # fmt: skip
 
 Alignment = Literal["rigid", "origin", "none"]
-ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
 
 RPE_M = 1.0
 """Path length of the motions compared by RPE, metres."""
@@ -173,7 +163,6 @@ def path_errors(
     ------
     ScoreError
         If they do not overlap in time.
-
     """
     origin = int(truth.stamps_ns[0])
     t_s = estimate.seconds_since(origin)
@@ -185,7 +174,11 @@ def path_errors(
             "give both the same clock (use_sim_time with ros2 bag play --clock)"
         )
     t_s, own = t_s[shared], estimate.xyt[shared]
-    true = truth.at(t_s, origin) if np.isfinite(truth.xyt[:, 2]).all() else _positions_at(truth, truth_s, t_s)
+    if np.isfinite(truth.xyt[:, 2]).all():
+        true = truth.at(t_s, origin)
+    else:
+        x, y = (np.interp(t_s, truth_s, truth.xyt[:, i]) for i in (0, 1))
+        true = np.column_stack((x, y, np.full(len(t_s), np.nan)))
     aligned = _aligned(true, own, align)
     steps = np.linalg.norm(np.diff(truth.xyt[:, :2], axis=0), axis=1)
     gone = np.concatenate(([0.0], np.cumsum(steps)))
@@ -206,11 +199,6 @@ def _aligned(true: Array, own: Array, align: Alignment) -> Array:
     if not (np.isfinite(true[0]).all() and np.isfinite(own[0]).all()):
         raise ScoreError("--align origin: puts first poses onto each other, and there are no headings; use rigid")
     return aligned_at_origin(true, own)
-
-
-def _positions_at(truth: Trajectory, truth_s: Array, t_s: Array) -> Array:
-    x, y = (np.interp(t_s, truth_s, truth.xyt[:, i]) for i in (0, 1))
-    return np.column_stack((x, y, np.full(len(t_s), np.nan)))
 
 
 def _windows(true: Array, own: Array, t_s: Array) -> Array:

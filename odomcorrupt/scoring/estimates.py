@@ -58,8 +58,6 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
     That is a file or bag in `directory` with the run's name, with or without a suffix (`run_000012.tum`,
     `run_000012_amcl.mcap`, a ROS 2 bag `run_000012/`), else the run's bag itself.
 
-    Parameters
-    ----------
     directory : directory of the localisation's outputs
     run_file : corrupted run
     needs_topic : whether a topic was given, so that the run's bag itself may contain the estimate
@@ -70,7 +68,6 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
         If there is none.
     ScoreError
         If several files are possible.
-
     """
     name = run_file.name.split(".")[0]
     own = run_file.resolve()
@@ -85,16 +82,12 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
         raise ScoreError(f"{directory}: {len(found)} files could be the estimate of {name} ({names}); keep one of them")
     if found:
         return found[0]
-    if needs_topic and own.exists() and not _is_trajectory(own):
+    if needs_topic and own.exists() and own.suffix not in _TEXTS:
         return run_file
     raise NoEstimateError(
         f"no file {name}* with an estimate in {directory}; name another place with --outputs, or a "
         "topic of the run with --estimate"
     )
-
-
-def _is_trajectory(path: Path) -> bool:
-    return path.suffix in _TEXTS
 
 
 def read_estimate(path: Path, address: str | None) -> Estimate:
@@ -104,7 +97,6 @@ def read_estimate(path: Path, address: str | None) -> Estimate:
     ------
     OdomCorruptError
         If the file cannot be read, or has no such topic; NoEstimateError if the topic has no message.
-
     """
     place = str(path)
     covariance = None
@@ -113,8 +105,7 @@ def read_estimate(path: Path, address: str | None) -> Estimate:
     else:
         if address is None:
             raise ScoreError(f"{place}: is a bag; name the topic or the edge of TF in it with --estimate")
-        wanted = parse_address(address)
-        samples = read_bag(_bag_in(path), place, {"odometry": wanted})["odometry"]
+        samples = read_bag(_bag_in(path), place, {"odometry": parse_address(address)})["odometry"]
     if not len(samples):
         raise NoEstimateError(f"{samples.place} holds no message")
     ordered = in_order(samples)
@@ -130,9 +121,7 @@ def _bag_in(path: Path) -> Path:
     if not path.is_dir() or (path / "metadata.yaml").exists():
         return path
     inside = [one for one in sorted(path.iterdir()) if one.suffix in _BAGS or one.is_dir()]
-    if len(inside) == 1:
-        return _bag_in(inside[0])
-    return path
+    return _bag_in(inside[0]) if len(inside) == 1 else path
 
 
 def _covariances(path: Path, topic: str, ordered: Samples) -> Array | None:
@@ -163,7 +152,7 @@ def read_first(paths: list[Path], address: str) -> Estimate:
     """Read a topic from the first of several bags that has it; TopicError of the last one if none has."""
     last: OdomCorruptError = TopicError(f"{address}: no bag to read it from; name one with --truth-bag")
     for path in paths:
-        if path.exists() and not _is_trajectory(path):
+        if path.exists() and path.suffix not in _TEXTS:
             try:
                 return read_estimate(path, address)
             except OdomCorruptError as error:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from math import comb, exp, log
+from math import comb, erfc, exp, log, sqrt
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -109,7 +109,6 @@ def parse_rule(text: str) -> Rule:
     ------
     ScoreError
         If it is not a rule.
-
     """
     match = _RULE.match(text)
     way_out = 'write it as "ate_p90 +20%", "lost +5%" or "ate_median > 0.3"'
@@ -150,7 +149,6 @@ def compare_paired(old: Array, new: Array, *, rise: float = 0.2, statistic: str 
     ------
     ScoreError
         If there are fewer than `LEAST_PAIRS` pairs, or a number is not above zero.
-
     """
     if len(old) != len(new) or len(old) < LEAST_PAIRS:
         raise ScoreError(
@@ -200,7 +198,7 @@ def _signed_rank(d: Array) -> float:
     observed = int(doubled[d > 0.0].sum())
     if n > _EXACT:
         deviation = np.sqrt(np.sum(doubled.astype(float) ** 2)) / 2.0
-        return _normal_tail((observed - doubled.sum() / 2.0 - 1.0) / deviation)
+        return erfc((observed - doubled.sum() / 2.0 - 1.0) / deviation / sqrt(2.0)) / 2.0
     # number of sign patterns with each sum of positive ranks, as probabilities
     part = np.zeros(int(doubled.sum()) + 1)
     part[0] = 1.0
@@ -209,12 +207,6 @@ def _signed_rank(d: Array) -> float:
         shifted[rank:] = part[: len(part) - rank]
         part = (part + shifted) / 2.0
     return float(min(1.0, part[observed:].sum()))
-
-
-def _normal_tail(z: float) -> float:
-    from math import erfc, sqrt  # noqa: PLC0415 - for many runs only
-
-    return erfc(z / sqrt(2.0)) / 2.0
 
 
 def _swap_test(both: Array, statistic: Callable[[Array], Array], observed: float) -> float:
@@ -244,7 +236,6 @@ def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str
     ------
     ScoreError
         If a rule is invalid, a rise has no baseline, or the two have too few runs with equal seeds.
-
     """
     return [_verdict(parse_rule(text), report, baseline) for text in rules]
 

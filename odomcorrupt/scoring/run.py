@@ -11,7 +11,7 @@ import numpy as np
 from odomcorrupt.batching.manifest import BEGINNING, read_beginning, read_records
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.scoring.errors import Failure, Limits, PathErrors, ScoreError, path_errors
+from odomcorrupt.scoring.errors import Alignment, Failure, Limits, PathErrors, ScoreError, path_errors
 from odomcorrupt.scoring.estimates import NoEstimateError, find_estimate, read_estimate, read_first
 from odomcorrupt.scoring.statistics import Breakdown, Growth, Section, Summary, breakdown, growth, sections, summarise
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.scoring.errors import Alignment
 
 __all__ = ["METRICS", "RunScore", "ScoreReport", "Status", "score"]
 
@@ -201,7 +200,6 @@ def score(
     >>> from odomcorrupt.scoring import score
     >>> report = score("runs", "/amcl_pose", truth="/ground_truth")  # doctest: +SKIP
     >>> report.summary("ate_m").p90.value  # doctest: +SKIP
-
     """
     limits = limits or Limits()
     roots = [Path(runs)] if isinstance(runs, str | Path) else [Path(one) for one in runs]
@@ -267,6 +265,7 @@ class _Truth:
         """Return the truth of a run."""
         if self._shared is not None:
             return self._shared
+        shared = True
         if self._file is not None:
             got = read_estimate(self._file, self._topic)
         elif self._topic is None:
@@ -274,14 +273,11 @@ class _Truth:
         else:
             original = Path(read_beginning(self._directory)["input"]["path"])
             got = read_first([original, run_file, estimate_file], self._topic)
+            shared = got.source.startswith(str(original))
         self.name, self.frame = got.source, got.frame
-        if self._file is not None or self._topic is None or got.source.startswith(str(_original(self._directory))):
+        if shared:
             self._shared = got.trajectory
         return got.trajectory
-
-
-def _original(directory: Path) -> Path:
-    return Path(read_beginning(directory)["input"]["path"])
 
 
 def _scored(

@@ -192,13 +192,10 @@ def sections(
 ) -> list[Section]:
     """Return errors along the path, in 20 sections of equal length.
 
-    Parameters
-    ----------
     paths : for each run, metres driven (k,) and position error (k,)
     clean_m : (n,) metres driven along the truth
     clean_xy : (n, 2) positions along the truth
     lost_at_m : metres driven at which runs were lost
-
     """
     edges = np.linspace(0.0, float(clean_m[-1]), 21)
     found = []

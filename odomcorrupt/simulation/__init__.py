@@ -17,18 +17,5 @@ from odomcorrupt.simulation.routes import ROUTES, Commands, Segment, read_comman
 from odomcorrupt.simulation.run import simulate, simulate_without
 from odomcorrupt.simulation.tracker import TRACKERS, Tracker
 
-__all__ = [
-    "CAUSES",
-    "OUTSIDE",
-    "ROUTES",
-    "TRACKERS",
-    "Commands",
-    "Rig",
-    "Segment",
-    "SimulatedRun",
-    "Tracker",
-    "read_commands",
-    "simulate",
-    "simulate_without",
-    "write_mcap",
-]
+__all__ = ["CAUSES", "OUTSIDE", "ROUTES", "TRACKERS", "Commands", "Rig", "Segment", "SimulatedRun", "Tracker",
+           "read_commands", "simulate", "simulate_without", "write_mcap"]  # fmt: skip

@@ -59,12 +59,8 @@ def _planar(xyt: np.ndarray) -> np.ndarray:
 def _fill(message: Any, typename: str, stamps_ns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """Return serialised messages, one per row: copies of a template with placeholders replaced by stamps and numbers.
 
-    Parameters
-    ----------
-    stamps_ns : ndarray of int64, shape (n,)
-        Stamps of the headers.
-    numbers : ndarray, shape (n, k)
-        Values for the first k placeholders.
+    stamps_ns : (n,) stamps of the headers
+    numbers : (n, k) values for the first k placeholders
     """
     one = bytes(STORE.serialize_cdr(message, typename))
     rows = np.tile(np.frombuffer(one, dtype=np.uint8), (len(stamps_ns), 1))

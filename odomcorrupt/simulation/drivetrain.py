@@ -11,29 +11,14 @@ COGS_PER_TURN = 7
 
 
 def wheel_angles(
-    command: np.ndarray,
-    step_s: float,
-    robot: Robot,
-    ripple: float,
-    rng: np.random.Generator,
+    command: np.ndarray, step_s: float, robot: Robot, ripple: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Return the motor angles over time, at the wheels' axles.
+    """Return the motor angles (n, 2) over time, right and left, at the wheels' axles, rad.
 
     The motor controller, like the odometry driver, uses nominal dimensions: the angles do not depend on the faults.
 
-    Parameters
-    ----------
-    command : ndarray, shape (n, 2)
-        Forward speed in m/s, turn rate in rad/s.
-    step_s : float
-        Grid step, s.
-    ripple : float
-        Relative speed ripple by cogging; the controller's hunting is proportional to it. 0 is a perfect motor.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Right and left motor angle, rad.
+    command : (n, 2) forward speed in m/s, turn rate in rad/s
+    ripple : relative speed ripple by cogging; the controller's hunting is proportional to it. 0 is a perfect motor
     """
     apart_mps = 0.5 * robot.nominal_track_m * command[:, 1]
     wanted_mps = np.column_stack((command[:, 0] + apart_mps, command[:, 0] - apart_mps))
@@ -50,19 +35,11 @@ def wheel_angles(
 
 
 def turn_wheels(motor_rad: np.ndarray, robot: Robot) -> np.ndarray:
-    """Return the wheel angles for given motor angles, with gear backlash.
+    """Return the wheel angles (n, 2) for given motor angles, with gear backlash, rad.
 
     After a reversal a motor crosses the gap before it moves its wheel. Initially the forward flanks touch.
 
-    Parameters
-    ----------
-    motor_rad : ndarray, shape (n, 2)
-        Right and left motor angle at the wheel's axle, rad.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Right and left wheel angle, rad.
+    motor_rad : (n, 2) right and left motor angle at the wheel's axle, rad
     """
     if robot.gear_play_m == 0.0:
         return motor_rad

@@ -35,22 +35,10 @@ class Odometry:
 
 
 def jittered_times(duration_s: float, rate_hz: float, jitter_s: float, rng: np.random.Generator) -> np.ndarray:
-    """Return increasing sampling times in [0, duration], with a random phase; s.
+    """Return increasing sampling times (n,) in [0, duration], with a random phase; s.
 
-    Parameters
-    ----------
-    duration_s, rate_hz : float
-        Length of the recording, s, and sampling rate, Hz.
-    jitter_s : float
-        Standard deviation of the sampling times, s.
-    rng : Generator
-        Source of phase and jitter.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Times, s.
-
+    duration_s, rate_hz : length of the recording, s, and sampling rate, Hz
+    jitter_s : standard deviation of the sampling times, s
     """
     period_s = 1.0 / rate_hz
     times_s = np.arange(rng.uniform(0.1, 0.9) * period_s, duration_s - period_s, period_s)
@@ -58,22 +46,10 @@ def jittered_times(duration_s: float, rate_hz: float, jitter_s: float, rng: np.r
 
 
 def count(angle_rad: np.ndarray, tick_rad: float | None, rng: np.random.Generator) -> np.ndarray:
-    """Return wheel angles as measured by an encoder (the last edge passed), rad.
+    """Return wheel angles (n, 2) as measured by an encoder (the last edge passed), rad.
 
-    Parameters
-    ----------
-    angle_rad : ndarray, shape (n, 2)
-        Angles of the right and left wheel, rad.
-    tick_rad : float or None
-        Angle between two edges, rad; None for infinite resolution.
-    rng : Generator
-        Source of the phases.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Angles of the last edges, rad.
-
+    angle_rad : (n, 2) angles of the right and left wheel, rad
+    tick_rad : angle between two edges, rad; None for infinite resolution
     """
     phase = rng.uniform(size=2)
     if tick_rad is None:
@@ -84,18 +60,17 @@ def count(angle_rad: np.ndarray, tick_rad: float | None, rng: np.random.Generato
 def reckon(drive: Drive, robot: Robot, rig: Rig, yaw_from: str, streams: Streams) -> Odometry:
     """Return the odometry of a drive.
 
-    Parameters
-    ----------
-    drive : Drive
-        True motion; only the motor angles, and the body's heading through the heading sensor, are measured.
-    yaw_from : {"encoders", "gyro"}
-        Source of the turn of each interval.
+    drive : true motion; only the motor angles, and the body's heading through the heading sensor, are measured
+    yaw_from : "encoders" or "gyro", the source of the turn of each interval
     """
     clock = streams.open("odom_clock")
     times_s = jittered_times(drive.grid_s[-1], rig.odom_hz, rig.sampling_jitter_s, clock)
     stamp_noise_s = np.clip(rig.stamp_jitter_s * clock.normal(size=times_s.size), -0.001, 0.001)
     shown_rad = sample(drive.grid_s, drive.angle_rad, times_s)
-    rim_m = np.diff(count(shown_rad, _tick_rad(robot, rig), streams.open("encoders")), axis=0) * robot.nominal_radius_m
+    tick_rad = None if rig.ticks_per_turn is None else 2 * np.pi / rig.ticks_per_turn
+    if robot.tick_travel_m > 0.0:
+        tick_rad = robot.tick_travel_m / robot.nominal_radius_m
+    rim_m = np.diff(count(shown_rad, tick_rad, streams.open("encoders")), axis=0) * robot.nominal_radius_m
     forward_m = 0.5 * rim_m.sum(axis=1)
     interval_s = np.diff(times_s)
     if yaw_from == "gyro":
@@ -109,12 +84,6 @@ def reckon(drive: Drive, robot: Robot, rig: Rig, yaw_from: str, streams: Streams
     rate = np.column_stack((forward_m, np.zeros_like(forward_m), turn_rad)) / interval_s[:, None]
     stamps_s = times_s * (1.0 + robot.odom_clock_rate) + robot.odom_clock_offset_s + stamp_noise_s
     return Odometry(stamps_s, xyt, np.vstack((np.zeros(3), rate)))
-
-
-def _tick_rad(robot: Robot, rig: Rig) -> float | None:
-    if robot.tick_travel_m > 0.0:
-        return robot.tick_travel_m / robot.nominal_radius_m
-    return None if rig.ticks_per_turn is None else 2 * np.pi / rig.ticks_per_turn
 
 
 def _felt(drive: Drive, times_s: np.ndarray, robot: Robot, rig: Rig, streams: Streams) -> np.ndarray:

@@ -23,12 +23,8 @@ def draw_parameters(cause: str, size: float, rng: np.random.Generator) -> Drawn:
 
     The place of a fault on the floor is not among them.
 
-    Parameters
-    ----------
-    cause : str
-        A key of `EVERY`.
-    size : float
-        Factor on the magnitude; 1 is realistic.
+    cause : a key of `EVERY`
+    size : factor on the magnitude; 1 is realistic
     """
     fault = EVERY[cause]
     magnitude = size * float(np.exp(rng.uniform(np.log(fault.low), np.log(fault.high))))
@@ -40,10 +36,7 @@ def draw_fault(
 ) -> Drawn:
     """Return all parameters of a fault, with those not given drawn at random.
 
-    Parameters
-    ----------
-    path : ndarray of complex, or None
-        Planned path in the truth frame, x + iy in m, for faults that have a place.
+    path : (n,) planned path in the truth frame, x + iy in m, for faults that have a place; None if unknown
 
     Raises
     ------
@@ -122,11 +115,8 @@ class Hidden:
 def draw_causes(seed: int, yaw_from: str | None = None) -> Hidden:
     """Return randomly drawn faults: none, one of the library, two of them, or one outside the library.
 
-    Parameters
-    ----------
-    yaw_from : {"encoders", "gyro"}, optional
-        Draw only faults that matter with this source of turns; by default the source is drawn first, so that it
-        does not reveal the fault.
+    yaw_from : "encoders" or "gyro": draw only faults that matter with this source of turns; by default the source
+        is drawn first, so that it does not reveal the fault
     """
     rng = stream(seed, "hidden")
     kind = rng.choice(list(_LOT), p=list(_LOT.values()))

@@ -19,31 +19,19 @@ Drawn: TypeAlias = dict[str, float | str]
 class Cause:
     """A fault: range of its magnitude, parameters for a magnitude, and change of the machine.
 
-    Attributes
-    ----------
-    low, high : float
-        Range of the magnitude at medium size.
-    draw : callable
-        Magnitude and generator in, parameters out.
-    apply : callable
-        Robot and parameters in, faulty robot out.
-    yaw_from : {"encoders", "gyro"}
-        Default source of turns of the odometry.
-    shows_with : tuple of str
-        Sources of turns with which the fault causes an odometry error.
-    place : callable or None
-        Random place on the floor along a path (complex, m) in the truth frame.
-    depends_on : str
-        Regressor that the odometry error depends on, for faults outside the library.
-    one_signed : bool
-        Whether its magnitude (the first parameter) cannot be negative.
+    low, high : range of the magnitude at medium size
+    draw : magnitude and generator in, parameters out
+    apply : robot and parameters in, faulty robot out
+    shows_with : sources of turns with which the fault causes an odometry error
+    place : random place on the floor along a path (complex, m) in the truth frame
+    depends_on : regressor that the odometry error depends on, for faults outside the library
+    one_signed : whether its magnitude (the first parameter) cannot be negative
     """
 
     low: float
     high: float
     draw: Callable[[float, np.random.Generator], Drawn]
     apply: Callable[[Robot, Mapping[str, Any]], Robot]
-    yaw_from: str = "encoders"
     shows_with: tuple[str, ...] = ("encoders", "gyro")
     place: Callable[[np.ndarray, np.random.Generator], Drawn] | None = None
     depends_on: str = ""
@@ -68,10 +56,7 @@ def with_angle(name: str, angle: str) -> Callable[[float, np.random.Generator], 
 def spot_on(path: np.ndarray, rng: np.random.Generator) -> tuple[complex, float]:
     """Return random centre and radius, m, of a part of the floor that a drive crosses often but does not stay in.
 
-    Parameters
-    ----------
-    path : ndarray of complex, shape (n,)
-        Positions x + iy at even times in the truth frame, m.
+    path : (n,) complex, positions x + iy at even times in the truth frame, m
     """
     moved = np.abs(np.diff(path, append=path[-1:]))
     way_m = max(float(moved.sum()), 1e-9)
@@ -99,21 +84,19 @@ def _any_direction(magnitude: float, rng: np.random.Generator) -> Drawn:
 
 
 def _grow_both(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return replace(
-        robot,
-        radius_right_m=robot.radius_right_m * (1 + p["e"]),
-        radius_left_m=robot.radius_left_m * (1 + p["e"]),
-    )
+    larger = 1 + p["e"]
+    return replace(robot, radius_right_m=robot.radius_right_m * larger, radius_left_m=robot.radius_left_m * larger)
 
 
 def _grow_right_shrink_left(robot: Robot, p: Mapping[str, Any]) -> Robot:
     """Change the radii so that equal wheel speeds give the stated curvature, with nominal mean radius."""
     half = 0.5 * p["curvature"] * robot.nominal_track_m
-    return replace(
-        robot,
-        radius_right_m=robot.radius_right_m * (1 + half),
-        radius_left_m=robot.radius_left_m * (1 - half),
-    )
+    right_m, left_m = robot.radius_right_m * (1 + half), robot.radius_left_m * (1 - half)
+    return replace(robot, radius_right_m=right_m, radius_left_m=left_m)
+
+
+def _widen(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(robot, track_m=robot.track_m * (1 + p["e"]))
 
 
 def _mark(robot: Robot, p: Mapping[str, Any]) -> Robot:
@@ -121,9 +104,16 @@ def _mark(robot: Robot, p: Mapping[str, Any]) -> Robot:
     return replace(robot, marker_xyt=(x + p.get("x", 0.0), y + p.get("y", 0.0), yaw + p.get("yaw", 0.0)))
 
 
+def _on_floor(robot: Robot, **changes: Any) -> Robot:
+    return replace(robot, floor=replace(robot.floor, **changes))
+
+
+def _slippery(robot: Robot, place: Disc | Strip, slip: float, *, by_wheel: bool) -> Robot:
+    return _on_floor(robot, slippery=(*robot.floor.slippery, Slippery(place, slip, by_wheel)))
+
+
 def _wet(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    patch = Slippery(Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=False)
-    return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
+    return _slippery(robot, Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=False)
 
 
 def on_path(path: np.ndarray, rng: np.random.Generator) -> Drawn:
@@ -134,16 +124,11 @@ def on_path(path: np.ndarray, rng: np.random.Generator) -> Drawn:
 
 def _tilt(robot: Robot, p: Mapping[str, Any]) -> Robot:
     pull = p["creep"] * complex(np.cos(p["direction"]), np.sin(p["direction"]))
-    return replace(robot, floor=replace(robot.floor, downhill=(*robot.floor.downhill, pull)))
+    return _on_floor(robot, downhill=(*robot.floor.downhill, pull))
 
 
 def _burst(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    bursts = Bursts(p["rate"], p["slip"], p["duration"])
-    return replace(robot, floor=replace(robot.floor, bursts=(*robot.floor.bursts, bursts)))
-
-
-def _roughen(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return replace(robot, floor=replace(robot.floor, jolts_inverse_dof=p["inverse_dof"]))
+    return _on_floor(robot, bursts=(*robot.floor.bursts, Bursts(p["rate"], p["slip"], p["duration"])))
 
 
 def _between(low: float, high: float, rng: np.random.Generator) -> float:
@@ -156,7 +141,7 @@ def _wobble(robot: Robot, p: Mapping[str, Any]) -> Robot:
         return robot
     if p["channel"] == "yaw":
         return replace(robot, play_of_track=(*robot.play_of_track, wobble))
-    return replace(robot, floor=replace(robot.floor, uneven=(*robot.floor.uneven, wobble)))
+    return _on_floor(robot, uneven=(*robot.floor.uneven, wobble))
 
 
 def _adds(parameter: str, name: str) -> Callable[[Robot, Mapping[str, Any]], Robot]:
@@ -168,32 +153,29 @@ def _adds(parameter: str, name: str) -> Callable[[Robot, Mapping[str, Any]], Rob
     return apply
 
 
+def _sets(**parameters: str) -> Callable[[Robot, Mapping[str, Any]], Robot]:
+    """Return a function that sets fields of the machine to parameters of a fault: field=parameter."""
+    return lambda robot, p: replace(robot, **{name: p[parameter] for name, parameter in parameters.items()})
+
+
+def _sets_floor(**parameters: str) -> Callable[[Robot, Mapping[str, Any]], Robot]:
+    """Return a function that sets fields of the floor to parameters of a fault: field=parameter."""
+    return lambda robot, p: _on_floor(robot, **{name: p[parameter] for name, parameter in parameters.items()})
+
+
 CAUSES: dict[str, Cause] = {
     "wheel_scale": Cause(0.005, 0.02, either_sign("e"), _grow_both),
     "unequal_wheels": Cause(0.003, 0.015, either_sign("curvature"), _grow_right_shrink_left, shows_with=WHEELS),
-    "wheelbase": Cause(
-        0.01,
-        0.04,
-        either_sign("e"),
-        lambda robot, p: replace(robot, track_m=robot.track_m * (1 + p["e"])),
-        shows_with=WHEELS,
-    ),
+    "wheelbase": Cause(0.01, 0.04, either_sign("e"), _widen, shows_with=WHEELS),
     "lever_arm": Cause(0.02, 0.08, _any_direction, _mark),
     "mount_yaw": Cause(np.radians(1.0), np.radians(4.0), either_sign("yaw"), _mark),
     "icr_shift": Cause(0.02, 0.08, either_sign("x"), _adds("x", "rotation_centre_behind_m")),
-    "gyro_bias": Cause(
-        0.002, 0.01, either_sign("bias"), _adds("bias", "gyro_bias_radps"), yaw_from="gyro", shows_with=GYRO
-    ),
+    "gyro_bias": Cause(0.002, 0.01, either_sign("bias"), _adds("bias", "gyro_bias_radps"), shows_with=GYRO),
     "gyro_bias_walk": Cause(
-        1e-4,
-        5e-4,
-        positive("density"),
-        _adds("density", "gyro_walk_radps_per_sqrt_s"),
-        yaw_from="gyro",
-        shows_with=GYRO,
+        1e-4, 5e-4, positive("density"), _adds("density", "gyro_walk_radps_per_sqrt_s"), shows_with=GYRO,
         one_signed=True,
     ),
-    "gyro_scale": Cause(0.005, 0.03, either_sign("e"), _adds("e", "gyro_scale"), yaw_from="gyro", shows_with=GYRO),
+    "gyro_scale": Cause(0.005, 0.03, either_sign("e"), _adds("e", "gyro_scale"), shows_with=GYRO),
     # A tyre yields only in the direction of the force: these two are non-negative.
     "side_slip": Cause(0.01, 0.05, positive("k"), _adds("k", "lateral_creep_s"), one_signed=True),
     "accel_slip": Cause(0.02, 0.06, positive("k"), _adds("k", "traction_s2_per_m"), one_signed=True),
@@ -204,66 +186,32 @@ CAUSES: dict[str, Cause] = {
     "scale_drift": Cause(1e-5, 4e-5, either_sign("rate"), _adds("rate", "warming_per_s")),
     "backlash": Cause(0.003, 0.012, positive("travel"), _adds("travel", "gear_play_m"), one_signed=True),
     "slip_burst": Cause(
-        0.02,
-        0.08,
-        lambda rate, rng: {"rate": rate, "slip": rng.uniform(0.3, 0.6), "duration": rng.uniform(0.1, 0.3)},
-        _burst,
-        one_signed=True,
+        0.02, 0.08, lambda rate, rng: {"rate": rate, "slip": rng.uniform(0.3, 0.6), "duration": rng.uniform(0.1, 0.3)},
+        _burst, one_signed=True,
     ),
     "gauss_markov": Cause(
-        0.01,
-        0.05,
+        0.01, 0.05,
         lambda sigma, rng: {"sigma": sigma, "tau": _between(2.0, 30.0, rng), "channel": rng.choice(("along", "yaw"))},
-        _wobble,
-        one_signed=True,
+        _wobble, one_signed=True,
     ),
     "heavy_tails": Cause(
-        0.2, 0.45, lambda magnitude, _: {"inverse_dof": min(magnitude, 0.7)}, _roughen, one_signed=True
+        0.2, 0.45, lambda magnitude, _: {"inverse_dof": min(magnitude, 0.7)},
+        _sets_floor(jolts_inverse_dof="inverse_dof"), one_signed=True,
     ),
     "quantization": Cause(0.002, 0.01, positive("step"), _adds("step", "tick_travel_m"), one_signed=True),
     "lost_increments": Cause(0.005, 0.03, positive("fraction"), _adds("fraction", "lost_cycles"), one_signed=True),
     "time_offset": Cause(0.02, 0.1, either_sign("offset"), _adds("offset", "odom_clock_offset_s")),
     "clock_skew": Cause(5e-5, 3e-4, either_sign("rate"), _adds("rate", "odom_clock_rate")),
-}
-
-
-def _off_centre(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return replace(robot, eccentricity=p["e"], eccentric_from_rad=p["phase"])
-
-
-def _magnetise(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return replace(robot, hard_iron_rad=p["amplitude"], hard_iron_from_rad=p["direction"])
-
-
-def _let_go_when_fast(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return replace(robot, floor=replace(robot.floor, grip_mps=p["speed"], grip_slip=p["slip"]))
-
-
-def _drag_when_braking(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return replace(robot, floor=replace(robot.floor, braking_mps2=p["deceleration"], braking_slip=p["slip"]))
-
-
-def _slide_the_load(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return replace(robot, load_squeeze=p["squeeze"], load_shift_s=p["time"])
-
-
-def _lay_carpet(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return replace(robot, floor=replace(robot.floor, grain=p["creep"], grain_from_rad=p["direction"]))
-
-
-def _scrub(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return replace(robot, scrub_s=p["k"])
+}  # fmt: skip
 
 
 def _wet_patch(robot: Robot, p: Mapping[str, Any]) -> Robot:
     """Add a patch at whose edge one wheel slips before the other and turns the robot."""
-    patch = Slippery(Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=True)
-    return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
+    return _slippery(robot, Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=True)
 
 
 def _wet_strip(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    patch = Slippery(Strip(p["x"], p["y"], p["direction"], 0.5 * p["width"]), p["slip"], by_wheel=True)
-    return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
+    return _slippery(robot, Strip(p["x"], p["y"], p["direction"], 0.5 * p["width"]), p["slip"], by_wheel=True)
 
 
 def _across(path: np.ndarray, rng: np.random.Generator) -> Drawn:
@@ -274,44 +222,34 @@ def _across(path: np.ndarray, rng: np.random.Generator) -> Drawn:
 
 OUTSIDE: dict[str, Cause] = {
     "eccentric_wheel": Cause(
-        0.02, 0.06, with_angle("e", "phase"), _off_centre, shows_with=WHEELS, depends_on="distance", one_signed=True
+        0.02, 0.06, with_angle("e", "phase"), _sets(eccentricity="e", eccentric_from_rad="phase"),
+        shows_with=WHEELS, depends_on="distance", one_signed=True,
     ),
     "magnetic_heading": Cause(
-        0.02,
-        0.08,
-        with_angle("amplitude", "direction"),
-        _magnetise,
-        yaw_from="gyro",
-        shows_with=GYRO,
-        depends_on="heading",
-        one_signed=True,
+        0.02, 0.08, with_angle("amplitude", "direction"),
+        _sets(hard_iron_rad="amplitude", hard_iron_from_rad="direction"),
+        shows_with=GYRO, depends_on="heading", one_signed=True,
     ),
     "floor_grain": Cause(
-        0.01, 0.03, with_angle("creep", "direction"), _lay_carpet, depends_on="heading", one_signed=True
+        0.01, 0.03, with_angle("creep", "direction"), _sets_floor(grain="creep", grain_from_rad="direction"),
+        depends_on="heading", one_signed=True,
     ),
     "overspeed_slip": Cause(
-        0.02,
-        0.06,
-        lambda slip, rng: {"slip": slip, "speed": rng.uniform(0.5, 0.7)},
-        _let_go_when_fast,
-        depends_on="speed",
+        0.02, 0.06, lambda slip, rng: {"slip": slip, "speed": rng.uniform(0.5, 0.7)},
+        _sets_floor(grip_mps="speed", grip_slip="slip"), depends_on="speed",
     ),
     "braking_drag": Cause(
-        0.05,
-        0.15,
-        lambda slip, rng: {"slip": slip, "deceleration": rng.uniform(0.2, 0.4)},
-        _drag_when_braking,
-        depends_on="acceleration",
+        0.05, 0.15, lambda slip, rng: {"slip": slip, "deceleration": rng.uniform(0.2, 0.4)},
+        _sets_floor(braking_mps2="deceleration", braking_slip="slip"), depends_on="acceleration",
     ),
     "load_shift": Cause(
-        0.0008,
-        0.003,
+        0.0008, 0.003,
         lambda squeeze, rng: {"squeeze": squeeze * rng.choice((-1.0, 1.0)), "time": rng.uniform(120.0, 360.0)},
-        _slide_the_load,
-        shows_with=WHEELS,
-        depends_on="time",
+        _sets(load_squeeze="squeeze", load_shift_s="time"), shows_with=WHEELS, depends_on="time",
     ),
-    "turn_scrub": Cause(0.02, 0.06, either_sign("k"), _scrub, shows_with=WHEELS, depends_on="yaw_rate"),
+    "turn_scrub": Cause(
+        0.02, 0.06, either_sign("k"), _sets(scrub_s="k"), shows_with=WHEELS, depends_on="yaw_rate"
+    ),
     "wet_patch": Cause(0.03, 0.1, positive("slip"), _wet_patch, place=on_path, depends_on="position"),
     "wet_strip": Cause(0.03, 0.1, positive("slip"), _wet_strip, place=_across, depends_on="position"),
-}
+}  # fmt: skip

@@ -15,16 +15,10 @@ from odomcorrupt.simulation.tyres import creep_sideways, hold, lose_by_place, ro
 class Drive:
     """True motion on a fine time grid.
 
-    Attributes
-    ----------
-    grid_s : ndarray, shape (n,)
-        True time, s.
-    angle_rad : ndarray, shape (n, 2)
-        Right and left motor angle at the wheels' axles, rad.
-    true_xyt : ndarray, shape (n, 3)
-        Pose of the base (midway between the wheels) relative to the start; m, m, unwrapped rad.
-    start_xyt : ndarray, shape (3,)
-        Start pose in the truth frame; m, m, rad.
+    grid_s : (n,) true time, s
+    angle_rad : (n, 2) right and left motor angle at the wheels' axles, rad
+    true_xyt : (n, 3) pose of the base (midway between the wheels) relative to the start; m, m, unwrapped rad
+    start_xyt : (3,) start pose in the truth frame; m, m, rad
     """
 
     grid_s: np.ndarray
@@ -47,14 +41,9 @@ def drive(
 ) -> Drive:
     """Return the true motion of the body, from rest at the origin.
 
-    Parameters
-    ----------
-    grid_s : ndarray, shape (n,)
-        Evenly spaced true time, s.
-    angle_rad : ndarray, shape (n, 2)
-        Right and left motor angle at the wheels' axles, rad.
-    start_xyt : ndarray, shape (3,)
-        Pose of that origin in the truth frame; m, m, rad.
+    grid_s : (n,) evenly spaced true time, s
+    angle_rad : (n, 2) right and left motor angle at the wheels' axles, rad
+    start_xyt : (3,) pose of that origin in the truth frame; m, m, rad
     """
     step_s = grid_s[1] - grid_s[0]
     wheel_rad = turn_wheels(angle_rad, robot)
@@ -70,12 +59,7 @@ def drive(
 
 
 def _carry(
-    travel_m: np.ndarray,
-    rim_mps: np.ndarray,
-    step_s: float,
-    robot: Robot,
-    streams: Streams,
-    start_xyt: np.ndarray,
+    travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot, streams: Streams, start_xyt: np.ndarray
 ) -> _Steps:
     rolled_m = 0.5 * (travel_m[:, 0] + travel_m[:, 1])
     turn_rad = _turn(travel_m[:, 0] - travel_m[:, 1], rim_mps[:, 0] - rim_mps[:, 1], step_s, robot, streams)

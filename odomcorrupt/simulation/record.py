@@ -50,12 +50,8 @@ class SimulatedRun:
 def record(odom: Odometry, track: Track, faults: Mapping[str, Parameters], track_m: float) -> SimulatedRun:
     """Return the recording of odometry and tracker, with its faults.
 
-    Parameters
-    ----------
-    faults : mapping
-        Parameters of each fault by its name.
-    track_m : float
-        Nominal track, m.
+    faults : parameters of each fault by its name
+    track_m : nominal track, m
     """
     causes = {name: dict(parameters) for name, parameters in faults.items()}
     single = next(iter(causes.values())) if len(causes) == 1 else {}
@@ -81,12 +77,8 @@ def _wrapped(xyt: np.ndarray) -> np.ndarray:
 def format_answer(run: SimulatedRun, seed: int, made: Mapping[str, str | float]) -> str:
     """Return the fault as TOML, with a salt against recovery from the hash by guessing.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the run.
-    made : mapping
-        Other arguments of the run.
+    seed : seed of the run
+    made : other arguments of the run
     """
     lines = ["schema = 1", f"seed = {seed}", f'salt = "{stream(seed, "salt").bytes(16).hex()}"']
     lines += [f"{name} = {_toml(value)}" for name, value in made.items()]

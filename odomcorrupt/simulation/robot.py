@@ -157,10 +157,7 @@ def build_robot(rng: np.random.Generator, drive_type: str = "differential") -> R
     The nominal track of a skid-steered robot is its effective one, larger than the distance of its wheels; its tread
     is still dragged in turns.
 
-    Parameters
-    ----------
-    drive_type : {"differential", "skid"}
-        One wheel on each side and castors, or a row of wheels on each side.
+    drive_type : "differential" or "skid": one wheel on each side and castors, or a row of wheels on each side
     """
     radius_m = round(rng.uniform(0.07, 0.12), 3)
     track_m = round(rng.uniform(0.32, 0.5), 3)

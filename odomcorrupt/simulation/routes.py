@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -31,17 +31,10 @@ class Commands:
 
 
 def obey(commands: Commands, grid_s: np.ndarray) -> np.ndarray:
-    """Return the speeds set by the base's controller: the last command, with limited acceleration.
+    """Return the speeds (n, 2), m/s and rad/s, set by the base's controller: the last command, limited in acceleration.
 
-    Parameters
-    ----------
-    grid_s : ndarray, shape (n,)
-        Times, s; the first command comes `REST_S` after the first of them, and after the last one the robot stops.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Forward speed in m/s, turn rate in rad/s.
+    grid_s : (n,) times, s; the first command comes `REST_S` after the first of them, and after the last one the robot
+        stops
     """
     step_s = float(grid_s[1] - grid_s[0])
     last = np.searchsorted(commands.times_s, grid_s - REST_S, side="right") - 1
@@ -59,13 +52,8 @@ def _approach(wanted: list[float], change: float) -> list[float]:
     return speeds
 
 
-def read_commands(path: str | Path, topic: str | None = None) -> Commands:
-    """Return the speed commands of a bag (MCAP file, ROS 1 bag or rosbag2 directory).
-
-    Parameters
-    ----------
-    topic : str, optional
-        Topic of the Twist or TwistStamped; by default /cmd_vel, or else the only one there is.
+def read_commands(path: str | Path) -> Commands:
+    """Return the speed commands of a bag (MCAP file, ROS 1 bag or rosbag2 directory): /cmd_vel, or the only topic.
 
     Raises
     ------
@@ -80,9 +68,7 @@ def read_commands(path: str | Path, topic: str | None = None) -> Commands:
     try:
         with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             found = [c for c in reader.connections if c.msgtype in TYPES]
-            chosen = [c for c in found if c.topic == topic] if topic else found
-            if topic is None and any(c.topic == "/cmd_vel" for c in found):
-                chosen = [c for c in found if c.topic == "/cmd_vel"]
+            chosen = [c for c in found if c.topic == "/cmd_vel"] or found
             if len({c.topic for c in chosen}) != 1:
                 names = ", ".join(sorted({c.topic for c in reader.connections})) or "nothing"
                 raise TopicError(f"{path}: no one topic of speed commands (found {names}); record /cmd_vel as Twist")
@@ -174,46 +160,28 @@ class _Planner:
     def pause(self) -> Iterator[Segment]:
         yield self.stand(1.5, 5.0)
 
-    def next_move(self) -> Iterator[Segment]:
-        outward = abs(self.place) > ROOM_RADIUS_M and (self.place * np.exp(-1j * self.heading_rad)).real > 0
-        weights = np.array([0.1 if outward else 0.4, 0.4, 0.08, 0.05, 0.07])
-        moves = (self.straight, self.bend, self.spot_turn, self.reverse, self.pause)
-        return moves[self.rng.choice(len(moves), p=weights / weights.sum())]()
+    def moves(self) -> Iterator[Segment]:
+        kinds = (self.straight, self.bend, self.spot_turn, self.reverse, self.pause)
+        while True:
+            outward = abs(self.place) > ROOM_RADIUS_M and (self.place * np.exp(-1j * self.heading_rad)).real > 0
+            weights = np.array([0.1 if outward else 0.4, 0.4, 0.08, 0.05, 0.07])
+            yield from kinds[self.rng.choice(len(kinds), p=weights / weights.sum())]()
 
 
 def draw_route(duration_s: float, rng: np.random.Generator) -> tuple[Segment, ...]:
     """Return a random office drive that starts and ends at rest.
 
-    Parameters
-    ----------
-    duration_s : float
-        Time before which the robot must be at rest, s.
+    duration_s : time before which the robot must be at rest, s
     """
     planner = _Planner(rng)
-    route = [planner.stand(1.5, 2.5)]
-    left_s = duration_s - 4.0
-    while True:
-        for segment in planner.next_move():
-            left_s -= segment.ramp_s + segment.hold_s
-            if left_s < 0:
-                return (*route, Segment(0.0, 0.0, np.inf, 2.0))
-            route.append(segment)
+    return _until(duration_s - 4.0, planner.stand(1.5, 2.5), planner.moves())
 
 
 def follow(route: Sequence[Segment], grid_s: np.ndarray) -> np.ndarray:
-    """Return the commanded speeds: S-shaped ramps (bounded jerk) from rest, constant between them.
+    """Return the commanded speeds (n, 2), m/s and rad/s: S-shaped ramps (bounded jerk) from rest, constant between.
 
-    Parameters
-    ----------
-    route : sequence of Segment
-        After the last one its speeds are kept.
-    grid_s : ndarray, shape (n,)
-        Times, s.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Forward speed in m/s, turn rate in rad/s.
+    route : after the last one its speeds are kept
+    grid_s : (n,) times, s
     """
     starts_s = np.concatenate(([0.0], np.cumsum([s.ramp_s + s.hold_s for s in route[:-1]])))
     ramps_s = np.array([s.ramp_s for s in route])
@@ -316,9 +284,9 @@ def _umbmark(rng: np.random.Generator) -> Iterator[Segment]:
         yield _stand(1.5)
 
 
-def _until(duration_s: float, moves: Iterator[Segment]) -> tuple[Segment, ...]:
-    """Return a plan truncated so that the robot is at rest before the end."""
-    plan, left_s = [Segment(0.0, 0.0, 1.0, 1.0)], duration_s - 5.0
+def _until(left_s: float, first: Segment, moves: Iterator[Segment]) -> tuple[Segment, ...]:
+    """Return a plan of as many moves as fit in a time, with a rest at the end."""
+    plan = [first]
     for segment in moves:
         left_s -= segment.ramp_s + segment.hold_s
         if left_s < 0:
@@ -327,12 +295,20 @@ def _until(duration_s: float, moves: Iterator[Segment]) -> tuple[Segment, ...]:
     return (*plan, Segment(0.0, 0.0, np.inf, 2.0))
 
 
-ROUTES: dict[str, Callable[[float, np.random.Generator], tuple[Segment, ...]]] = {
+Route: TypeAlias = Callable[[float, np.random.Generator], tuple[Segment, ...]]
+
+
+def _from_rest(moves: Callable[[np.random.Generator], Iterator[Segment]]) -> Route:
+    """Return a route of moves after a second of rest, which ends at rest before the end."""
+    return lambda duration_s, rng: _until(duration_s - 5.0, Segment(0.0, 0.0, 1.0, 1.0), moves(rng))
+
+
+ROUTES: dict[str, Route] = {
     "office": draw_route,
-    "loops": lambda duration_s, rng: _until(duration_s, _loops(rng)),
-    "shuttle": lambda duration_s, rng: _until(duration_s, _shuttle(rng)),
-    "slalom": lambda duration_s, rng: _until(duration_s, _slalom(rng)),
-    "yard": lambda duration_s, rng: _until(duration_s, _yard(rng)),
-    "umbmark": lambda duration_s, rng: _until(duration_s, _umbmark(rng)),
+    "loops": _from_rest(_loops),
+    "shuttle": _from_rest(_shuttle),
+    "slalom": _from_rest(_slalom),
+    "yard": _from_rest(_yard),
+    "umbmark": _from_rest(_umbmark),
 }
 """Generator of each route by name: its arguments are duration, s, and random stream; it returns segments."""

@@ -26,31 +26,19 @@ DAY_S = 600.0
 class Scenario:
     """Drive, tracker and size of the fault of a simulated recording.
 
-    Attributes
-    ----------
-    duration_s : float
-        Length, s.
-    size : float
-        Factor on the drawn magnitude of the fault.
-    truth : {"mocap", "rtk"} or Tracker
-        Tracker of the truth.
-    parameters : mapping, optional
-        Parameters of the fault instead of drawn ones; for several faults, by their names.
-    route : str, sequence of Segment, or Commands, optional
-        A key of `ROUTES`, manoeuvres, or speed commands, instead of a random office drive.
-    rig : Rig, optional
-        Electronics and floor.
-    yaw_from : {"encoders", "gyro"}, optional
-        The odometry's source of turns; by default one with which the fault shows. See `simulate_without`.
-    robot_seed : int, optional
-        Seed of the robot and its fault, for several drives of one robot; by default that of the drive.
-    drive_type : {"differential", "skid"}
-        Wheel layout.
-    at_dock : bool, optional
-        Whether the start pose depends on the robot's seed, not the drive's; by default if a fault has a place.
-    home : str, optional
-        A key of `ROUTES`: the usual route, along which the place of a fault is drawn. By default `route`, or the
-        office for speed commands.
+    duration_s : length, s
+    size : factor on the drawn magnitude of the fault
+    truth : "mocap", "rtk" or a `Tracker`: source of the truth
+    parameters : parameters of the fault instead of drawn ones; for several faults, by their names
+    route : a key of `ROUTES`, manoeuvres, or speed commands, instead of a random office drive
+    rig : electronics and floor
+    yaw_from : "encoders" or "gyro": the odometry's source of turns; by default one with which the fault shows. See
+        `simulate_without`
+    robot_seed : seed of the robot and its fault, for several drives of one robot; by default that of the drive
+    drive_type : "differential" or "skid": wheel layout
+    at_dock : whether the start pose depends on the robot's seed, not the drive's; by default if a fault has a place
+    home : a key of `ROUTES`: the usual route, along which the place of a fault is drawn. By default `route`, or the
+        office for speed commands
     """
 
     duration_s: float = 600.0
@@ -84,8 +72,6 @@ def simulate(
     **changes
         Fields of the scenario that differ.
     """
-    if changes.get("rig", True) is None:
-        del changes["rig"]
     what = replace(scenario or Scenario(), **changes)
     tracker = TRACKERS[what.truth] if isinstance(what.truth, str) else what.truth
     robot_seed = seed if what.robot_seed is None else what.robot_seed

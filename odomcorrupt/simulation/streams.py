@@ -10,12 +10,8 @@ from scipy.signal import lfilter
 def stream(seed: int, layer: str) -> np.random.Generator:
     """Return the generator of one layer of one run.
 
-    Parameters
-    ----------
-    seed : int
-        Non-negative seed of the run.
-    layer : str
-        Name of the layer, such as ``"encoders"``.
+    seed : non-negative seed of the run
+    layer : name of the layer, such as ``"encoders"``
     """
     return np.random.default_rng([seed, zlib.crc32(layer.encode())])
 

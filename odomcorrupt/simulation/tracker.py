@@ -50,25 +50,7 @@ def dock(rng: np.random.Generator) -> np.ndarray:
 
 
 def watch(drive: Drive, robot: Robot, tracker: Tracker, streams: Streams) -> Track:
-    """Return the tracked poses of the robot's marker.
-
-    Parameters
-    ----------
-    drive : Drive
-        True motion.
-    robot : Robot
-        Has the position of the marker.
-    tracker : Tracker
-        Rate, noise, dropouts and clock.
-    streams : Streams
-        Random streams of the drive.
-
-    Returns
-    -------
-    Track
-        Stamps, s, and poses of the marker in the truth frame, m and rad.
-
-    """
+    """Return stamps, s, and poses of the robot's marker in the truth frame, m and rad, as the tracker measures them."""
     grid_s = drive.grid_s
     origin, heading_rad = complex(drive.start_xyt[0], drive.start_xyt[1]), drive.start_xyt[2]
 

@@ -11,21 +11,12 @@ JOLT_S = 0.5
 
 
 def roll(wheel_rad: np.ndarray, step_s: float, robot: Robot, creep: float, streams: Streams) -> np.ndarray:
-    """Return the travel of each wheel's contact point without slip.
+    """Return the travel (n, 2), m, of each wheel's contact point per step, right and left, without slip.
 
     A wheel rolls on its true radius; its contact point creeps at random, with variance proportional to the travel.
 
-    Parameters
-    ----------
-    wheel_rad : ndarray, shape (n + 1, 2)
-        Angle of the right and left wheel, rad.
-    creep : float
-        Factor on the robot's random travel (0 for none).
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Travel of the right and left wheel per step, m.
+    wheel_rad : (n + 1, 2) angle of the right and left wheel, rad
+    creep : factor on the robot's random travel (0 for none)
     """
     turned_rad = np.diff(wheel_rad, axis=0)
     rubbed_m = np.abs(turned_rad) * robot.nominal_radius_m
@@ -61,23 +52,14 @@ def _roughness(n: int, step_s: float, inverse_dof: float, streams: Streams) -> n
 
 
 def yield_along(rolled_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot) -> np.ndarray:
-    """Return the forward travel of the body, which lags behind the wheels by longitudinal tyre slip.
+    """Return the forward travel (n,), m, of the body per step, which lags behind the wheels by longitudinal tyre slip.
 
     Newton's law with slip stiffness C at rolling speed u: ``m dv/dt = C (u - v) / abs(u)``, both wheels sharing the
     force equally. The result depends on ``m / C`` alone. Slip is computed from the wheels' speed, not from their random
     creep, which moves no load and must not be rectified by that product.
 
-    Parameters
-    ----------
-    rolled_m : ndarray, shape (n,)
-        Forward travel of the wheels per step, m.
-    rim_mps : ndarray, shape (n,)
-        Mean rim speed of both wheels.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Forward travel of the body per step, m.
+    rolled_m : (n,) forward travel of the wheels per step, m
+    rim_mps : (n,) mean rim speed of both wheels
     """
     if robot.traction_s2_per_m == 0.0:
         return rolled_m
@@ -91,19 +73,11 @@ def yield_along(rolled_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot:
 
 
 def creep_sideways(v_mps: np.ndarray, omega_radps: np.ndarray, step_s: float, robot: Robot) -> np.ndarray:
-    """Return the lateral travel of the body under centripetal acceleration and lateral tyre force.
+    """Return the leftward travel (n,), m, of the body per step under centripetal acceleration and lateral tyre force.
 
     In the body frame ``m (dv_y/dt + v omega) = -c v_y``; the result depends on ``m / c`` alone.
 
-    Parameters
-    ----------
-    v_mps, omega_radps : ndarray, shape (n,)
-        Forward speed and turn rate, constant over each step.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Travel to the left per step, m.
+    v_mps, omega_radps : (n,) forward speed and turn rate, constant over each step
     """
     settle_s = robot.lateral_creep_s
     if settle_s == 0.0:
@@ -125,10 +99,7 @@ WEIGHT_SHIFT_S = 0.1
 def lose_by_speed(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, floor: Floor) -> np.ndarray:
     """Return the travel of each wheel (n, 2), m, with slip of wheels that are too fast or braked.
 
-    Parameters
-    ----------
-    rim_mps : ndarray, shape (n, 2)
-        Speed at which each wheel turns, at its rim.
+    rim_mps : (n, 2) speed at which each wheel turns, at its rim
     """
     speed_mps = np.abs(rim_mps)
     if np.isfinite(floor.grip_mps):
@@ -146,22 +117,7 @@ def lose_by_chance(travel_m: np.ndarray, step_s: float, bursts: Bursts, rng: np.
 
     Bursts start at random; each wheel loses its own random fraction, between 0 and 1 and of the given mean.
 
-    Parameters
-    ----------
-    travel_m : ndarray, shape (n, 2)
-        Travel of the right and left wheel per step without bursts, m.
-    step_s : float
-        Grid step, s.
-    bursts : Bursts
-        Rate, duration and mean loss.
-    rng : Generator
-        Source of the draws.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Travel with bursts, m.
-
+    travel_m : (n, 2) travel of the right and left wheel per step without bursts, m
     """
     steps = len(travel_m)
     lost = np.zeros_like(travel_m)
@@ -176,20 +132,11 @@ def lose_by_chance(travel_m: np.ndarray, step_s: float, bursts: Bursts, rng: np.
 def lose_by_place(
     travel_m: np.ndarray, drift: np.ndarray, robot: Robot, slippery: tuple[Slippery, ...], start_xyt: np.ndarray
 ) -> np.ndarray:
-    """Return the travel of each wheel per step, m, with slip at slippery places.
+    """Return the travel of each wheel per step (n, 2), m, with slip at slippery places.
 
-    Parameters
-    ----------
-    travel_m : ndarray, shape (n, 2)
-        Travel of the right and left wheel per step, m.
-    drift : ndarray of complex, shape (n,)
-        Further motion of the body per step, in its own frame, m.
-    start_xyt : ndarray, shape (3,)
-        Start pose of the body in the truth frame; m, m, rad.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
+    travel_m : (n, 2) travel of the right and left wheel per step, m
+    drift : (n,) complex, further motion of the body per step, in its own frame, m
+    start_xyt : (3,) start pose of the body in the truth frame; m, m, rad
     """
     edges = np.arange(0, len(travel_m), COARSE)
     blocks_m = np.add.reduceat(travel_m, edges, axis=0).tolist()
@@ -215,24 +162,8 @@ def lose_by_place(
 def hold(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot, streams: Streams) -> np.ndarray:
     """Return the travel of each wheel (n, 2), m, with slip that does not depend on the place.
 
-    Parameters
-    ----------
-    travel_m : ndarray, shape (n, 2)
-        Travel of the right and left wheel per step without slip, m.
-    rim_mps : ndarray, shape (n, 2)
-        Speeds of the rims, m/s.
-    step_s : float
-        Grid step, s.
-    robot : Robot
-        Tyres and floor.
-    streams : Streams
-        Random streams of the drive.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Travel with slip, m.
-
+    travel_m : (n, 2) travel of the right and left wheel per step without slip, m
+    rim_mps : (n, 2) speeds of the rims, m/s
     """
     travel_m = lose_by_speed(travel_m, rim_mps, step_s, robot.floor)
     for i, bursts in enumerate(robot.floor.bursts):

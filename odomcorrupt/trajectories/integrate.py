@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate, scatter
+from odomcorrupt.bags.messages import Item, Layout, gather, gather_stamps_ns, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.corruption.odometry_source import ODOMETRY, TRANSFORMS, Frames, plain, side_of
 from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, from_left, from_right
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block
-    from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.trajectories.reader import Drive
@@ -78,20 +77,12 @@ RULES: tuple[Rule, ...] = get_args(Rule)
 def integrate(start_xyt: Array, twist: Array, t_s: Array, rule: Rule, *, hold: Hold = "next") -> Array:
     """Return poses (..., n, 3) at n stamps, the first one being the start.
 
-    Parameters
-    ----------
-    start_xyt : (3,)
-        Metres and radians.
-    twist : (..., n, 3)
-        vx, vy in m/s and yaw rate in rad/s, in the robot's frame.
-    t_s : (n,)
-        Ascending times, seconds.
-    rule
-        Over an interval of constant twist: a straight line along the initial heading (`euler`) or the heading at
-        mid-interval (`midpoint`), or the circular arc (`exact`).
-    hold
-        Whether a twist holds from its stamp to the next one (`next`), or from the previous one to its own.
-
+    start_xyt : (3,) metres and radians
+    twist : (..., n, 3) vx, vy in m/s and yaw rate in rad/s, in the robot's frame
+    t_s : (n,) ascending times, seconds
+    rule : over an interval of constant twist: a straight line along the initial heading (`euler`) or the heading at
+        mid-interval (`midpoint`), or the circular arc (`exact`)
+    hold : whether a twist holds from its stamp to the next one (`next`), or from the previous one to its own
     """
     if rule not in RULES:
         raise ModelError(f"rule {rule}: is not one of {', '.join(RULES)}")

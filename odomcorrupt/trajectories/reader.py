@@ -78,7 +78,6 @@ def read_drive(path: Path, topic: str | None) -> Drive:
         If there is no odometry, or several topics and none was chosen.
     RecordingError
         If there are fewer than two usable messages.
-
     """
     with open_reader(path) as reader:
         name = find_odometry(reader.channels.values(), topic, reader.name)

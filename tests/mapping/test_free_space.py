@@ -5,7 +5,7 @@ from rooms import MODEL, RESOLUTION, drive, room
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import MapError
 from odomcorrupt.mapping.conditioned_runs import FreeRuns, free_paths
-from odomcorrupt.mapping.free_space import free_space
+from odomcorrupt.mapping.free_space import Constraint, free_space
 from odomcorrupt.mapping.mapfile import OCCUPIED, UNKNOWN, Grid
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
@@ -42,8 +42,8 @@ def test_unknown_is_as_asked_inside_and_beyond_the_map():
 def test_behind_a_wall_is_free_and_not_reachable():
     space = free_space(room(WALL), 0.1)
     origin, there = np.zeros((3, 2)), np.array([[3.0, 0.0], [3.0, 3.0], [1.5, 0.0]])
-    assert space.allows(origin, there, "endpoint").tolist() == [True, True, True]
-    assert space.allows(origin, there, "path").tolist() == [False, True, True]
+    assert Constraint(space).allows(origin, there).tolist() == [True, True, True]
+    assert Constraint(space, "path").allows(origin, there).tolist() == [False, True, True]
 
 
 def test_path_through_a_wall_one_cell_thin_is_seen_at_any_angle():
@@ -64,10 +64,10 @@ def test_poses_are_given_in_the_odom_frame():
 @pytest.mark.parametrize("check", ["endpoint", "path"])
 def test_rejection_samples_the_motion_given_that_it_is_free(check):
     """The same distribution as drawing very many and keeping the free ones."""
-    space = free_space(room(WALL), 0.2)
-    ours = move_sampled_in_map(AHEAD, NOISE, 20_000, np.random.default_rng(1), space, check=check).xyt
+    within = Constraint(free_space(room(WALL), 0.2), check)
+    ours = move_sampled_in_map(AHEAD, NOISE, 20_000, np.random.default_rng(1), within).xyt
     many = move_sampled(AHEAD, NOISE, 80_000, np.random.default_rng(2))
-    kept = many[space.allows(np.zeros((len(many), 2)), many[:, :2], check)]
+    kept = many[within.allows(np.zeros((len(many), 2)), many[:, :2])]
     for column in range(3):
         np.testing.assert_allclose(
             np.quantile(ours[:, column], [0.1, 0.3, 0.7, 0.9]),
@@ -77,8 +77,8 @@ def test_rejection_samples_the_motion_given_that_it_is_free(check):
 
 
 def test_tries_are_bounded_and_counted():
-    space = free_space(room(WALL), 0.2)
-    drawn = move_sampled_in_map(AHEAD, NOISE, 400, np.random.default_rng(1), space, check="path", tries=2)
+    within = Constraint(free_space(room(WALL), 0.2), "path", 2)
+    drawn = move_sampled_in_map(AHEAD, NOISE, 400, np.random.default_rng(1), within)
     assert 0 < drawn.lost < 400
     assert len(drawn.xyt) == 400 - drawn.lost
     assert drawn.candidates == 400 + (400 - drawn.free_at_first)
@@ -86,7 +86,7 @@ def test_tries_are_bounded_and_counted():
 
 
 def test_where_nothing_is_free_it_is_said():
-    boxed = free_space(room((1.0, -5.0, 5.0, 5.0)), 0.1)
+    boxed = Constraint(free_space(room((1.0, -5.0, 5.0, 5.0)), 0.1))
     with pytest.raises(MapError, match="none of 3000 candidates"):
         move_sampled_in_map(AHEAD, Variances(*np.full((4, 1), 1e-6)), 30, np.random.default_rng(1), boxed)
     inside = move_between(np.array([2.0, 0.0, 0.0]), np.array([3.0, 0.0, 0.0]))
@@ -98,33 +98,33 @@ def test_paths_stay_free_and_do_not_depend_on_their_company():
     stamps, xyt = drive()
     space = free_space(room((1.5, 0.3, 4.5, 0.5), (1.5, -0.5, 4.5, -0.3)), 0.15)
     places = np.arange(len(xyt))
-    many = free_paths(stamps, xyt, MODEL, space, seed=1, runs=range(30), places=places)
+    many = free_paths(stamps, xyt, MODEL, Constraint(space), seed=1, runs=range(30), places=places)
     assert space.free(many.xyt.reshape(-1, 3)[:, :2]).all()
     assert many.redrawn > 0
-    alone = free_paths(stamps, xyt, MODEL, space, seed=1, runs=range(17, 18), places=places)
+    alone = free_paths(stamps, xyt, MODEL, Constraint(space), seed=1, runs=range(17, 18), places=places)
     np.testing.assert_array_equal(alone.xyt[0], many.xyt[17])
 
 
 def test_runs_before_a_closed_wall_are_refused_and_at_a_gap_all_pass():
     stamps, xyt = drive()
-    given = {"seed": 1, "runs": range(30), "places": np.arange(300), "check": "path", "tries": 3}
+    given = {"seed": 1, "runs": range(30), "places": np.arange(300)}
     quiet = MotionModel(Noise("diffusion", Coefficients(0.02, 0.01, 0.01, 0.01)))
     with pytest.raises(MapError, match="the map and the drive do not fit"):
-        free_paths(stamps, xyt, quiet, free_space(room((2.0, -5.0, 2.2, 5.0)), 0.1), **given)
-    gap = free_space(room((2.0, -5.0, 2.2, 0.0), (2.0, 0.1, 2.2, 5.0)), 0.0)
+        free_paths(stamps, xyt, quiet, Constraint(free_space(room((2.0, -5.0, 2.2, 5.0)), 0.1), "path", 3), **given)
+    gap = Constraint(free_space(room((2.0, -5.0, 2.2, 0.0), (2.0, 0.1, 2.2, 5.0)), 0.0), "path", 3)
     paths = free_paths(stamps, xyt, MODEL, gap, **given)
     assert paths.resampled > 0
     assert (paths.xyt[:, -1, 0] > 3.5).all()
     # copies are copies of whole paths: each passed the gap where it was, and made no leap
     for path in paths.xyt:
-        assert gap.allows(path[:-1, :2], path[1:, :2], "path").all()
+        assert gap.allows(path[:-1, :2], path[1:, :2]).all()
     assert np.hypot(*np.diff(paths.xyt[..., :2], axis=1).T).max() < 0.2
 
 
 def test_cut_into_batches_changes_no_bit_and_open_space_changes_nothing():
     stamps, xyt = drive()
     xyt[150:] += [3.0, 0.5, 1.0]  # a jump
-    narrow = free_space(room((1.0, 0.3, 1.6, 0.5), (1.0, -0.5, 1.6, -0.3)), 0.2)
+    narrow = Constraint(free_space(room((1.0, 0.3, 1.6, 0.5), (1.0, -0.5, 1.6, -0.3)), 0.2))
     whole = FreeRuns(MODEL, narrow, seed=1, runs=range(3)).feed(stamps, xyt).xyt
     cut = FreeRuns(MODEL, narrow, seed=1, runs=range(3))
     parts = []
@@ -133,7 +133,7 @@ def test_cut_into_batches_changes_no_bit_and_open_space_changes_nothing():
         parts = [*(part[walked.ancestors] for part in parts), walked.xyt]
     np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole)
     assert cut.redrawn > 0
-    wide = free_space(room(), 0.2, unknown="free")
+    wide = Constraint(free_space(room(), 0.2, unknown="free"))
     for run, path in enumerate(FreeRuns(MODEL, wide, seed=1, runs=range(3)).feed(stamps, xyt).xyt):
         noisy = xyt + NoisyPath(MODEL, 1, run).feed(stamps, xyt).error_xyt
         np.testing.assert_allclose(path, noisy, atol=1e-12)

@@ -88,11 +88,7 @@ def test_laser_pose_replaces_tf():
 
 @pytest.mark.parametrize(
     ("arguments", "word"),
-    [
-        (["--scan", "/nope"], "/scan"),
-        (["--resolution", "0.0001"], "--resolution"),
-        (["--truth", "/imu"], "Imu"),
-    ],
+    [(["--scan", "/nope"], "/scan"), (["--resolution", "0.0001"], "--resolution"), (["--truth", "/imu"], "Imu")],
 )
 def test_what_cannot_be_mapped_is_reported_in_one_line(arguments, word, capsys):
     assert run(["map", str(OFFICE), "--seed", "1", *arguments]) == 1

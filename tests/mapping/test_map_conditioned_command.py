@@ -65,11 +65,7 @@ def test_lecture_star_is_not_reached_by_a_path(tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "code", "word"),
-    [
-        (["--map", "/map"], 2, ".yaml"),
-        (["--map-pose", "0,0,0"], 2, "--map"),
-        (["--map", "gone.yaml"], 1, "gone.yaml"),
-    ],
+    [(["--map", "/map"], 2, ".yaml"), (["--map-pose", "0,0,0"], 2, "--map"), (["--map", "gone.yaml"], 1, "gone.yaml")],
 )
 def test_map_that_is_not_there_is_reported_in_one_line(arguments, code, word, capsys):
     assert run(["sample", "--seed", "1", *arguments]) == code

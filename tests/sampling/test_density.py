@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.mapping.free_space import free_space
+from odomcorrupt.mapping.free_space import Constraint, free_space
 from odomcorrupt.mapping.mapfile import OCCUPIED, Grid
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
@@ -100,7 +100,7 @@ def test_density_within_a_map_integrates_to_one_over_what_is_free():
     cells[:, 45:] = OCCUPIED  # beyond x = 1.5 - 0.6
     space = free_space(Grid(cells, 0.05, np.array([-1.2, -1.2, 0.0])), 0.0)
     grid = density_on_grid(*NOISES[0])
-    within, part = within_map(grid, space, FORWARD.start_xyt[:2], "endpoint")
+    within, part = within_map(grid, Constraint(space), FORWARD.start_xyt[:2])
     assert within.integral == pytest.approx(grid.integral, rel=1e-9)
     drawn = move_sampled(*NOISES[0], 100_000, np.random.default_rng(5))
     # half a cell of the grid lies on the wrong side of the wall

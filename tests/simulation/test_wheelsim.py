@@ -25,14 +25,7 @@ from odomcorrupt.simulation.bag import STORE
 from odomcorrupt.simulation.fault_draws import draw_parameters
 
 EVERY = {**CAUSES, **OUTSIDE}
-OF_THE_SENSORS = {
-    "gyro_bias",
-    "gyro_bias_walk",
-    "gyro_scale",
-    "magnetic_heading",
-    "quantization",
-    "lost_increments",
-}
+OF_THE_SENSORS = {"gyro_bias", "gyro_bias_walk", "gyro_scale", "magnetic_heading", "quantization", "lost_increments"}
 OF_ONE_SIGN = {name for name, flaw in EVERY.items() if flaw.one_signed} | {
     "region_slip",
     "wet_patch",

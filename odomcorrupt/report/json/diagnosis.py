@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
@@ -24,7 +24,6 @@ from odomcorrupt.study.validate.clock_gain import clock_gain
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.report.text.numbers import LawNumber
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.validate.reproduction import Reproduction
@@ -63,7 +61,9 @@ def learned_json(
             entry = _entry(*own[step.added], step.alternatives, step_confidence(step, learned))
             held_out = {"held_out": _held_out(sequence[place], sequence[place + 1])}
             found.append(entry | held_out | _matters(step.added, learned))
-    found += [_noise(gain, learned) for gain in learned.noise]
+    unmeasured = {"held_out": None, "negligible": False}
+    # parameters of random effects have no standard errors
+    found += [_entry(gain.effect, (), (), noise_confidence(gain, learned)) | unmeasured for gain in learned.noise]
     missing = bool(learned.lacking or learned.noise)
     return finite(
         {
@@ -196,11 +196,6 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
         yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out, "negligible": False}
 
 
-def _noise(gain: RandomCoefficient, learned: Learned) -> dict[str, Any]:
-    """Return a random effect; its parameters have no standard errors."""
-    return _entry(gain.effect, (), (), noise_confidence(gain, learned)) | {"held_out": None, "negligible": False}
-
-
 def _matters(name: str, learned: Learned) -> dict[str, Any]:
     """Return whether a part of the model is negligible, and its size: lengths in metres, null if not measured."""
     own = learned.contributions.get(name)
@@ -293,8 +288,6 @@ def _step(judgement: Judgement) -> dict[str, Any]:
 def fit_json(result: RobotFit, laws: Mapping[str, RobotFit]) -> dict[str, Any]:
     """Return a fit as plain values.
 
-    Parameters
-    ----------
     result : fit of a robot
     laws : fits of all laws if all were tried, the likeliest first
     """

@@ -6,13 +6,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.scoring.run import METRICS
+from odomcorrupt.scoring.run import METRICS, RunScore, ScoreReport
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.scoring.gate import Verdict
-    from odomcorrupt.scoring.run import RunScore, ScoreReport
 
 __all__ = ["score_json"]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, SKY, drawing, new_figure
-from odomcorrupt.study.design.plan import STEP_S
+from odomcorrupt.study.design.plan import STEP_S, Plan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned, Step

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.patches import Ellipse as EllipsePatch
 
 from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure
 from odomcorrupt.report.plots.maps import draw_free_space
-from odomcorrupt.sampling.samples import ellipse, sample_moments
+from odomcorrupt.report.plots.samples import SIGMAS, draw_ellipse
+from odomcorrupt.sampling.samples import sample_moments
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.sampling.particles import ParticleSet
 
 __all__ = ["draw_cloud", "draw_spread"]
-
-SIGMAS = 2.0
 
 
 def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -> Figure:
@@ -51,12 +49,7 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
             if space is not None:
                 # a set split by walls is not described by two moments
                 continue
-            e = ellipse(sample_moments(points), SIGMAS)
-            patch = EllipsePatch(
-                (e.centre_xy[0], e.centre_xy[1]), 2 * e.major_m, 2 * e.minor_m, angle=float(np.degrees(e.angle_rad)),
-                fill=False, edgecolor=colour, linewidth=1.6, zorder=4,
-            )  # fmt: skip
-            axes.add_patch(patch)
+            draw_ellipse(axes, sample_moments(points), edgecolor=colour, linewidth=1.6, zorder=4)
         axes.plot(*cloud.path_xyt[:, :2].T, color=BLACK, linewidth=1.3, zorder=5, label="odometry")
         axes.plot(*cloud.path_xyt[0, :2], "s", color=BLACK, markersize=7, zorder=6, label="start")
         axes.scatter([], [], s=14, color=BLUE, label=f"{len(cloud.xyt)} runs, after so many metres")

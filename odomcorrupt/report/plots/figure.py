@@ -102,8 +102,6 @@ def model_panels(
 ) -> tuple[Figure, list[tuple[Axes, Judgement]]]:
     """Return a figure with a panel for each of up to four models; for more, of the first and the last.
 
-    Parameters
-    ----------
     models : models to draw
     pair_in, single_in : height of a row of two panels, and of a panel alone, inches
     more_in : height of the legend, inches

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.transforms import Affine2D
 
-from odomcorrupt.mapping.mapfile import OCCUPIED
+from odomcorrupt.mapping.mapfile import OCCUPIED, Grid
 from odomcorrupt.mapping.wall_thickness import added_thickness
 from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, RED, drawing, new_figure
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.mapping.free_space import FreeSpace
-    from odomcorrupt.mapping.mapfile import Grid
     from odomcorrupt.mapping.scan_map import Survey
 
 __all__ = ["draw_free_space", "draw_grid", "draw_surveys"]

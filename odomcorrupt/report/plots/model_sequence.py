@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.validate.compare import Comparison, Judgement
 
 __all__ = ["draw_errors", "rms_interval"]
@@ -31,13 +30,13 @@ def draw_errors(comparison: Comparison) -> Figure:
         parts: Any = figure.subfigures(2, 1, height_ratios=(3.9, 1.1 + 0.28 * len(comparison.judgements)))
         above, below = parts
         headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
-        wanted = (("position", "m", _position), ("yaw", "deg", _yaw))[: 2 if headed else 1]
+        wanted = (("position", "m"), ("yaw", "deg"))[: 2 if headed else 1]
         panels = above.subplots(1, len(wanted), squeeze=False)[0]
-        for axes, (what, unit, pick) in zip(panels, wanted, strict=True):
+        for axes, (what, unit) in zip(panels, wanted, strict=True):
             count = len(comparison.judgements)
             for i, judgement in enumerate(comparison.judgements):
                 style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
-                _curve(axes, judgement, pick(judgement), style, 1.025 ** (2 * i - count + 1))
+                _curve(axes, judgement, what, style, 1.025 ** (2 * i - count + 1))
             axes.set(xscale="log", yscale="log", xlabel="path driven (m)", title=f"{what} error, RMS ({unit})")
             axes.set_ylim(top=1.35 * axes.get_ylim()[1])
             _counts(axes, comparison.judgements[-1])
@@ -52,27 +51,21 @@ def draw_errors(comparison: Comparison) -> Figure:
     return figure
 
 
-def _position(judgement: Judgement) -> Array:
-    return np.array([[h.position_measured, h.position_expected] for h in judgement.curve]).reshape(-1, 2)
-
-
-def _yaw(judgement: Judgement) -> Array:
-    both = np.array([[h.measured[2], h.expected[2]] for h in judgement.curve]).reshape(-1, 2)
-    degrees: Array = np.degrees(both)
-    return degrees
-
-
 def rms_interval(measured: float, windows: int) -> tuple[float, float]:
     """Return the central 90 % interval of a root mean square measured over this many independent windows."""
     tail, square = (1.0 - 0.9) / 2.0, windows * measured**2
     return float(np.sqrt(square / chi2.isf(tail, windows))), float(np.sqrt(square / chi2.ppf(tail, windows)))
 
 
-def _curve(axes: Axes, judgement: Judgement, both: Array, style: dict[str, str], shift: float) -> None:
+def _curve(axes: Axes, judgement: Judgement, what: str, style: dict[str, str], shift: float) -> None:
     """Draw measured errors with their 90 % interval, and the model's expectation as a dashed line."""
     distance = np.array([h.distance_m for h in judgement.curve])
     windows = [h.windows for h in judgement.curve]
-    measured, expected = both.T
+    if what == "yaw":
+        measured, expected = np.degrees([[h.measured[2], h.expected[2]] for h in judgement.curve]).reshape(-1, 2).T
+    else:
+        pairs = [[h.position_measured, h.position_expected] for h in judgement.curve]
+        measured, expected = np.array(pairs).reshape(-1, 2).T
     ends = np.array([rms_interval(m, n) for m, n in zip(measured, windows, strict=True)]).reshape(-1, 2)
     axes.vlines(distance * shift, *ends.T, color=style["color"], linewidth=1.1, alpha=0.8)
     axes.plot(distance * shift, measured, linewidth=1.3, markersize=4.5, label=short_name(judgement.name), **style)  # type: ignore[arg-type]

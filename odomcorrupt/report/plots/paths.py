@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import EffectError
 from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, model_panels, new_figure, short_name
-from odomcorrupt.study.validate.predictive_check import replay
+from odomcorrupt.study.validate.predictive_check import Replay, replay
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.preview.forecast import Forecast
     from odomcorrupt.study.validate.compare import Comparison
-    from odomcorrupt.study.validate.predictive_check import Replay
     from odomcorrupt.trajectories.integrate import PathError
 
 __all__ = ["draw_corruption", "draw_errors", "draw_fan", "draw_paths", "draw_runs"]
@@ -74,8 +73,6 @@ def draw_corruption(
 ) -> Figure:
     """Draw a path before and after a change, and the difference in position and heading against distance.
 
-    Parameters
-    ----------
     before_xyt, after_xyt : (n, 3) metres and radians, the same messages in the same order
     title : title of the figure
     names : names of the two paths

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,29 +25,22 @@ _BINS = 8
 _UNITS = ("mm per m", "mm per m", "deg per m")
 
 
-class Regressor(NamedTuple):
-    """A regressor over K intervals of a segment; `scale` converts it to a customary unit."""
-
-    label: str
-    values: Array
-
-
 def draw_residuals(comparison: Comparison) -> Figure:
     """Draw growth of the error against every regressor, a row per channel, with its standard deviation by chance."""
     headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
     count = 3 if headed else 2
     shown = _shown(comparison)
     first = shown[0][0].pieces
-    labels = [regressor.label for regressor in _regressors(first[0])]
-    edges = [_edges(np.concatenate([_regressors(piece)[d].values for piece in first])) for d in range(len(labels))]
+    labels = list(_regressors(first[0]))
+    edges = [_edges(np.concatenate([_regressors(piece)[label] for piece in first])) for label in labels]
     drawn: list[list[Array]] = [[] for _ in range(count)]
     with drawing():
         figure = new_figure(12.0, 1.0 + 2.1 * count)
         panels = figure.subplots(count, len(labels), sharey="row", sharex="col", squeeze=False)
         for which, (judgement, number) in enumerate(shown):
-            for d in range(len(labels)):
+            for d, label in enumerate(labels):
                 for c in range(count):
-                    rates = _rates(judgement.pieces, d, c, edges[d])
+                    rates = _rates(judgement.pieces, label, c, edges[d])
                     shift = (which - (len(shown) - 1) / 2.0) * 0.22
                     _points(panels[c, d], rates, edges[d], judgement, number, shift)
                     drawn[c].append(rates)
@@ -72,16 +65,17 @@ def _shown(comparison: Comparison) -> list[tuple[Judgement, int]]:
     return numbered if len(numbered) <= 3 else [numbered[0], numbered[-1]]
 
 
-def _regressors(piece: Evaluation) -> list[Regressor]:
+def _regressors(piece: Evaluation) -> dict[str, Array]:
+    """Return the regressors by label, each over the K intervals of a segment, in customary units."""
     m = node_motion(piece.problem)
-    return [
-        Regressor("speed (m/s)", m.v),
-        Regressor("yaw rate (deg/s)", np.degrees(m.omega)),
-        Regressor("acceleration (m/s²)", m.a),
-        Regressor("time (s)", m.t_s),
-        Regressor("heading (deg)", np.degrees(np.arctan2(np.sin(m.heading), np.cos(m.heading)))),
-        Regressor("path driven (m)", m.distance),
-    ]
+    return {
+        "speed (m/s)": m.v,
+        "yaw rate (deg/s)": np.degrees(m.omega),
+        "acceleration (m/s²)": m.a,
+        "time (s)": m.t_s,
+        "heading (deg)": np.degrees(np.arctan2(np.sin(m.heading), np.cos(m.heading))),
+        "path driven (m)": m.distance,
+    }
 
 
 def _edges(values: Array) -> Array:
@@ -90,11 +84,11 @@ def _edges(values: Array) -> Array:
     return np.linspace(low, max(high, low + 1e-9), _BINS + 1)
 
 
-def _rates(pieces: Sequence[Evaluation], regressor: int, channel: int, edges: Array) -> Array:
+def _rates(pieces: Sequence[Evaluation], regressor: str, channel: int, edges: Array) -> Array:
     """Return growth per metre (bins,) in mm or deg, and one standard deviation of chance (bins,), over all pieces."""
     weight, total = np.zeros(_BINS), np.zeros(_BINS)
     for piece in pieces:
-        part = np.clip(np.digitize(_regressors(piece)[regressor].values, edges) - 1, 0, _BINS - 1).astype(np.int64)
+        part = np.clip(np.digitize(_regressors(piece)[regressor], edges) - 1, 0, _BINS - 1).astype(np.int64)
         unit = unit_columns(piece.problem)[:, :, channel]
         rates = joint_rates(piece.whitener, piece.innovations, unit, part, _BINS)
         known = np.isfinite(rates.estimate) & (rates.allowed > 0.0)

@@ -10,7 +10,7 @@ from matplotlib.patches import Ellipse as EllipsePatch
 from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, drawing, new_figure
 from odomcorrupt.report.plots.maps import draw_free_space
-from odomcorrupt.sampling.samples import ellipse, linearised_moments, sample_moments
+from odomcorrupt.sampling.samples import Moments, Move, ellipse, linearised_moments, sample_moments
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.density import DensityGrid
-    from odomcorrupt.sampling.samples import Moments, Move
 
-__all__ = ["draw_banana", "draw_density"]
+__all__ = ["SIGMAS", "draw_banana", "draw_density", "draw_ellipse"]
 
 SIGMAS = 2.0
 
@@ -118,20 +117,16 @@ def _ellipses(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
         (linearised_moments(move, variances), RED, "-", f"linearised, {SIGMAS:g} sigma"),
         (drawn, ORANGE, (0, (5, 2)), f"of the samples, {SIGMAS:g} sigma"),
     ):
-        e = ellipse(moments, SIGMAS)
-        patch = EllipsePatch(
-            (e.centre_xy[0], e.centre_xy[1]), 2 * e.major_m, 2 * e.minor_m, angle=float(np.degrees(e.angle_rad)),
-            fill=False, edgecolor=colour, linestyle=style, linewidth=1.8, label=label, zorder=5,
-        )  # fmt: skip
-        axes.add_patch(patch)
-    mean: dict[str, Any] = {
-        "color": ORANGE,
-        "markersize": 6,
-        "markeredgecolor": "white",
-        "markeredgewidth": 0.6,
-        "zorder": 8,
-    }
-    axes.plot(*drawn.mean_xyt[:2], "X", label="mean", **mean)
+        draw_ellipse(axes, moments, edgecolor=colour, linestyle=style, linewidth=1.8, label=label, zorder=5)
+    mean: dict[str, Any] = {"markersize": 6, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 8}
+    axes.plot(*drawn.mean_xyt[:2], "X", label="mean", color=ORANGE, **mean)
+
+
+def draw_ellipse(axes: Axes, moments: Moments, **style: Any) -> None:
+    """Draw the ellipse of x and y at `SIGMAS` standard deviations."""
+    e = ellipse(moments, SIGMAS)
+    centre, angle_deg = (e.centre_xy[0], e.centre_xy[1]), float(np.degrees(e.angle_rad))
+    axes.add_patch(EllipsePatch(centre, 2 * e.major_m, 2 * e.minor_m, angle=angle_deg, fill=False, **style))
 
 
 def _headings(axes: Axes, move: Move, xyt: Array) -> None:

@@ -21,9 +21,9 @@ from odomcorrupt.report.text.numbers import (
     numbers_text,
     step_confidence,
 )
-from odomcorrupt.study.estimate.drive_type import readings_of
+from odomcorrupt.study.estimate.drive_type import DriveType, readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary, Tone, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,18 +32,17 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
-    from odomcorrupt.study.estimate.drive_type import DriveType
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Comparison
     from odomcorrupt.study.validate.reproduction import Reproduction
-    from odomcorrupt.summary import Tone
 
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
 
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
 """Effects that resemble errors of single wheels: a larger wheel shifts turns as the y of a lever arm does."""
 _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
+_TONES: dict[str, Tone] = {"better": "good", "mixed": "warning", "worse": "bad", "same": "plain"}
 _SHOWN_MODELS = 4
 """Largest number of models with a line each in a comparison."""
 
@@ -67,8 +66,6 @@ def findings_brief(
 ) -> Summary:
     """Return the findings of a search: each effect with size and probability, held-out errors, undecided alternatives.
 
-    Parameters
-    ----------
     search, advice : the findings, and the alternatives that the data leave undecided
     comparison : the evaluated models; the first one lacks the findings
     fit : final fit, if it is not that of the search
@@ -93,8 +90,8 @@ def findings_brief(
     held = HELD[comparison.judged_on]
     if len(comparison.judgements) > 1:
         agreement = agreement_of(comparison)
-        mixed: Tone = {"better": "good", "mixed": "warning", "worse": "bad"}.get(agreement.verdict, "plain")  # type: ignore[assignment]
-        lines.insert(max(len(search.matters), 1), Line("errors", f"{measures_words(comparison)} ({held})", mixed))
+        said = f"{measures_words(comparison)} ({held})"
+        lines.insert(max(len(search.matters), 1), Line("errors", said, _TONES[agreement.verdict]))
     elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
         change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
         lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected"))
@@ -234,9 +231,8 @@ def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
         first = Line("REJECTED" if failed else "HOLDS", f"{last.name} {words}", "bad" if failed else "good")
     else:
         agreement = agreement_of(comparison)
-        label = {"better": "BETTER", "worse": "WORSE", "same": "SAME", "mixed": "MIXED"}[agreement.verdict]
-        tone: Tone = {"better": "good", "worse": "bad", "mixed": "warning"}.get(agreement.verdict, "plain")  # type: ignore[assignment]
-        first = Line(label, f"{last.name}: {measures_words(comparison)}", tone)
+        said = f"{last.name}: {measures_words(comparison)}"
+        first = Line(agreement.verdict.upper(), said, _TONES[agreement.verdict])
     lines = [first]
     if isfinite(comparison.raw_error_m):
         lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as measured"))

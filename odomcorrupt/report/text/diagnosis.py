@@ -23,7 +23,7 @@ from odomcorrupt.report.text.numbers import (
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.estimate.intervals import join
-from odomcorrupt.study.estimate.outliers import single_events
+from odomcorrupt.study.estimate.outliers import Event, single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, rmse
 
@@ -33,17 +33,14 @@ if TYPE_CHECKING:
     from odomcorrupt.report.text.numbers import LawNumber
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.estimate.outliers import Event
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Judgement
 
-__all__ = [
-    "NOTHING", "candidates_table", "contradiction", "dependence", "evidence_words", "found_text", "position_error",
-    "shares_text", "unnamed",
-]  # fmt: skip
+__all__ = ["NOTHING", "candidates_table", "contradiction", "dependence", "evidence_words", "found_text",
+           "position_error", "shares_text", "unnamed"]  # fmt: skip
 
 NOTHING = "nothing is missing: no known effect explains more than chance"
 

@@ -6,14 +6,13 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.report.text.numbers import clock_lines, effects_with_errors, numbers_text, words_text
-from odomcorrupt.study.estimate.outliers import events
+from odomcorrupt.study.estimate.outliers import Event, events
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.confidence_intervals import Interval
-    from odomcorrupt.study.estimate.outliers import Event
 
 __all__ = ["fit_text", "laws_table"]
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from math import degrees
 from typing import TYPE_CHECKING, NamedTuple
 
-from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, noise_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.returns import ReturnsFit

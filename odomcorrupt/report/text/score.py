@@ -71,8 +71,6 @@ def score_text(report: ScoreReport, *, every: bool = False) -> str:
 def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: Sequence[object]) -> Summary:
     """Return the number of failed runs, the gate's verdicts, the errors, the break-down point and the covariances.
 
-    Parameters
-    ----------
     report : scores of the runs
     verdicts : verdicts of the gate's rules
     following : words of the suggested next command

@@ -40,7 +40,9 @@ _USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5
 """Track, m, and change of the error, m/s, for the test whether an effect acts on single wheels."""
 _MISFIT_GAIN = 0.2
 """Fraction of an effect's gain up to which a similar effect may be a misfit of its model."""
-_LATE = (*RIVALS, "motor_lag", "steering_lag", "steering_play")
+_LIKE_CLOCK = (*RIVALS, "motor_lag")
+"""Effects that a clock offset resembles."""
+_LATE = (*_LIKE_CLOCK, "steering_lag", "steering_play")
 """Effects of delay or slip at changes of speed; their models are approximate."""
 _MISFIT_DISPLACEMENT = 0.03
 """Fraction of the largest effect's displacement in 10 s up to which another effect may be a misfit of its model."""
@@ -109,7 +111,7 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     own = held_out_limit(step.added or "", gain, learned)
     # overfitting raised the gains of the rivals as much as that of the effect
     rivals = tuple(c.gain - (gain - own) for c in step.candidates[1:] if not c.refused)
-    if step.added in (*RIVALS, "motor_lag") and learned.clocks.ambiguous_nats > 0.0:
+    if step.added in _LIKE_CLOCK and learned.clocks.ambiguous_nats > 0.0:
         # the clock offset that was set to zero is a rival; its gain is at most that of the effect
         rivals = (*rivals, min(own, learned.clocks.ambiguous_nats))
     if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
