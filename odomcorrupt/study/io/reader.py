@@ -283,7 +283,9 @@ def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> l
             why = error
     if why is not None and not found:
         raise why
-    return found
+    accurate = source.truth_scale_error
+    said = f"the map's lengths are accurate to {accurate:.2%}, which limits all scales (--laser-scale-accuracy)"
+    return [replace(r, truth_scale_error=accurate, notes=(*r.notes, said)) if r.localised else r for r in found]
 
 
 def recordings_of(
