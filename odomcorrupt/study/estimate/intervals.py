@@ -220,7 +220,7 @@ def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray
     """
     ends = recording.odometry_s[[0, -1]]
     if not recording.localised:
-        return pick_nodes(truth_s, *ends, spacing_s)
+        return pick_nodes(truth_s, float(ends[0]), float(ends[1]), spacing_s)
     steps = np.diff(np.nan_to_num(recording.truth.xyt), axis=0)
     gone = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) + TURN_M * np.abs(steps[:, 2]))))
     pace = gone * (float(truth_s[-1] - truth_s[0]) / max(float(gone[-1]), 1e-9))
