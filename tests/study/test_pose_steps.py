@@ -9,10 +9,10 @@ import pytest
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.intervals import lay_nodes
 from odomcorrupt.study.estimate.pose_steps import with_pose_steps
-from odomcorrupt.study.io.recording import Trajectory
 
 PUSHED_S = 200.0
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, rotate, wrap
+from odomcorrupt.geometry.trajectory import UNKNOWN_M2
 from odomcorrupt.model.noise_laws import variances
-from odomcorrupt.study.io.recording import UNKNOWN_M2
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
-    from odomcorrupt.study.io.recording import Recording, Trajectory, TruthField
+    from odomcorrupt.study.io.recording import Recording, TruthField
 
 __all__ = [
     "LEAST_NODES",
@@ -224,8 +225,7 @@ def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray
     steps = np.diff(np.nan_to_num(recording.truth.xyt), axis=0)
     gone = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) + TURN_M * np.abs(steps[:, 2]))))
     pace = gone * (float(truth_s[-1] - truth_s[0]) / max(float(gone[-1]), 1e-9))
-    usable = (truth_s >= ends[0]) & (truth_s <= ends[1])
-    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, usable)
+    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, (truth_s >= ends[0]) & (truth_s <= ends[1]))
 
 
 def count_nodes(recording: Recording, spacing_s: float) -> int:
