@@ -94,7 +94,7 @@ def _edges(t_s: Array, truth: Array, own: Array, start_s: float, usual: Array, a
     moved = between(before, compose(truth[near], between(own[near], np.broadcast_to(own[at], own[near].shape))))
     moved[:, 2] = wrap(moved[:, 2])
     passed = (moved / usual) @ (apart / usual) / np.sum((apart / usual) ** 2)
-    middle = int(np.argmin(np.cumsum(passed - 0.5)))
+    middle = min(int(np.argmin(np.cumsum(passed - 0.5))), len(near) - 2)
     first = np.flatnonzero(passed[: middle + 1] < _EDGE)
     last = np.flatnonzero(passed[middle + 1 :] > 1.0 - _EDGE)
     return int(near[first[-1] if len(first) else 0]), int(near[middle + 1 + last[0] if len(last) else -1])

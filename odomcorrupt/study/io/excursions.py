@@ -65,13 +65,17 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     apart = np.zeros((len(truth), 2))
     apart[inside], difference = _departures(odometry, own_s, truth, t_s, inside)
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
-    out, near = ((apart > np.maximum(sigmas * usual, _MIN_APART)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
+    far = apart > np.maximum(_SIGMAS * usual, _MIN_APART)
+    out, near = far.any(axis=1), (apart > np.maximum(_STILL_SIGMAS * usual, _MIN_APART)).any(axis=1)
     sudden = None if truth.localised else _Sudden(reach_of(odometry, truth), t_s[inside], difference)
     # An excursion includes its way out and back, and interruptions by noise.
     edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
     for first, end in edges.reshape(-1, 2):
         begin, after = first - inside[0], end - inside[0]
-        back = sudden.between(begin, after) if sudden is not None else _returns(t_s[inside], difference, begin, after)
+        if sudden is not None:
+            back = sudden.between(begin, after)
+        else:
+            back = bool((_returns(t_s[inside], difference, begin, after) | ~far[first:end].any(axis=0)).all())
         out[first:end] = out[first:end].any() and back
     if not out.any() or out.mean() > _MAX_FRACTION:
         return whole
@@ -133,18 +137,19 @@ def _departures(
     return departures, np.column_stack((away, turned - steady))
 
 
-def _returns(t_s: Array, difference: Array, first: int, end: int) -> bool:
-    """Return whether truth minus odometry (m, 3) is the same, in the median, before and after poses first to end.
+def _returns(t_s: Array, difference: Array, first: int, end: int) -> NDArray[np.bool_]:
+    """Return whether position and heading (2,) of truth minus odometry (m, 3) return after poses first to end.
 
     A running median follows a lasting step at once only if poses are as frequent after the step as before it.
     """
     begin, last = np.searchsorted(t_s, (t_s[first] - _REACH_S, t_s[end - 1] + _REACH_S)).tolist()
     if first - begin < _FEW_BESIDE or last - end < _FEW_BESIDE:
-        return True
+        return np.ones(2, dtype=bool)
     parts = np.split(difference[begin:last], (first - begin, end - begin))
     before, within, after = (np.median(part, axis=0) for part in parts)
-    stays, away = ((np.linalg.norm(d[:2]), abs(d[2])) for d in (after - before, within - before))
-    return bool(np.all(np.array(stays) < np.maximum(_MAX_LEFT * np.array(away), _MIN_APART)))
+    stays, away = (np.array((np.linalg.norm(d[:2]), abs(d[2]))) for d in (after - before, within - before))
+    returns: NDArray[np.bool_] = stays < np.maximum(_MAX_LEFT * away, _MIN_APART)
+    return returns
 
 
 def _unwrapped(difference: Array) -> tuple[Array, Array]:
