@@ -184,7 +184,7 @@ def read_recordings(
         Laser topic from which to compute the truth; by default the only one of a bag without truth. "none" disables
         it.
     laser_scale_accuracy : float
-        Standard deviation of a laser's scale error, and of a map's (AMCL, SLAM); it limits the accuracy of every scale.
+        Standard deviation of the laser's own scale error; it limits the accuracy of every scale.
     drive_type : str
         Wheel layout: differential, skid, car, tricycle or omni; by default inferred from the motion.
     imu : str, optional

@@ -126,7 +126,7 @@ _options = added(
     click.option(
         "--laser-scale-accuracy", type=Share("a share as in 0.3% or 0.003", 0.0, 20.0), metavar="SHARE",
         default="0.3%",
-        help="How far a laser's or a map's scale may be off (one standard deviation): no scale is known better. "
+        help="How far the laser's own scale may be off (one standard deviation): no scale is known better. "
         "[default: 0.3%]",
     ),
     click.option(

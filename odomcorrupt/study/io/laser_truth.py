@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["NO_SCAN", "SCALE_ACCURACY", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
 
 SCALE_ACCURACY = 0.003
-"""Default standard deviation of the scale error of a laser, and of maps, whose lengths a laser measured: 0.3 %."""
+"""Default standard deviation of a laser's scale error: 0.3 %."""
 NO_SCAN = "none"
 """Value in place of a topic that switches the laser off."""
 _LEAST_PART_S = 15.0
