@@ -15,6 +15,7 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.study.estimate.intervals import memory_over
 from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood
+from odomcorrupt.study.estimate.pose_steps import with_pose_steps
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.truth_field import field_of
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
@@ -42,9 +43,12 @@ _BESIDE = ("wheel_scale", "wheelbase", "unequal_wheels", "gyro_bias")
 
 
 def with_correlation_lengths(recordings: Sequence[Recording], approach: Approach) -> list[Recording]:
-    """Return the recordings; those with a localisation as their truth get its correlation length or spatial field."""
+    """Return the recordings; those with a localisation as their truth get its correlation length or spatial field.
+
+    Single events are left out of the estimate and of all intervals, see `pose_steps`.
+    """
     return [
-        _with_own(r, approach)
+        _with_own(with_pose_steps(r), approach)
         if r.localised and r.headed and r.truth.covariance is None and r.truth_correlation_m is None
         else r
         for r in recordings

@@ -45,7 +45,7 @@ __all__ = [
 GAP_S = 3.0
 """Multiple of the node spacing above which an interval is a gap in the truth and is not used."""
 TURN_M = 0.3
-"""Travel that changes a localisation's view as much as a turn by one radian, metres."""
+"""Travel that changes a localisation's view as much as a turn by 1 rad, metres."""
 _MOST_MEMORY = 0.97
 """Upper limit of the correlation of the truth's errors at two nodes; it would be 1 at the same place."""
 LEAST_NODES = 20
@@ -195,19 +195,20 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
     Raises
     ------
     RecordingError
-        If odometry and truth do not overlap, or overlap too little.
-
+        If odometry and truth overlap too little.
     """
     truth_s = recording.truth.seconds_since(recording.origin_ns)
     try:
         picked = _nodes_of(recording, truth_s, spacing_s)
     except RecordingError as error:
         raise RecordingError(f"{recording.name}: {error}") from error
-    kept = np.flatnonzero(np.diff(truth_s[picked]) < GAP_S * spacing_s)
+    start, end = truth_s[picked[:-1]], truth_s[picked[1:]]
+    beside = [(end <= step.start_s) | (start >= step.end_s) for step in recording.pose_steps]
+    kept = np.flatnonzero(np.all([end - start < GAP_S * spacing_s, *beside], axis=0))
     if len(kept) < LEAST_NODES:
         raise RecordingError(
             f"{recording.name}: only {len(kept)} stretches of {spacing_s:g} s have both odometry and truth; "
-            f"{LEAST_NODES} are needed: record longer, or check the two clocks"
+            f"{LEAST_NODES} are needed: record longer, or check both clocks"
         )
     return intervals(recording, picked, kept)
 
@@ -218,14 +219,13 @@ def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray
     Errors of a localisation depend on its view and stay the same while the robot stands or creeps. The path length is
     computed from the truth, so that nodes are the same for all models.
     """
-    first_s, last_s = recording.odometry_s[[0, -1]]
+    ends = recording.odometry_s[[0, -1]]
     if not recording.localised:
-        return pick_nodes(truth_s, first_s, last_s, spacing_s)
+        return pick_nodes(truth_s, float(ends[0]), float(ends[1]), spacing_s)
     steps = np.diff(np.nan_to_num(recording.truth.xyt), axis=0)
     gone = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) + TURN_M * np.abs(steps[:, 2]))))
     pace = gone * (float(truth_s[-1] - truth_s[0]) / max(float(gone[-1]), 1e-9))
-    usable = (truth_s >= first_s) & (truth_s <= last_s)
-    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, usable)
+    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, (truth_s >= ends[0]) & (truth_s <= ends[1]))
 
 
 def count_nodes(recording: Recording, spacing_s: float) -> int:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.io.recording import PoseStep, Recording
 
 __all__ = ["Event", "during", "events", "odd_steps", "set_apart", "single_events", "slip_bursts"]
 
@@ -80,8 +81,9 @@ class Event:
 
 
 def events(fit: Fit) -> list[Event]:
-    """Return the stretches flagged by a robust fit in order of time, neighbouring intervals merged."""
-    return _events_of(fit, np.flatnonzero(fit.noise.weights > 1.0))
+    """Return the stretches that a robust fit excludes or flags in order of time, neighbouring intervals merged."""
+    found = [*_left_out(fit), *_events_of(fit, np.flatnonzero(fit.noise.weights > 1.0))]
+    return sorted(found, key=lambda event: (event.recording, event.start_s))
 
 
 def single_events(fit: Fit) -> list[Event]:
@@ -96,7 +98,9 @@ def single_events(fit: Fit) -> list[Event]:
     # a push also contains intervals that are not flagged
     whole = [np.arange(group[0], group[-1] + 1) for group in groups]
     found = [event for event in _described(fit, whole) if event.lasting]
-    found = [event for event in (*found, *_across_gaps(fit)) if event.plain > _PLAINLY_ODD]
+    left_out = _left_out(fit)
+    gaps = [gap for gap in _across_gaps(fit) if not any(_overlap(gap, event) for event in left_out)]
+    found = [*left_out, *(event for event in (*found, *gaps) if event.plain > _PLAINLY_ODD)]
     if not any(recording.positioned for recording in fit.problem.recordings):
         found = [replace(event, along_m=0.0, across_m=0.0) for event in found]
     found.sort(key=lambda event: (event.recording, event.start_s))
@@ -109,6 +113,37 @@ def single_events(fit: Fit) -> list[Event]:
         else:
             joined.append(event)
     return joined if len(joined) <= _MOST_SINGLE else []
+
+
+def _left_out(fit: Fit) -> list[Event]:
+    """Return the steps between the odometry and a localisation, which the intervals leave out."""
+    usual = _usual(fit)
+
+    def turn_rad(recording: Recording, step: PoseStep) -> float:
+        start, end = recording.odometry.heading_at(np.array([step.start_s, step.end_s]), recording.origin_ns).tolist()
+        return float(end - start)
+
+    return [
+        Event(
+            recording=recording.name,
+            start_s=step.start_s,
+            end_s=step.end_s,
+            along_m=-step.apart[0],
+            across_m=-step.apart[1],
+            yaw_rad=-step.apart[2],
+            slip=0.0,
+            turn_rad=turn_rad(recording, step),
+            lasting=True,
+            place_xy=step.place_xy,
+            plain=float(np.linalg.norm(step.apart / usual)),
+        )
+        for recording in fit.problem.recordings
+        for step in recording.pose_steps
+    ]  # fmt: skip
+
+
+def _overlap(one: Event, other: Event) -> bool:
+    return one.recording == other.recording and one.start_s < other.end_s and other.start_s < one.end_s
 
 
 def _joined(first: Event, second: Event) -> Event:

@@ -37,8 +37,8 @@ _MIN_APART = np.array([0.05, 0.03])
 _MAX_FRACTION = 0.2
 """Fraction of departing poses above which nothing is removed: departures are then usual for this truth."""
 _APART_S = 3.0
-_MAX_LEFT = 0.5
-"""Largest residual departure after a tracker's excursion, as a fraction of its size."""
+_MAX_LEFT, _FEW_BESIDE = 0.5, 4
+"""Largest residual departure after an excursion, as a fraction of its size; fewest poses that show what is left."""
 _FLIP_RAD = 1.3
 """Step of the heading difference, radians, that counts as a flip; its direction then cannot be inferred."""
 
@@ -65,13 +65,18 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     apart = np.zeros((len(truth), 2))
     apart[inside], difference = _departures(odometry, own_s, truth, t_s, inside)
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
-    out, near = ((apart > np.maximum(sigmas * usual, _MIN_APART)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
+    far = apart > np.maximum(_SIGMAS * usual, _MIN_APART)
+    out, near = far.any(axis=1), (apart > np.maximum(_STILL_SIGMAS * usual, _MIN_APART)).any(axis=1)
     sudden = None if truth.localised else _Sudden(reach_of(odometry, truth), t_s[inside], difference)
     # An excursion includes its way out and back, and interruptions by noise.
     edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
     for first, end in edges.reshape(-1, 2):
-        far = out[first:end].any()
-        out[first:end] = far and (sudden is None or sudden.between(first - inside[0], end - inside[0]))
+        begin, after = first - inside[0], end - inside[0]
+        if sudden is not None:
+            back = sudden.between(begin, after)
+        else:
+            back = bool((_returns(t_s[inside], difference, begin, after) | ~far[first:end].any(axis=0)).all())
+        out[first:end] = out[first:end].any() and back
     if not out.any() or out.mean() > _MAX_FRACTION:
         return whole
     rows = np.flatnonzero(out)
@@ -129,7 +134,22 @@ def _departures(
     similar = np.stack((laid.ravel(), (laid[:, ::-1] * (-1.0, 1.0)).ravel(), *np.tile(np.eye(2), len(laid))), axis=1)
     away = away - (similar[:, :2] @ np.linalg.lstsq(similar, away.ravel(), rcond=None)[0][:2]).reshape(-1, 2)
     departures = np.stack((np.linalg.norm(away - _medians(at, away), axis=1), np.abs(turned - usual)), axis=1)
-    return departures, np.column_stack((away, turned))
+    return departures, np.column_stack((away, turned - steady))
+
+
+def _returns(t_s: Array, difference: Array, first: int, end: int) -> NDArray[np.bool_]:
+    """Return whether position and heading (2,) of truth minus odometry (m, 3) return after poses first to end.
+
+    A running median follows a lasting step at once only if poses are as frequent after the step as before it.
+    """
+    begin, last = np.searchsorted(t_s, (t_s[first] - _REACH_S, t_s[end - 1] + _REACH_S)).tolist()
+    if first - begin < _FEW_BESIDE or last - end < _FEW_BESIDE:
+        return np.ones(2, dtype=bool)
+    parts = np.split(difference[begin:last], (first - begin, end - begin))
+    before, within, after = (np.median(part, axis=0) for part in parts)
+    stays, away = (np.array((np.linalg.norm(d[:2]), abs(d[2]))) for d in (after - before, within - before))
+    returns: NDArray[np.bool_] = stays < np.maximum(_MAX_LEFT * away, _MIN_APART)
+    return returns
 
 
 def _unwrapped(difference: Array) -> tuple[Array, Array]:

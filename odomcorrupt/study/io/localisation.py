@@ -22,13 +22,15 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["CORRECTIONS", "REPEATED", "SPARSE_HZ", "ahead_s", "corrections_alone", "is_of_base"]
+__all__ = ["CORRECTIONS", "MAP_SCALE_ACCURACY", "REPEATED", "SPARSE_HZ", "ahead_s", "corrections_alone", "is_of_base"]
 
 REPEATED, CORRECTIONS = 0.3, 20
 """Least fraction of messages during motion that repeat the odometry's step in a localisation.
 
 The second is the least number of corrections from which to learn.
 """
+MAP_SCALE_ACCURACY = 0.001
+"""Standard deviation of a map's scale error: a cell of 5 cm in 50 m. Engineering judgement; no published figure."""
 _NAMES = re.compile(r"amcl|slam|locali[sz]|cartographer|rtabmap|hector")
 """Names of topics on which localisations publish their poses."""
 SPARSE_HZ = 5.0

@@ -20,7 +20,7 @@ from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_warnings
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import NO_SCAN, laser_run, only_scan, truth_of
-from odomcorrupt.study.io.localisation import corrections_alone, is_of_base
+from odomcorrupt.study.io.localisation import MAP_SCALE_ACCURACY, corrections_alone, is_of_base
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
@@ -284,7 +284,10 @@ def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> l
             why = error
     if why is not None and not found:
         raise why
-    return found
+    said = f"the map's lengths are taken as accurate to {MAP_SCALE_ACCURACY:.2%}, which limits all scales"
+    return [
+        replace(r, truth_scale_error=MAP_SCALE_ACCURACY, notes=(*r.notes, said)) if r.localised else r for r in found
+    ]
 
 
 def recordings_of(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.motion_model import Origin
 
-__all__ = ["Recording", "TruthField"]
+__all__ = ["PoseStep", "Recording", "TruthField"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +33,21 @@ class TruthField:
 
 
 @dataclass(frozen=True, slots=True)
+class PoseStep:
+    """A lasting step between odometry and truth: a push or a lift, left out of all intervals.
+
+    start_s, end_s : times since the recording's origin, seconds
+    apart : truth minus odometry, forwards and to the left in metres, counter-clockwise in radians
+    place_xy : position of the truth at the start, m
+    """
+
+    start_s: float
+    end_s: float
+    apart: tuple[float, float, float]
+    place_xy: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Recording:
     """One run of a robot: its odometry and the truth, each with its own clock and frame.
 
@@ -42,7 +57,7 @@ class Recording:
     notes : removals and findings of the reader, for reports
     clock : name of the clock, and of the origin, shared by stretches of one run; "" if not shared
     heading_error_rad : for a truth of positions only, standard deviation of the headings estimated for it
-    truth_scale_error : standard deviation of a scale error common to all lengths of the truth (a laser's)
+    truth_scale_error : standard deviation of a scale error common to all lengths of the truth (of a laser, or of a map)
     positioned : whether the truth measured positions; a gyro's are the odometry's travel along the gyro's headings
     turn_scale_error : standard deviation of a scale error common to all turns of the truth (a gyro's)
     turn_bias_error : standard deviation of a bias common to all yaw rates of the truth, rad/s
@@ -54,6 +69,7 @@ class Recording:
     truth_correlation_m : travel over which the truth's errors decorrelate to 1/e; 0 if independent; None if not
         estimated yet, which counts as 0
     truth_field : model of truth errors that depend on the place, if it fits better
+    pose_steps : lasting steps between odometry and a localisation
     pulled_per_s : decay rate of the odometry's errors towards the truth, as of a filter that receives poses, 1/s
     pose_corrections : number of steps of such a filter that were removed from the odometry
     truth_level : noise of the truth relative to that of a study's first recording, position and heading
@@ -92,6 +108,7 @@ class Recording:
     of_base: bool = False
     truth_correlation_m: float | None = None
     truth_field: TruthField | None = None
+    pose_steps: tuple[PoseStep, ...] = ()
     pulled_per_s: float = 0.0
     pose_corrections: int = 0
     drive_type: str = AUTO

@@ -51,6 +51,12 @@ def test_what_stays_is_no_excursion():
     assert without_excursions(odometry, truth) is truth
 
 
+def test_a_robot_that_was_moved_is_no_excursion_if_poses_become_more_frequent():
+    odometry, truth, out = drive(95.0, 1e9)
+    kept = out | (np.arange(len(out)) % 4 == 0)
+    assert len(without_excursions(odometry, truth.only(kept, ""))) == kept.sum()
+
+
 def tracked(turned_rad, begin_s=95.0, end_s=96.5, *, hidden_s=0.0):
     """Return odometry, a tracker at 50 Hz that is turned for a time and hidden before, and which poses are."""
     odometry, _, _ = drive(1e9, 0.0)

@@ -1,0 +1,52 @@
+"""A lasting step between odometry and a localisation is found with its time and size; jumps that return are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.intervals import lay_nodes
+from odomcorrupt.study.estimate.pose_steps import with_pose_steps
+
+PUSHED_S = 200.0
+
+
+def localised(seed, *, pushed_m=0.0, jump_m=0.0):
+    """Return a recording with poses of a localisation at 1.25 Hz, correlated over some; one is a step, or a jump."""
+    steps = wander(seed, 420.0)
+    run = recording(steps, noisy_path(steps, Coefficients(0.003, 0.003, 0.003, 0.001), seed), seed=seed)
+    travel = steps.ds_m.copy()
+    travel[round(50 * PUSHED_S) : round(50 * PUSHED_S) + 75] += pushed_m / 75.0
+    true = accumulate(np.zeros(3), Increments(travel, steps.dl_m, steps.dtheta_rad))[::40]
+    rng = np.random.default_rng(seed)
+    errors = np.zeros_like(true)
+    for i in range(1, len(true)):
+        errors[i] = 0.8 * errors[i - 1] + 0.6 * rng.normal(0.0, [0.025, 0.025, 0.01])
+    jumps = (np.arange(len(true)) >= 250) & (np.arange(len(true)) < 256)
+    errors[jumps, 0] += jump_m
+    return replace(run, truth=Trajectory(run.odometry.stamps_ns[::40], true + errors), localised=True)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("pushed_m", [0.6, -0.6])
+def test_a_push_is_found_with_time_and_size_and_no_interval_contains_it(seed, pushed_m):
+    run = with_pose_steps(localised(seed, pushed_m=pushed_m))
+    (step,) = run.pose_steps
+    assert PUSHED_S - 2.0 < step.start_s < step.end_s < PUSHED_S + 4.0
+    assert np.hypot(*step.apart[:2]) == pytest.approx(0.6, abs=0.12)
+    assert step.apart[2] == pytest.approx(0.0, abs=0.04)
+    nodes = lay_nodes(run, 2.0)
+    assert not np.any((nodes.start_s < step.end_s) & (nodes.end_s > step.start_s))
+    assert np.abs(nodes.residual[:, :2]).max() < 0.3
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("jump_m", [0.0, 0.3])
+def test_errors_of_the_localisation_are_no_steps(seed, jump_m):
+    assert with_pose_steps(localised(seed, jump_m=jump_m)).pose_steps == ()
