@@ -108,11 +108,12 @@ def compare_with_basis(
         share = float(np.sum((basis.T @ explained) ** 2)) / max(float(explained @ explained), 1e-300)
         return share > decisions.copy_share
 
-    scores = sorted((s for s in basis_scores(bare, decisions, design) if not copies(s.score)), key=lambda s: -s.score.nats)
+    found = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
+    scores = sorted(found, key=lambda one: -one.score.nats)
     others = [e for e in fit.effects if e not in effects]
 
     def refuted(score: Score) -> bool:
-        """Return whether a basis function explains clearly less without the effects, whose correction its score used."""
+        """Return whether a function explains clearly less without the effects, whose correction its score used."""
         if not (with_it := _with(fit, (*others, score.estimated))):
             return True
         with_it, score = with_shape_refined(with_it, score, decisions)
