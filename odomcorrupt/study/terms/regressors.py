@@ -41,8 +41,6 @@ _SIDEWAYS = 0.1
 """Least fraction of the travelled distance that a holonomic robot moves sideways."""
 _BIAS = 0.002  # relative bias of a gain above which the truth is used
 _LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0  # the same if the odometry has this many times the truth's noise variance
-_POSES = 0.6
-"""Variance of a step between poses with white noise, over its estimate from second differences of steps: 6 / 10."""
 _FEW = 50  # least number of samples in motion
 _SHARED, _ERRORS = 0.7, 3.0
 """Roughness is noise of the odometry if the truth shares less than this fraction, by this many standard errors."""
@@ -209,9 +207,7 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     if shared is None:
         return "truth" if noisy.any() else "odometry"
     noisy &= shared.part + _ERRORS * shared.error < _SHARED
-    # over an interval the noise of steps adds up, and white noise of poses (_POSES of its roughness) does not
-    noise_of_truth = _POSES * (grid[1] - grid[0]) / node_s * np.maximum(shared.noise_of_truth, 0.0)
-    only_odometry = shared.odometry_noise > _NOISE_RATIO * noise_of_truth
+    only_odometry = shared.odometry_noise > _NOISE_RATIO * np.maximum(shared.noise_of_truth, 0.0)
     only_odometry &= shared.odometry_noise > _ERRORS * shared.noise_error
     noisy |= only_odometry & (shared.odometry_noise * per_noise > _LEAST_BIAS)
     return "truth" if noisy.any() else "odometry"
