@@ -9,19 +9,19 @@ import pytest
 from hidden import as_recording, ten_second_error
 from wandering import RATE_HZ, recording, wander
 
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.simulation.fault_draws import SIZES
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dependence import basis_scores, dependences
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import every_action, views
-from odomcorrupt.study.terms.regressors import driving_motion
 from odomcorrupt.study.terms.term import BasisTerm
 
 
