@@ -117,6 +117,13 @@ def test_castors_turn_the_robot_after_each_reversal_and_the_next_one_turns_it_ba
     assert total("castor_kick", kick, back) == pytest.approx([0.0, 0.0, -0.03], abs=1e-12)
 
 
+def test_a_complementary_filter_takes_the_turn_of_the_wheels_seconds_late():
+    drive = motion(0.0, np.repeat([1.0, 0.0], [100, 1900]), seconds=40.0)
+    late = error("complementary_filter", {"e": 0.25, "tau": 5.0}, drive)[:, 2] / RATE_HZ
+    assert late.sum() == pytest.approx(-0.2 * 2.0, rel=1e-3)
+    assert late[:100].sum() == pytest.approx(-0.2 * (2.0 - 4.0 * (1.0 - math.exp(-0.5))), rel=0.01)
+
+
 def test_backlash_of_one_wheel_turns_the_robot():
     """A turn to the left on the spot after driving on: the left wheel alone reverses."""
     drive = motion(np.repeat([0.5, 0.0], 50), np.repeat([0.0, 1.0], 50), seconds=2.0, track=0.4)

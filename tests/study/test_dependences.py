@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden import as_recording, ten_second_error
+from wandering import RATE_HZ, recording, wander
 
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.user import user_effect
+from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.simulation.fault_draws import SIZES
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dependence import basis_scores, dependences
 from odomcorrupt.study.select.stepwise import learn
@@ -40,6 +45,28 @@ def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted(
     fitted = fit([run], [fixed], approach=choose_approach([run]))
     assert fitted.effects == (fixed,)
     assert len(fitted.standard_errors) == 0
+
+
+def test_a_wheel_that_ran_backwards_only_in_turns_on_the_spot_was_not_seen_in_reverse():
+    """Its error could not be told from one of such turns, and a drive in reverse would show the difference."""
+    motion = driving_motion(as_recording(simulate(70, None, duration_s=60.0)), "odometry")
+    halting = np.maximum(np.abs(motion.v) - 0.2, 0.0)
+    forwards, backwards = (replace(motion, v=sign * halting, omega=motion.omega + 0.5) for sign in (1.0, -1.0))
+    assert views(forwards)["left"].v.min() < -0.02
+    reverse = "k * where(v < -0.02, 1, 0)"
+    assert reverse not in {function.text for function in basis_functions([forwards])}
+    assert reverse in {function.text for function in basis_functions([backwards])}
+
+
+@pytest.mark.slow
+def test_a_wheel_that_scrubs_in_turns_to_one_side_is_found_as_such():
+    told, track_m = wander(315, 200.0), 0.4
+    lost = (told.ds_m - 0.5 * track_m * told.dtheta_rad) * 0.05 * np.maximum(-told.dtheta_rad * RATE_HZ, 0.0)
+    driven = Increments(told.ds_m - 0.5 * lost, told.dl_m, told.dtheta_rad + lost / track_m)
+    run = recording(driven, accumulate(np.zeros(3), told), truth_mm=1.0, truth_rad=0.001, seed=315)
+    learned = learn([replace(run, track_m=track_m)])
+    assert [effect.name for effect in learned.fit.effects] == ["left_over_yaw_rate"]
+    assert "max(-omega, 0)" in learned.laws[0].expression
 
 
 @pytest.mark.slow

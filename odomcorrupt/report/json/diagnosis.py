@@ -76,7 +76,7 @@ def learned_json(
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
             "unknown": [
                 _unknown(u, law_numbers(u, learned, fit), fitted=u in learned.laws)
-                | {"negligible": u in learned.laws and learned.is_negligible(u.name)}
+                | {"negligible": learned.hardly_moves(u)}
                 for u in learned.unknown
             ],
             "not_testable": [

@@ -60,7 +60,8 @@ class ModelComparison:
     effects : the compared effects of the fit
     bare : the fit without them, see `drop_term`
     nats, penalty : their joint gain minus the sum of their penalties, and that sum
-    scores : the best basis function of each regressor and channel, without copies of the effects
+    scores : the best basis function of each regressor and channel, without copies of the effects and without those that
+        a refit refutes
     """
 
     effects: tuple[Effect, ...]
@@ -107,7 +108,21 @@ def compare_with_basis(
         share = float(np.sum((basis.T @ explained) ** 2)) / max(float(explained @ explained), 1e-300)
         return share > decisions.copy_share
 
-    scores = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
+    found = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
+    scores = sorted(found, key=lambda one: -one.score.nats)
+    others = [e for e in fit.effects if e not in effects]
+
+    def refuted(score: Score) -> bool:
+        """Return whether a function explains clearly less without the effects, whose correction its score used."""
+        if not (with_it := _with(fit, (*others, score.estimated))):
+            return True
+        with_it, score = with_shape_refined(with_it, score, decisions)
+        more = with_it.log_likelihood - fit.log_likelihood - score.penalty + penalties
+        return more < -decisions.replacement_nats
+
+    # from the best one down, as far as a refit can change the comparison
+    while scores and scores[0].score.nats > nats - decisions.replacement_nats and refuted(scores[0].score):
+        del scores[0]
     return ModelComparison(tuple(effects), bare, nats, penalties, scores)
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
+from odomcorrupt.study.estimate.windows import WINDOW_S
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 
 if TYPE_CHECKING:
@@ -118,9 +121,17 @@ class Learned:
 
     @property
     def unexplained(self) -> tuple[Dependence, ...]:
-        """Dependences that no effect of the model explains, except negligible ones that are in the model."""
-        left = [one for one in self.unknown if not one.instead_of]
-        return tuple(one for one in left if one not in self.laws or not self.is_negligible(one.name))
+        """Dependences that no effect of the model explains, except negligible ones."""
+        return tuple(one for one in self.unknown if not (one.instead_of or self.hardly_moves(one)))
+
+    def hardly_moves(self, one: Dependence) -> bool:
+        """Return whether a dependence is negligible in practice: in the model, or because hardly an error is left."""
+        if one in self.laws:
+            return self.is_negligible(one.name)
+        motions = self.fit.problem.motions
+        travelled_m = sum(float(np.sum(np.hypot(m.v, m.vy) * m.dt_s)) for m in motions)
+        per_s = travelled_m / max(sum(float(np.sum(m.dt_s)) for m in motions), 1e-9)
+        return self.error_m < self.decisions.practical.per_m * WINDOW_S * per_s
 
     @property
     def left_nats(self) -> float:

@@ -54,7 +54,7 @@ def functions_of_motion(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
             yield from _hinges(regressor, motions)
     yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # g-sensitive gyro
     yield from _saturations(motions)
-    yield from _one_way()
+    yield from _one_way(motions)
     yield from _at_rest()
 
 
@@ -178,11 +178,19 @@ def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...],
     )
 
 
-def _one_way() -> Iterator[BasisFunction]:
-    """Yield errors in reverse only, and in turns to the right only."""
-    for regressor, name, value in (("speed", "v", lambda m: m.v), ("yaw_rate", "omega", lambda m: m.omega)):
+def _one_way(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield errors in reverse only, in turns to the right only, and of one wheel that scrubs in turns to one side.
+
+    A wheel that ran backwards only in turns on the spot, with a robot that never did, was not seen in reverse.
+    """
+    kinds: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega)]
+    if np.concatenate([m.v < -_STILL for m in motions]).mean() > 1.0 - _TOP:
+        kinds.append(("speed", "v", lambda m: m.v))
+    for regressor, name, value in kinds:
         text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
         yield BasisFunction(regressor, text, (_below(value, -_STILL),), reaches=_reaches(regressor, "one", "both"))
+    yield BasisFunction("yaw_rate", "k * max(omega, 0)", (lambda m: np.maximum(m.omega, 0.0),), 2, reaches=("one",))
+    yield BasisFunction("yaw_rate", "k * max(-omega, 0)", (lambda m: np.maximum(-m.omega, 0.0),), 2, reaches=("one",))
 
 
 def _at_rest() -> Iterator[BasisFunction]:

@@ -1,0 +1,93 @@
+"""Complementary filter that takes slow turns from wheels with a wrong gain, and fast turns from a gyro."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple, Self
+
+from odomcorrupt.drive_types import PIVOTING
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, parameter, stacked
+from odomcorrupt.effects.random_state import autoregression
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.random import Generator
+
+    from odomcorrupt.geometry.se2 import Array
+
+_TIMES_S = (1.0, 3.0, 10.0, 30.0)
+"""Trial time constants, seconds: at 1 s and below hardly a turn comes from the gyro, at 30 s hardly one from wheels."""
+
+
+class _Filtered(NamedTuple):
+    """State: the low-pass filtered yaw rate of the odometry, rad/s, and the last stamp, seconds."""
+
+    rate: float = 0.0
+    last_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ComplementaryFilter(Effect):
+    """f = (0, 0, -e / (1 + e) L omega), L a low-pass filter of time constant tau / (1 + e).
+
+    The heading follows the gyro, and with time constant tau the heading of wheels whose turns are (1 + e) times the
+    true ones. Its error d obeys tau d' + d = the error of the wheels' heading.
+    """
+
+    name = "complementary_filter"
+    layer = "record"
+    summary = "a filter blends a gyro with the heading of wheels whose turns have a wrong gain: turns err seconds later"
+    needs_gyro = True
+    drives = PIVOTING
+    about = About(
+        equation="f_yaw = -e / (1 + e) L omega, L a low-pass filter of time constant tau / (1 + e)",
+        typical="e as of a wheelbase, 0.5 to 5 %; tau 0.5 to 30 s",
+        source="Mahony, Hamel & Pflimlin 2008, IEEE T-AC 53(5), with one axis",
+        confused_with=("wheelbase", "gyro_bias_walk", "channel_lag"),
+        drive="turn on the spot by half a turn, and stand still for a minute: the heading creeps at rest",
+    )
+
+    e: float = parameter("", "turn of the wheels over the true one, minus one", low=-0.5, high=1.0, typical=0.015)
+    tau: float = parameter(
+        "s", "time constant of the filter", low=0.3, high=100.0, typical=3.0, identity=3.0, amplitude=False
+    )
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - filters do not depend on the drive
+        """Return a candidate for each trial time constant."""
+        return tuple(replace(cls(), tau=tau) for tau in _TIMES_S)
+
+    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
+        """Return the state of a robot that has not turned for long."""
+        return _Filtered()
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f, from the filtered yaw rate (a backward Euler step for each interval)."""
+        kept = self._time_s / (self._time_s + motion.dt_s)
+        slow = autoregression(state.rate, kept, (1.0 - kept) * motion.omega)
+        last = float(slow[-1]) if len(slow) else state.rate
+        return TwistError(stacked(0.0, 0.0, -self._gain * slow, motion.v), state._replace(rate=last))
+
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
+        """Return the increments (n, 3) with the turns that the filter reports; the inverse is `restored`."""
+        reported = steps.copy()
+        slow, last_s = state
+        for i, (turn, now_s) in enumerate(zip(steps[:, 2].tolist(), t_s.tolist(), strict=True)):
+            dt_s, last_s = now_s - last_s, now_s
+            if not dt_s > 0.0:  # repeated stamp, or a reset of time
+                slow = slow if dt_s == 0.0 else 0.0
+                continue
+            kept = self._time_s / (self._time_s + dt_s)
+            rate = (turn / dt_s + self._gain * kept * slow) / (1.0 - self._gain * (1.0 - kept))
+            slow = kept * slow + (1.0 - kept) * rate
+            reported[i, 2] = rate * dt_s if self.e else turn
+        return Recorded(reported, _Filtered(slow, last_s))
+
+    @property
+    def _gain(self) -> float:
+        return self.e / (1.0 + self.e)
+
+    @property
+    def _time_s(self) -> float:
+        return self.tau / (1.0 + self.e)
