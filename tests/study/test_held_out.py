@@ -183,15 +183,6 @@ def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
     assert confidence(evidence_of(step, replace(learned, fit=replace(learned.fit, problem=pulled)))) < 0.6
 
 
-def test_what_was_not_testable_lowers_how_sure_a_small_offset_is():
-    clocks = Clocks((Clock(-0.009),), ((True, False),), ((0.0005, 0.0),))
-    (sure,) = clocks_found(clocks)
-    (doubtful,) = clocks_found(replace(clocks, untested=("backlash",)))
-    (large,) = clocks_found(replace(clocks, clocks=(Clock(-0.2),), untested=("backlash",)))
-    assert min(sure.sure, large.sure) > 0.9
-    assert doubtful.sure < 0.6
-
-
 def test_a_clock_beside_which_errors_depend_on_the_acceleration_is_the_less_sure():
     clocks = Clocks((Clock(-0.009),), ((True, False),), ((0.0005, 0.0),))
     (doubtful,) = clocks_found(replace(clocks, left_nats=80.0))
