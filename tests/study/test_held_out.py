@@ -21,6 +21,7 @@ from odomcorrupt.study.estimate.drift_error import Drift
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.clock_rivals import beside_lags
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.contribution import Contribution, Span
 from odomcorrupt.study.select.stepwise import Learned, Step, learn
@@ -181,6 +182,18 @@ def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
     pulled = replace(learned.fit.problem, recordings=(replace(run, pulled_per_s=0.2),))
     assert confidence(evidence_of(step, learned)) > 0.9
     assert confidence(evidence_of(step, replace(learned, fit=replace(learned.fit, problem=pulled)))) < 0.6
+
+
+def test_what_a_far_plainer_lag_leaves_is_no_sure_clock():
+    problem = SimpleNamespace(clocks=(Clock(-0.009),))
+    fitted = SimpleNamespace(
+        problem=problem, clock_errors=np.array([[0.0005, 0.0]]), effects=(SimpleNamespace(name="motor_lag"),)
+    )
+    clocks = Clocks(problem.clocks, ((True, False),), ((0.0005, 0.0),))
+    for gain, sure in ((4000.0, False), (400.0, True)):
+        step = SimpleNamespace(added="motor_lag", candidates=(SimpleNamespace(gain=gain),))
+        (found,) = clocks_found(beside_lags(clocks, fitted, [step]))
+        assert (found.sure > 0.9) == sure
 
 
 def test_a_clock_beside_which_errors_depend_on_the_acceleration_is_the_less_sure():

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.clocks import clock_nats
 from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.candidates import tried
+from odomcorrupt.study.select.confidence import may_be_misfit_of_lag
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.terms.heading_source import sees_travel
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.result import Step
 
-__all__ = ["InPlaceOfClock", "late_motors", "more_nats"]
+__all__ = ["InPlaceOfClock", "beside_lags", "late_motors", "more_nats"]
 
 _LEAD_S = 0.04
 """Least lead of the odometry's clock at which a motor lag is tested, seconds: motors lag by 50 ms and more."""
@@ -65,6 +72,16 @@ def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
         return None
     other = with_it.refit()
     return InPlaceOfClock(candidate, other, more_nats(other, fit))
+
+
+def beside_lags(clocks: Clocks, fit: Fit, steps: Sequence[Step]) -> Clocks:
+    """Return the clocks of a model; the misfit of a lag, slip or play in it that gained far more is a rival of theirs.
+
+    No real lag is exactly of first order: what remains of it resembles a small offset.
+    """
+    nats, kept = clock_nats(fit), {effect.name for effect in fit.effects}
+    misfit = (nats,) if may_be_misfit_of_lag(nats, [step for step in steps if step.added in kept]) else ()
+    return replace(clocks, clocks=fit.problem.clocks, rival_nats=(*clocks.rival_nats, *misfit))
 
 
 def more_nats(here: Fit, there: Fit) -> float:
