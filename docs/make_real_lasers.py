@@ -21,6 +21,7 @@ import numpy as np
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.text.numbers import value_text
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.clocks import find_clocks
@@ -28,12 +29,13 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import compare
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from odomcorrupt.study.io.recording import Recording
 
 BAGS = ("turtlebot4_mac_floor", "cmu_wean_1", "cmu_wean_3", "mines_rover_exp1", "intel_1hz")
 PAIRS = (("cmu_wean_1", "cmu_wean_3"),)

@@ -23,6 +23,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.effects.user import UserEffect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.report.plots.figure import BLACK, RED, SKY, drawing, new_figure
 from odomcorrupt.report.text.diagnosis import dependence
@@ -30,7 +31,6 @@ from odomcorrupt.report.text.lack_of_fit import sentence
 from odomcorrupt.report.text.numbers import value_text
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import compare
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
@@ -39,6 +39,7 @@ from odomcorrupt.study.validate.predictive_check import Replay, replay
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.validate.evaluation import Evaluation
 

@@ -31,7 +31,7 @@ from odomcorrupt.scoring.estimates import read_estimate
 from odomcorrupt.trajectories.reader import read_poses
 
 if TYPE_CHECKING:
-    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.geometry.trajectory import Trajectory
 
 UPDATE_M, UPDATE_RAD = 0.25, 0.2
 """The filter is updated after so much motion: the defaults of amcl, at which its alphas hold."""

@@ -22,8 +22,8 @@ from odomcorrupt.scoring.errors import PathErrors, path_errors
 from odomcorrupt.scoring.estimates import read_estimate
 
 if TYPE_CHECKING:
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.scoring.errors import Alignment
-    from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["CorruptedBag", "CorruptedBags", "corrupted"]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.files import write_text
+from odomcorrupt.result_files import write_text
 from odomcorrupt.scoring.gate import STATISTICS, Comparison, compare_paired
 
 if TYPE_CHECKING:

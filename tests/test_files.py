@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from odomcorrupt.errors import MapError, OdomCorruptError
-from odomcorrupt.files import open_input, read_input
+from odomcorrupt.input_files import open_input, read_input
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 PGM = b"P5\n2 2\n255\n\xfe\xfe\xfe\xfe"

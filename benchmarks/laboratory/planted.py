@@ -14,11 +14,11 @@ from laboratory.answer import plain_answer
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import parameters
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from laboratory.cases import Case
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["SIZES", "plant", "planted"]
 

@@ -10,13 +10,14 @@ import numpy as np
 from laser.caster import LASERS, Laser, ranges_of, walkers
 from laser.world import world_around
 from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.laser.sweep import Sweep, Sweeps
 from odomcorrupt.simulation import simulate
 from odomcorrupt.simulation.tracker import Tracker
 from odomcorrupt.study.io.laser_truth import LaserRun, match_run, truth_of
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.reader import recordings_of
-from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.io.recording import Recording
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

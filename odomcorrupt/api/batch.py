@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.map_condition import MapCondition
-    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Batch", "batch"]
 

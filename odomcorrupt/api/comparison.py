@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from odomcorrupt.api.model import ModelLike
     from odomcorrupt.api.recordings import PathLikes, Recordings
     from odomcorrupt.model.motion_model import Origin
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Comparison", "compare"]
 

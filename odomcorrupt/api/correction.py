@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block
     from odomcorrupt.correction.run import Corrected
     from odomcorrupt.corruption.drift import Drift
-    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Correction", "correct"]
 

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.model import ModelLike
     from odomcorrupt.api.recordings import PathLikes, Recordings
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.work import Watch
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Diagnosis", "Findings", "diagnose"]
 
@@ -78,8 +78,8 @@ class Findings(Result):
             Description of the drive; "" if no drive would decide anything, in which case no file is written.
 
         """
-        from odomcorrupt.files import refuse_existing, write_bytes
         from odomcorrupt.report.text.design import drive_sentence
+        from odomcorrupt.result_files import refuse_existing, write_bytes
         from odomcorrupt.study.design.plan import drive_bag
 
         target = Path(fspath(path))
@@ -139,7 +139,7 @@ class Diagnosis(Findings):
         )
         if all(run.positioned for run in self.recordings):
             return brief
-        from odomcorrupt.report.text.summary import Line, Summary
+        from odomcorrupt.summary import Line, Summary
 
         said = "cannot be known from wheels and a gyro alone: not testable are wheel_scale, speed_scale and the like"
         return Summary((*brief.lines, Line("travel", said, "warning")))

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.model import ModelLike
     from odomcorrupt.api.recordings import PathLikes
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.validate.round_trip import RoundTrip
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Fit", "fit", "require_effects"]
 

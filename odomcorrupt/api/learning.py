@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.api.recordings import PathLikes
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import LearnedRobot
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.work import Watch
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Learned", "learn"]
 

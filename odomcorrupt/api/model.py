@@ -226,8 +226,8 @@ class Model:
             If the file exists and `overwrite` is false.
 
         """
-        from odomcorrupt.files import refuse_existing, write_text
         from odomcorrupt.model.model_file import format_model
+        from odomcorrupt.result_files import refuse_existing, write_text
 
         target = Path(fspath(path))
         refuse_existing(target, overwrite=overwrite)

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.sampling.density import DensityGrid
     from odomcorrupt.sampling.samples import Move
     from odomcorrupt.sampling.text import Drawn
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Density", "Samples", "density", "sample"]
 
@@ -133,7 +133,7 @@ def sample(
     if within is None:
         xyt = move_sampled(move, variances, count, rng)
     else:
-        from odomcorrupt.mapping.conditioned_runs import move_sampled_in_map
+        from odomcorrupt.sampling.samples_in_map import move_sampled_in_map
 
         free = move_sampled_in_map(move, variances, count, rng, within.space, check=within.check, tries=within.tries)
         xyt, notes = free.xyt, (free.account(),)
@@ -198,7 +198,7 @@ class Density(Result):
 
     def summary(self) -> Summary:
         """Return the density at each pose, and its integral over all poses."""
-        from odomcorrupt.report.text.summary import Line, Summary, command_line
+        from odomcorrupt.summary import Line, Summary, command_line
 
         *values, integral = self._sentences()
         lines = [Line("DENSITY", integral, "good"), *(Line("", sentence) for sentence in values)]

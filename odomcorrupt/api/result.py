@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Result"]
 
@@ -97,8 +97,8 @@ class Result(ABC):
         require("matplotlib", "pictures need it", "study")
         figure = self.draw(picture)
         if path is not None:
-            from odomcorrupt.files import refuse_existing, write_bytes
             from odomcorrupt.report.plots.figure import rendered
+            from odomcorrupt.result_files import refuse_existing, write_bytes
 
             target = Path(fspath(path))
             kind = target.suffix.lower().removeprefix(".")

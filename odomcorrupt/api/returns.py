@@ -14,8 +14,8 @@ from odomcorrupt.extras import require
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.returns import ReturnsFit
+    from odomcorrupt.summary import Summary
 
 __all__ = ["SquareTest", "fit_returns"]
 
@@ -53,7 +53,7 @@ class SquareTest(Result):
     def summary(self) -> Summary:
         """Return the effects with standard errors, and the distance of the ends from the start before and after."""
         from odomcorrupt.report.text.numbers import effects_with_errors, numbers_text
-        from odomcorrupt.report.text.summary import Line, Summary
+        from odomcorrupt.summary import Line, Summary
 
         found = self.result
         lines = [

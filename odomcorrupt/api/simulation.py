@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.simulation.record import SimulatedRun
+    from odomcorrupt.summary import Summary
 
 __all__ = ["Simulation", "simulate"]
 
@@ -55,7 +55,7 @@ class Simulation(Result):
 
     def summary(self) -> Summary:
         """Return a description of the recording, and the path of its answer."""
-        from odomcorrupt.report.text.summary import Line, Summary, command_line
+        from odomcorrupt.summary import Line, Summary, command_line
 
         what, robot = self._said
         lines = [Line("RECORDED", f"{what} in {self.target or 'stdout'}", "good"), Line("robot", robot)]
@@ -174,7 +174,7 @@ def simulate(
     require("scipy", "the study needs it", "study")
     import io
 
-    from odomcorrupt.files import refuse_existing, write_bytes, write_text
+    from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
     from odomcorrupt.simulation.bag import write_mcap
     from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
     from odomcorrupt.simulation.record import fingerprint, format_answer

@@ -23,7 +23,7 @@ from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import sweep
 from odomcorrupt.errors import BagError, OdomCorruptError
-from odomcorrupt.files import read_input
+from odomcorrupt.input_files import read_input
 from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:

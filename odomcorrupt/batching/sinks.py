@@ -17,8 +17,8 @@ from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output, OutputContext
 from odomcorrupt.bags.rosbag2.writer import Foreign
 from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.files import open_input
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
+from odomcorrupt.input_files import open_input
 from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:

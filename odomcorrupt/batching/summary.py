@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from odomcorrupt.batching.runner import Failure
-    from odomcorrupt.report.text.summary import Tone
+    from odomcorrupt.summary import Tone
 
 __all__ = ["brief", "sentences"]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._options import FILE, added, need_pictures
-from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import click
 
 from odomcorrupt.extras import require
-from odomcorrupt.files import refuse_existing
+from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -142,7 +142,7 @@ def check_picture(path: Path | None, *, overwrite: bool) -> None:
 
 def save_picture(path: Path, figure: Figure) -> None:
     """Write a figure in the format of its file name, completely or not at all."""
-    from odomcorrupt.files import write_bytes
     from odomcorrupt.report.plots.figure import rendered
+    from odomcorrupt.result_files import write_bytes
 
     write_bytes(path, rendered(figure, picture_kind(path) or "png"))

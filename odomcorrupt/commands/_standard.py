@@ -19,14 +19,14 @@ from click.core import ParameterSource
 from odomcorrupt import commands
 from odomcorrupt.commands._options import added
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.report.text.summary import wrapped
+from odomcorrupt.summary import wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from odomcorrupt.api.result import Result
     from odomcorrupt.commands._options import Decorator
-    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.summary import Summary
 
 __all__ = ["WORDS", "Files", "Voice", "chosen_output", "command_names", "output_option", "overwrite_option",
            "standard_options", "typed_words", "written"]  # fmt: skip
@@ -208,7 +208,7 @@ def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) ->
 def _table(file: Path) -> Mapping[str, Any]:
     import tomllib
 
-    from odomcorrupt.files import read_input
+    from odomcorrupt.input_files import read_input
 
     data = read_input(file, _LIMIT_BYTES, "file of defaults", click.UsageError)
     try:

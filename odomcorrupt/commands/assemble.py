@@ -33,7 +33,7 @@ def command(
     from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
     from odomcorrupt.batching.split_layout import assemble
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
+    from odomcorrupt.summary import Line, Summary, command_line
 
     target = Path(chosen_output(output, output_option))
     if original is None:

@@ -13,7 +13,7 @@ import click
 from odomcorrupt.commands._options import FILE, check_picture, need_pictures
 from odomcorrupt.commands._recordings import recording_options, split_arguments
 from odomcorrupt.commands._standard import overwrite_option, standard_options
-from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -11,7 +11,7 @@ from odomcorrupt.commands._standard import standard_options
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import Noise, Step
-    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.summary import Summary
 
 __all__ = ["command"]
 
@@ -65,8 +65,8 @@ def _brief(before: Noise, after: Noise) -> Summary:
     """Return the coefficients of the other law, the drift of both, and how to use them."""
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
     from odomcorrupt.sampling.text import law_meaning
+    from odomcorrupt.summary import Line, Summary, command_line
 
     straight, turn = _drifts(after)
     new, old = (f"{model_brief(MotionModel(noise), '')}; {law_meaning(noise)}" for noise in (after, before))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.effects.effect import Effect, Parameter
-    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.summary import Summary
 
 __all__ = ["command"]
 
@@ -59,7 +59,7 @@ _FAMILIES = {"effect": "SYSTEMATIC", "setup": "setup", "event": "event", "noise"
 
 def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
     """Return the names by kind."""
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
+    from odomcorrupt.summary import Line, Summary, command_line
 
     names = {label: ", ".join(n for n, one in kinds.items() if one.kind == kind) for kind, label in _FAMILIES.items()}
     lines = [Line(label, text) for label, text in names.items()]
@@ -69,7 +69,7 @@ def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
 def _brief_page(kind: type[Effect]) -> Summary:
     """Return an effect's description, its parameters, and a command that applies it to a bag."""
     from odomcorrupt.effects.effect import choices, parameters
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
+    from odomcorrupt.summary import Line, Summary, command_line
 
     lines = [Line(kind.name, f"{kind.summary} ({kind.kind})", "good")]
     own = parameters(kind)

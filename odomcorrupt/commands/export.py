@@ -8,7 +8,7 @@ import click
 
 from odomcorrupt.commands._options import FILE, TRACK, Number
 from odomcorrupt.commands._standard import overwrite_option, standard_options
-from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.commands._options import Decorator
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.summary import Summary
 
 __all__ = ["command"]
 
@@ -91,7 +91,7 @@ def command(
 def _brief(robot: MotionModel, name: str, text: str, following: Sequence[object]) -> Summary:
     """Return the exported numbers, the effects that cannot be expressed, and the suggested next command."""
     from odomcorrupt.export.yaml_text import numbers_of, unexpressed
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
+    from odomcorrupt.summary import Line, Summary, command_line
 
     left = unexpressed(text, robot)
     lines = [Line("EXPORTED", name, "warning" if left else "good")]

@@ -12,7 +12,7 @@ import click
 from odomcorrupt.commands._options import FILE
 from odomcorrupt.commands._recordings import recording_options, split_arguments
 from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
-from odomcorrupt.files import refuse_existing
+from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

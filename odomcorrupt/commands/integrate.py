@@ -11,15 +11,15 @@ import click
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture
 from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
-from odomcorrupt.files import refuse_existing
+from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.report.text.summary import Summary
-    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.geometry.trajectory import Trajectory
+    from odomcorrupt.summary import Summary
     from odomcorrupt.trajectories.reader import Drive
 
 __all__ = ["command"]
@@ -114,7 +114,7 @@ def _check_name(input_: Path, output: Path | None) -> None:
 
 def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], following: Sequence[object]) -> Summary:
     """Return the integrated odometry's length and errors, the effect of noise, and the suggested next command."""
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
+    from odomcorrupt.summary import Line, Summary, command_line
 
     whole = f"{len(drive)} twists of {drive.topic}, {drive.distance_m[-1]:.4g} m in {drive.t_s[-1]:.4g} s"
     lines = [Line("INTEGRATED", whole, "good"), Line("rule", rule)]

@@ -13,7 +13,7 @@ from odomcorrupt.commands._advice import advice_files, advice_options, check_adv
 from odomcorrupt.commands._options import FILE, check_picture
 from odomcorrupt.commands._recordings import recording_options, split_arguments
 from odomcorrupt.commands._standard import overwrite_option, standard_options, written
-from odomcorrupt.files import refuse_existing
+from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,8 +13,8 @@ from odomcorrupt.commands._model import AlphaCommand, choose_model, model_option
 from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
-from odomcorrupt.files import refuse_existing, write_bytes, write_text
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -133,7 +133,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
     with Stages(quiet=voice.quiet) as stages:
         run, parts = largest_part(laser_run(bag, str(bag), odom, given["scan"], stages))
-    odometry = run.odometry.trajectory()
+    odometry = run.odometry
     noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
     maps = laser_maps(run, noise.error_xyt, given["resolution"])
     placed = f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map"
@@ -179,11 +179,11 @@ def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[t
     import numpy as np
 
     from odomcorrupt.corruption.path import NoisyPath
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.mapping.frames import mount_at
     from odomcorrupt.mapping.raycast import canvas_for
     from odomcorrupt.mapping.scan_map import place, slow_rays, survey
     from odomcorrupt.mapping.scans import read_rays
-    from odomcorrupt.study.io.recording import Trajectory
     from odomcorrupt.trajectories.reader import read_drive, read_poses
 
     drive = read_drive(bag, given["odom_topic"])

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.presets import Preset
-    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.summary import Summary
 
 __all__ = ["command"]
 
@@ -51,7 +51,7 @@ def command(name: str | None, *, voice: Voice) -> None:
 
 def _brief(presets: Sequence[Preset]) -> Summary:
     """Return the names, fitted presets on a separate line."""
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
+    from odomcorrupt.summary import Line, Summary, command_line
 
     fitted = [p.name for p in presets if p.source.startswith("fitted")]
     stated = [p.name for p in presets if p.name not in fitted]

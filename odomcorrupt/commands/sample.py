@@ -15,7 +15,7 @@ from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
 from odomcorrupt.commands._options import FILE, PICTURES, Number, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
-from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,8 +34,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.mapping.conditioned_runs import free_paths
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.sampling.text import law_words
-    from odomcorrupt.trajectories.particles import (
+    from odomcorrupt.sampling.particles import (
         brief,
         csv_text,
         json_text,
@@ -44,6 +43,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
         report_text,
         sample_particles,
     )
+    from odomcorrupt.sampling.text import law_words
     from odomcorrupt.trajectories.reader import read_drive
 
     taken = [name for name in ("example", "start", "end") if given[name] is not None]

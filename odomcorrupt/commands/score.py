@@ -11,7 +11,8 @@ from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._options import FILE, Number, check_picture, need_pictures, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import overwrite_option, standard_options, written
-from odomcorrupt.files import read_input, refuse_existing, write_text
+from odomcorrupt.input_files import read_input
+from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice

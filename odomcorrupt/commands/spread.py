@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.dispersion import SpreadReport
     from odomcorrupt.batching.dispersion import SpreadRow as _Row
     from odomcorrupt.commands._standard import Voice
-    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.summary import Summary
 
 __all__ = ["command"]
 
@@ -52,7 +52,7 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
 
 def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:
     """Return whether the dispersion at the end is as predicted, and its values along the drive."""
-    from odomcorrupt.report.text.summary import Line, Summary, command_line
+    from odomcorrupt.summary import Line, Summary, command_line
 
     last = report.rows[-1]
     ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf

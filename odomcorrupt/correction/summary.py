@@ -14,7 +14,7 @@ from odomcorrupt.corruption.summary import (
     topic_words,
     travel_words,
 )
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from odomcorrupt.correction.run import Corrected

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
+from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
-from odomcorrupt.geometry.motion import corrected_increments, motion_of
+from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import compose, rotate
 
 if TYPE_CHECKING:

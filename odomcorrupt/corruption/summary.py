@@ -13,7 +13,7 @@ from odomcorrupt.corruption.odometry_source import ODOMETRY, plain
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.effects.effect import choices, parameters
-from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

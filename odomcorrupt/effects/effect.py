@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.effects.motion import Motion
 from odomcorrupt.errors import EffectError
+from odomcorrupt.geometry.motion import Motion
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from odomcorrupt.effects.effect import Effect, parameter
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.effects.motion import Motion
+    from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["CREEP_MPS", "axles_parameter", "on_every_axle_distance", "steepness"]

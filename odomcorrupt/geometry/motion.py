@@ -1,4 +1,4 @@
-"""Motion over the intervals of a trajectory: speeds, accelerations, and their correction by effects."""
+"""Motion over the intervals of a trajectory, the argument of an effect's function f: speeds and accelerations."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import Effect, Motion
-from odomcorrupt.errors import EffectError
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
-from odomcorrupt.rng import stream
+from odomcorrupt.geometry.increments import increments
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from odomcorrupt.geometry.se2 import Array
 
@@ -21,12 +18,9 @@ __all__ = [
     "SMOOTHING_S",
     "TRAIL_S",
     "LineFits",
+    "Motion",
     "SpeedMemory",
     "accelerations",
-    "corrected_increments",
-    "corrected_twist",
-    "error_of",
-    "followed",
     "motion_of",
     "slopes",
 ]
@@ -37,19 +31,74 @@ SMOOTHING_S = 0.2
 TRAIL_S = 0.05
 """Averaging time of speeds before differentiation, because stamps may be bunched and poses come in ticks."""
 
-TOLERANCE = 1e-12
-"""Largest change of an increment between two rounds at convergence of a correction, metres or radians."""
-
-MAX_ROUNDS = 2000
-"""Large, because if an effect switches on and off for seconds, each round advances only to the next switch."""
-
-_NUDGE = 0.5
-"""Step of the numerical derivative with respect to the acceleration, m/s^2 and rad/s^2."""
-
 _BLOCK = 1024
 
-_RUNAWAY = 1e6
-"""Change of an increment, metres, at which the iteration counts as diverged."""
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Motion over n intervals as reported by the odometry, (n,) each.
+
+    t_s : since the first odometry stamp, seconds, at the end of the interval
+    dt_s : length of the interval, seconds; if it is 0 the rates are 0
+    v, vy : forward and leftward speed, m/s (signed)
+    omega : yaw rate, rad/s
+    acceleration : (n, 3) forward and leftward, m/s^2, and yaw acceleration, rad/s^2, see `accelerations`
+    x, y, theta : pose at the beginning of the interval, metres and radians
+    distance : distance travelled so far, metres
+    track_m : the robot's nominal track, metres, or None if unknown
+    trail : (n, 3) mean true speeds whose rate is `acceleration`; None if speeds are smooth already
+    before : (n, 2, 3) acceleration and trail of the previous interval; None if speeds are smooth already
+
+    Speeds are the odometry's. Acceleration, pose and distance are the true ones: of the clean motion in corruption, of
+    the corrected one in correction, of the smoothest estimate in the study. Forces accelerate the body, and a floor's
+    effect depends on the body's position; only so can an effect of accelerations be applied and inverted stably.
+    """
+
+    t_s: Array
+    dt_s: Array
+    v: Array
+    vy: Array
+    omega: Array
+    acceleration: Array
+    x: Array
+    y: Array
+    theta: Array
+    distance: Array
+    track_m: float | None = None
+    trail: Array | None = None
+    before: Array | None = None
+
+    @property
+    def in_step(self) -> Motion:
+        """The motion with all speeds in step with their accelerations: integrals of their products do not drift."""
+        if self.trail is None:
+            return self
+        return replace(self, v=self.trail[:, 0], vy=self.trail[:, 1], omega=self.trail[:, 2])
+
+    @property
+    def just_before(self) -> Motion:
+        """The motion in step, with speeds and accelerations of the previous interval."""
+        if self.before is None:
+            return self.in_step
+        return replace(self, acceleration=self.before[:, 0], trail=self.before[:, 1]).in_step
+
+    @property
+    def steady_v(self) -> Array:
+        """Forward speed (n,), m/s, in step with `a`: the product of both is the rate of half its square."""
+        return self.v if self.trail is None else self.trail[:, 0]
+
+    @property
+    def a(self) -> Array:
+        """Forward acceleration (n,), m/s^2."""
+        return self.acceleration[:, 0]
+
+    @property
+    def alpha(self) -> Array:
+        """Yaw acceleration (n,), rad/s^2."""
+        return self.acceleration[:, 2]
+
+    def __len__(self) -> int:
+        return len(self.t_s)
 
 
 class LineFits:
@@ -206,138 +255,3 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
         distance=np.cumsum(travel),
         track_m=track_m,
     )
-
-
-def error_of(effect: Effect, motion: Motion) -> Array:
-    """Return an effect's twist error f (n, 3), m/s and rad/s, over a whole motion from its initial state."""
-    # Seeding a stream takes longer than most effects; effects without state do not need it.
-    state = effect.start(stream(0, 0, effect.name)) if type(effect).start is not Effect.start else None
-    return effect.twist_error(motion, state).f
-
-
-def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Increments:
-    """Return the true increments from the odometry's motion, as of `corrected_twist`."""
-    twist = corrected_twist(effects, motion, place_xyt)
-    return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
-
-
-def corrected_twist(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Array:
-    """Return the true twist u = u' + f(u'), (n, 3) in m/s and rad/s, from the odometry's motion u'.
-
-    Encoder effects are inverted first, since the others are functions of the motion that encoders should have reported;
-    effects of the tracked point come last. Acceleration, pose and distance are the true ones, found by fixed-point
-    iteration together with the twist. The draws of random effects are unknown and contribute nothing, except where
-    the odometry itself shows them; clock effects are not corrected.
-
-    Parameters
-    ----------
-    effects : any order
-    motion : from `motion_of`
-    place_xyt : (n, 3)
-        True poses at the starts of the intervals, where known; otherwise the corrected poses, from the odometry's
-        start.
-
-    Raises
-    ------
-    EffectError
-        If no true motion explains the odometry: an effect of accelerations that counteracts them.
-
-    """
-    systematic = [e for e in effects if e.kind != "noise" and not e.clock]
-    shown = [e for e in effects if e.layer == "record" and (e.kind != "noise" or e.restorable)]
-    for effect in sorted(shown, key=lambda e: e.name, reverse=True):  # the last to act is the first to be undone
-        motion = effect.restored(motion)
-    twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
-    moving = [e for e in systematic if e.layer == "motion"]
-    robots = [e for e in moving if e.kind != "setup"]
-    for effect in robots:
-        if not effect.reads_truth:
-            twist += error_of(effect, motion)
-    seeking, setup = [e for e in robots if e.reads_truth], [e for e in moving if e.kind == "setup"]
-    if seeking:
-        twist = _settled(seeking, setup, motion, twist, place_xyt)
-    return followed(setup, motion, twist)
-
-
-def followed(setup: Sequence[Effect], motion: Motion, twist: Array) -> Array:
-    """Return the twist (n, 3) of the tracked point (marker) on a robot with true twist (n, 3).
-
-    The velocity of a marker off the axis follows the true turn, not the reported one, and a rotated mounting rotates
-    that velocity as well. So these effects are applied one after the other, by name: lever arm, then mounting.
-    """
-    for effect in sorted(setup, key=lambda e: e.name):
-        v, vy, omega = np.ascontiguousarray(twist.T)
-        twist = twist + error_of(effect, replace(motion, v=v, vy=vy, omega=omega))
-    return twist
-
-
-def _settled(
-    effects: Sequence[Effect], setup: Sequence[Effect], motion: Motion, known: Array, place_xyt: Array | None
-) -> Array:
-    """Return the true twist (n, 3): `known` plus the f of effects that depend on the true motion.
-
-    They depend on earlier intervals and, within an interval, on its own acceleration only: dividing by the derivative
-    with respect to that (Jacobi's method on a triangular system) makes the iteration converge for slip of any
-    strength. Discontinuous effects use the interval before, so that a solution always exists.
-    """
-    dt = motion.dt_s[:, None]
-    start = np.array([motion.x[0], motion.y[0], motion.theta[0]]) if len(motion) else np.zeros(3)
-    stiff = np.ones((len(known), 1))
-    truth = known
-    for number in range(MAX_ROUNDS):
-        shown = followed(setup, motion, truth)
-        steps = shown * dt
-        path = accumulate(start, Increments(*np.ascontiguousarray(steps.T)))[:-1] if place_xyt is None else place_xyt
-        faster = accelerations(shown, motion.dt_s)
-        seen = replace(
-            motion,
-            acceleration=faster.rate,
-            trail=faster.trail,
-            before=faster.before,
-            x=np.ascontiguousarray(path[:, 0]),
-            y=np.ascontiguousarray(path[:, 1]),
-            theta=np.ascontiguousarray(path[:, 2]),
-            distance=np.cumsum(np.hypot(steps[:, 0], steps[:, 1])),
-        )
-        with np.errstate(over="ignore", invalid="ignore"):  # divergence is reported below
-            if number & (number - 1) == 0:  # at powers of two: less often as the estimate of the truth improves
-                # never decreased: too large a stiffness converges late, too small a one never
-                stiff = np.maximum(stiff, _stiffness(effects, seen))
-            change = (known + _sum_of(effects, seen) - truth) / stiff
-            truth = truth + change
-        largest = np.abs(change * dt).max(initial=0.0)
-        if largest <= TOLERANCE:
-            return truth
-        if not largest < _RUNAWAY:
-            break
-    names = ", ".join(effect.name for effect in effects)
-    raise EffectError(
-        f"effects ({names}): cannot be taken out of this odometry, u = u' + f(u) does not settle; make them "
-        "weaker, or delete them from the model"
-    )
-
-
-def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:
-    """Return upper bounds (n, 1) of the Jacobian's diagonal; 1 if f does not depend on the acceleration.
-
-    A one-sided dependence, such as slip under braking only, counts with that side. Coupling between two channels adds
-    its geometric mean, so that the slip of a single wheel counts in full. All channels share one number.
-    """
-    here = _sum_of(effects, motion)
-    own, across = np.zeros_like(here), np.zeros((len(motion), 3, 3))
-    for i in range(3):
-        for nudge in (-_NUDGE, _NUDGE):
-            aside = motion.acceleration.copy()
-            aside[:, i] += nudge
-            gain = (_sum_of(effects, replace(motion, acceleration=aside)) - here) / nudge
-            own[:, i] = np.minimum(own[:, i], gain[:, i])
-            across[:, i] = np.maximum(across[:, i], np.abs(gain))
-    each_other = np.sqrt(across * across.transpose(0, 2, 1)) * (1.0 - np.eye(3))
-    acting = (each_other.sum(axis=2) - own).max(axis=1, keepdims=True)
-    stiff: Array = 1.0 + acting / np.maximum(motion.dt_s, TRAIL_S)[:, None]
-    return stiff
-
-
-def _sum_of(effects: Sequence[Effect], motion: Motion) -> Array:
-    """Return the sum of the effects' f (n, 3)."""
-    return sum((error_of(effect, motion) for effect in effects), start=np.zeros((len(motion), 3)))

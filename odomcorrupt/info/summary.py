@@ -14,8 +14,8 @@ from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
 from odomcorrupt.info.checks import CovarianceCheck, disagreement_m, findings
 from odomcorrupt.info.scan import OdometryRecord
-from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.standard_streams import visible
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -20,8 +20,8 @@ from odomcorrupt.laser.surface import lines_of
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.laser.sweep import Sweeps
-    from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["Calibration", "calibrate", "hand_eye"]
 

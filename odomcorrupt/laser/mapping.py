@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.mapping.frames import Mount
 from odomcorrupt.mapping.raycast import canvas_for
 from odomcorrupt.mapping.scan_map import place, survey
 from odomcorrupt.mapping.scans import Rays
-from odomcorrupt.study.io.recording import Trajectory
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.laser.trajectory import LaserRun
     from odomcorrupt.mapping.scan_map import Survey
-    from odomcorrupt.study.io.laser_truth import LaserRun
 
 __all__ = ["LaserMaps", "largest_part", "laser_maps", "tum_text"]
 
@@ -60,7 +60,7 @@ def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMap
     stamps = motion.origin_ns + np.round((path.t_s + motion.lag_s) * 1e9).astype(np.int64)
     stamps, first = np.unique(stamps, return_index=True)
     trajectory = Trajectory(stamps, path.xyt[first])
-    odometry = run.odometry.trajectory()
+    odometry = run.odometry
     start = np.clip(trajectory.seconds_since(int(odometry.stamps_ns[0]))[:1], 0.0, None)
     begin = odometry.at(start, int(odometry.stamps_ns[0]))[0]
     noisy = Trajectory(odometry.stamps_ns, odometry.xyt + error_xyt)

@@ -17,10 +17,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.laser.calibrate import Calibration
     from odomcorrupt.laser.slam import Tracked
+    from odomcorrupt.laser.stamps import WhiteNoise
+    from odomcorrupt.laser.sweep import Sweeps
 
-__all__ = ["UNKNOWN_M", "LaserPath", "relocalised"]
+__all__ = ["UNKNOWN_M", "LaserPath", "LaserRun", "relocalised"]
 
 _QUERY = 450
 _OVERLAP = 0.35
@@ -61,6 +64,23 @@ class LaserPath:
         """Return the poses selected by a mask (k,)."""
         arrays = ("row", "t_s", "xyt", "laser_xyt", "covariance", "part", "weak", "ratio")
         return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
+
+
+@dataclass(frozen=True, slots=True)
+class LaserRun:
+    """One run with its trajectory by the laser.
+
+    odometry : as recorded
+    sweeps, calibration, tracked, path : laser sweeps, mounting and clock, the map, and the trajectory in it
+    noise : noise of the trajectory relative to its matches' covariances
+    """
+
+    odometry: Trajectory
+    sweeps: Sweeps
+    calibration: Calibration
+    tracked: Tracked
+    path: LaserPath
+    noise: WhiteNoise
 
 
 def relocalised(

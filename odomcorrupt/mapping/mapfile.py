@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import MapError
-from odomcorrupt.files import open_input
 from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.input_files import open_input
 
 if TYPE_CHECKING:
     from pathlib import Path

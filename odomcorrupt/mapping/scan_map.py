@@ -15,10 +15,10 @@ from odomcorrupt.mapping.wall_thickness import distance_to_surface, wall_thickne
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.mapping.mapfile import Grid
     from odomcorrupt.mapping.raycast import Canvas
     from odomcorrupt.mapping.scans import Rays
-    from odomcorrupt.study.io.recording import Trajectory
     from odomcorrupt.trajectories.reader import Drive
 
 __all__ = ["Slow", "Survey", "View", "place", "slow_rays", "survey"]

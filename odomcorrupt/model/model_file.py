@@ -14,7 +14,7 @@ from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import ModelError
-from odomcorrupt.files import read_input
+from odomcorrupt.input_files import read_input
 from odomcorrupt.model.correlation import Correlation
 from odomcorrupt.model.motion_model import MotionModel, Noise, Origin, Setup, Step, TruthNoise, parse_alpha
 from odomcorrupt.model.noise_laws import Coefficients

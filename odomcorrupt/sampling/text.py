@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.sampling.samples import ellipse, linearised_moments, sample_moments
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.geometry.trajectory import Trajectory
 
 __all__ = [
     "ALIGNMENTS",

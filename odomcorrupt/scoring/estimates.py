@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.raw_trajectory import Samples
-    from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["Estimate", "NoEstimateError", "find_estimate", "read_estimate"]
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.scoring.errors import Alignment
-    from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["METRICS", "RunScore", "ScoreReport", "Status", "score"]
 

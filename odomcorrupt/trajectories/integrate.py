@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block
     from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.trajectories.reader import Drive
 
 __all__ = ["RULES", "Hold", "PathError", "Rewritten", "Rule", "integrate", "noisy_twists", "path_error", "rewrite_path"]

@@ -12,7 +12,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corruption.odometry_source import ODOMETRY, find_odometry, plain
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
-from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.geometry.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,11 +12,12 @@ from drives import office, silent
 from odomcorrupt.corruption.inverse import Drive, EffectInverse
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.effect import Effect, TwistError, parameter, stacked
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
-from odomcorrupt.geometry.motion import corrected_increments, motion_of
+from odomcorrupt.geometry.motion import motion_of
 
 STRONG = (
     effect_from_values("wheel_scale", {"e": 0.05}),

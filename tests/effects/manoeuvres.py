@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.motion import accelerations, error_of
+from odomcorrupt.geometry.motion import accelerations
 
 RATE_HZ = 50.0
 

@@ -7,14 +7,16 @@ import pytest
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.motion import TRAIL_S, accelerations, corrected_increments, motion_of
+from odomcorrupt.geometry.motion import TRAIL_S, accelerations, motion_of
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.io.recording import Recording
 
 SILENT = Noise("diffusion", Coefficients(0, 0, 0, 0))
 

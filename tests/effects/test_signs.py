@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from manoeuvres import CIRCLE, RATE_HZ, REVERSE, SPIN, STOP, STRAIGHT, error, motion, total
 
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.slope import Slope
 from odomcorrupt.errors import EffectError
-from odomcorrupt.geometry.motion import error_of
 
 CASES = [
     # effect, values, manoeuvre, seconds, track, what the truth has more than the odometry: m along, m left, rad

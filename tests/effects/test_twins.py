@@ -11,9 +11,9 @@ from manoeuvres import motion
 
 from odomcorrupt.drive_types import DRIVE_TYPES
 from odomcorrupt.effects import registry
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.effects.wheels import brings_track
-from odomcorrupt.geometry.motion import error_of
 
 KINDS = registry()
 

@@ -6,6 +6,7 @@ import pytest
 
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.mapfile import OCCUPIED, read_map
 from odomcorrupt.mapping.scan_map import place, slow_rays
@@ -13,7 +14,6 @@ from odomcorrupt.mapping.scans import read_rays
 from odomcorrupt.mapping.wall_thickness import wall_thickness
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.trajectories.reader import read_drive, read_poses
 from recordings import RECORDINGS
 

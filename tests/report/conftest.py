@@ -10,12 +10,13 @@ import pytest
 from browser import CHROMIUM, browser
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.html.comparison import report_html
 from odomcorrupt.simulation import simulate, write_mcap
-from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.pipeline import diagnose_model
 from odomcorrupt.study.validate.compare import compare
 

@@ -15,13 +15,13 @@ import pytest
 from matplotlib.image import imread
 
 from odomcorrupt.effects.user import user_effect
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.html.comparison import report_html
 from odomcorrupt.report.json.comparison import comparison_json
 from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.report.text.lack_of_fit import MOST, judgement_sentence, sentence
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.validate.compare import compare
 
 VOID = {"meta", "img", "link", "br", "hr"}

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from odomcorrupt.report.text.summary import MOST_LINES, Line, Summary, command_line, wrapped
+from odomcorrupt.summary import MOST_LINES, Line, Summary, command_line, wrapped
 
 
 @pytest.mark.parametrize(("count", "width", "words"), [*product((1, 7, 12), (40, 80), (3, 60))])

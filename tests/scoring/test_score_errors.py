@@ -7,8 +7,8 @@ import pytest
 
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.scoring.errors import Limits, ScoreError, path_errors
-from odomcorrupt.study.io.recording import Trajectory
 
 ABSENT = "evo is not installed; it is the oracle here"
 N = 1200

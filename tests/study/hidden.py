@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
-from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.io.recording import Recording
 
 if TYPE_CHECKING:
     from odomcorrupt.simulation import SimulatedRun

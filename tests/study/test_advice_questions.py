@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hidden import as_recording
 
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import Commands, simulate
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.ambiguities import open_ambiguities
 from odomcorrupt.study.design.drives import Drives, most_useful
 from odomcorrupt.study.design.plan import STEP_S
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.stepwise import learn
 
 

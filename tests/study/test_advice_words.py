@@ -9,7 +9,7 @@ import pytest
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.study.design.ambiguities import open_ambiguities
 from odomcorrupt.study.design.identifiability import untried
-from odomcorrupt.study.terms.drive_type import DriveType
+from odomcorrupt.study.estimate.drive_type import DriveType
 
 
 def learned(*effects, track_m=None):

@@ -9,10 +9,10 @@ import pytest
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.text.comparison import comparison_text
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.validate.compare import compare
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)

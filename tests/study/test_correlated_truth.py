@@ -9,10 +9,10 @@ import pytest
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.stepwise import learn
 
 STEADY = Coefficients(0.0015, 0.0015, 0.001, 0.0005)

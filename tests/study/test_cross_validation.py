@@ -11,13 +11,13 @@ from hidden import as_recording
 from odomcorrupt.cli import run as command
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.text.comparison import comparison_text
 from odomcorrupt.simulation import Segment, simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.intervals import lay_nodes
 from odomcorrupt.study.estimate.windows import distance_windows
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.validate.compare import compare
 from odomcorrupt.study.validate.cross_validation import split_of
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hidden import as_recording, ten_second_error
 
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.user import user_effect
-from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.simulation.fault_draws import SIZES
 from odomcorrupt.study.estimate.config import choose_approach

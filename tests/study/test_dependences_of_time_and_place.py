@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hidden import as_recording, ten_second_error
 
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
-from odomcorrupt.geometry.motion import error_of, motion_of
+from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.stepwise import learn
 
 pytestmark = pytest.mark.slow

@@ -13,10 +13,11 @@ from odomcorrupt.api.recordings import Recordings
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
+from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.io import Source
 from odomcorrupt.study.select.stepwise import learn
-from odomcorrupt.study.terms.drive_type import drive_type_of, library_families, readings_of
-from odomcorrupt.study.terms.regressors import driving_motion
+from odomcorrupt.study.terms.library import library_families
 
 OFFSET_RAD, BAND_MPS, SAG_PER_S, LIMIT_MPS, PLAY_M = 0.02, 0.03, 2.5e-4, 0.2, 0.008
 QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)

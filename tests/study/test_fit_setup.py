@@ -10,10 +10,10 @@ from hidden import as_recording
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
-from odomcorrupt.study.io.recording import Trajectory
 
 MOUNTED = (0.08, -0.03, 0.02)
 """Where the truth's marker sits on the base: x, y (m), yaw (rad)."""

@@ -12,12 +12,12 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.candidates import library_candidates, objection
 from odomcorrupt.study.select.closed_loop import may_be_of_lags, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS

@@ -9,8 +9,8 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import registry
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import choices
-from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.testing import contract_drive

@@ -12,6 +12,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.text.numbers import clocks_found
@@ -20,7 +21,6 @@ from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.drift_error import Drift
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.clock_rivals import beside_lags
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.contribution import Contribution, Span

@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.study.estimate import confidence_intervals
@@ -22,7 +23,6 @@ from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.selected_inverse import inverse_band
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import dense_covariance, whitener
-from odomcorrupt.study.io.recording import Trajectory
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 

@@ -10,8 +10,8 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.stepwise import learn
 
 CURVATURE = -0.02

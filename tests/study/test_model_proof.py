@@ -14,10 +14,10 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.validate import round_trip
 from odomcorrupt.study.validate.round_trip import _driven, verified_model
 

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import Intervals
 from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.select.elimination import drop_term
-from odomcorrupt.study.terms.regressors import driving_motion
+
+if TYPE_CHECKING:
+    from odomcorrupt.study.io.recording import Recording
 
 EFFECTS = (effect_from_values("wheel_scale", {"e": 0.02}), effect_from_values("accel_slip", {"k": 0.01}))
 

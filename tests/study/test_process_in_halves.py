@@ -11,10 +11,10 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import is_remainder, random_coefficients
 

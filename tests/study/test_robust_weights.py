@@ -9,12 +9,12 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects.effect import check_bounds
 from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.outliers import slip_bursts
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.io.recording import Trajectory
 
 QUIET = Coefficients(0.01, 0.005, 0.005, 0.005)
 

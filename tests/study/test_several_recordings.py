@@ -11,10 +11,10 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.validate.compare import compare
 
 QUIET = Coefficients(0.01, 0.006, 0.008, 0.0)

@@ -9,12 +9,12 @@ import pytest
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.outliers import during, odd_steps, single_events
 from odomcorrupt.study.estimate.tails import heavy_tails
-from odomcorrupt.study.io.recording import Trajectory
 
 
 def pushed(seed, *, yaw_deg=0.0, begin_s=100.0, lasts_s=3.0):

@@ -13,6 +13,7 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
@@ -22,7 +23,6 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.outliers import events, odd_steps, slip_bursts
 from odomcorrupt.study.estimate.tails import heavy_tails, log_density_of_sums
 from odomcorrupt.study.io.encoders import encoder_effects
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.confidence import confidence, noise_evidence
 from odomcorrupt.study.select.random_effects import RandomCoefficient
 from odomcorrupt.study.select.stepwise import learn

@@ -10,6 +10,7 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
@@ -18,7 +19,6 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import lay_nodes
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.truth_correlation import independent_spacing_s
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients
 

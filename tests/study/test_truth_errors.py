@@ -10,19 +10,21 @@ from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.study.estimate.clocks import nuisance_of
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
+from odomcorrupt.study.estimate.drive_type import MOUNTING
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import dense_covariance, interval_covariance, map_axes, whitener
-from odomcorrupt.study.io.recording import Trajectory, TruthField
-from odomcorrupt.study.terms.drive_type import MOUNTING, library_families
+from odomcorrupt.study.io.recording import TruthField
+from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.validate.calibration import HORIZONS_M
 from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
 from odomcorrupt.study.validate.goodness_of_fit import verdict_of

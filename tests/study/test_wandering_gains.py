@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.stepwise import learn
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.study.io.recording import Recording
 
 GRID_HZ, RATE_HZ = 200, 50
 AXLES_M, HOBBY_TRACK_M = 0.5, 0.2

@@ -9,7 +9,7 @@ from odomcorrupt.cli import run
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.trajectories.particles import sample_particles
+from odomcorrupt.sampling.particles import sample_particles
 from odomcorrupt.trajectories.reader import Drive, read_drive
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import Commands
 from odomcorrupt.simulation.fault_draws import EVERY
 from odomcorrupt.simulation.streams import stream
 from odomcorrupt.simulation.tracker import dock
-from odomcorrupt.study.io.recording import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from odomcorrupt.errors import BagError
-from odomcorrupt.files import read_input
+from odomcorrupt.input_files import read_input
 
 if TYPE_CHECKING:
     from pathlib import Path

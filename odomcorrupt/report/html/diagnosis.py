@@ -27,7 +27,7 @@ from odomcorrupt.report.text.numbers import (
     step_confidence,
     words_text,
 )
-from odomcorrupt.study.terms.drive_type import readings_of
+from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:

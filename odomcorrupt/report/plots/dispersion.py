@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.batching.dispersion import SpreadReport
     from odomcorrupt.mapping.free_space import FreeSpace
-    from odomcorrupt.trajectories.particles import ParticleSet
+    from odomcorrupt.sampling.particles import ParticleSet
 
 __all__ = ["draw_cloud", "draw_spread"]
 

@@ -21,23 +21,23 @@ from odomcorrupt.report.text.numbers import (
     numbers_text,
     step_confidence,
 )
-from odomcorrupt.report.text.summary import Line, Summary, command_line
-from odomcorrupt.study.terms.drive_type import readings_of
+from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.report.text.summary import Tone
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
+    from odomcorrupt.study.estimate.drive_type import DriveType
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.stepwise import Learned
-    from odomcorrupt.study.terms.drive_type import DriveType
     from odomcorrupt.study.validate.compare import Comparison
     from odomcorrupt.study.validate.reproduction import Reproduction
+    from odomcorrupt.summary import Tone
 
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
 

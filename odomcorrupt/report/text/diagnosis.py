@@ -21,11 +21,11 @@ from odomcorrupt.report.text.numbers import (
     words_text,
 )
 from odomcorrupt.study.estimate.clocks import RIVALS
+from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, rmse
-from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -6,8 +6,8 @@ from collections import Counter
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

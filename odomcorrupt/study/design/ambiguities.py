@@ -9,7 +9,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.design.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.design.information import separation
-from odomcorrupt.study.terms.drive_type import readings_of
+from odomcorrupt.study.estimate.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

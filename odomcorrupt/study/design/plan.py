@@ -11,8 +11,9 @@ import numpy as np
 from odomcorrupt.bags.write_twist import write_twists
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.design.manoeuvres import Hold, Limits, straight, turn
-from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.io.recording import Recording
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,12 +17,12 @@ from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficien
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
+from odomcorrupt.study.estimate.drive_type import drive_type_of
 from odomcorrupt.study.estimate.extrinsics import find_setup, mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import restore_lost
-from odomcorrupt.study.terms.drive_type import drive_type_of
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mountings
 from odomcorrupt.study.estimate.gauss_newton import carried, fit
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
-from odomcorrupt.study.terms.drive_type import MOUNTING, drive_type_of, mountings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.model.noise_laws import law_named
+from odomcorrupt.study.estimate.regressors import choose_side, truth_noise
 from odomcorrupt.study.estimate.truth_correlation import independent_spacing_s
-from odomcorrupt.study.terms.regressors import choose_side, truth_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.model.noise_laws import Law
+    from odomcorrupt.study.estimate.regressors import Side
     from odomcorrupt.study.io.recording import Recording
-    from odomcorrupt.study.terms.regressors import Side
 
 __all__ = ["NODE_S", "Approach", "choose_approach"]
 

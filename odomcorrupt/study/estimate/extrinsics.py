@@ -10,8 +10,8 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.clocks import Clocks, nuisance_of
 from odomcorrupt.study.estimate.drift_error import ten_second_error
+from odomcorrupt.study.estimate.drive_type import MOUNTING
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
-from odomcorrupt.study.terms.drive_type import MOUNTING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -15,8 +15,8 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, rotate, wrap
+from odomcorrupt.geometry.trajectory import UNKNOWN_M2
 from odomcorrupt.model.noise_laws import variances
-from odomcorrupt.study.io.recording import UNKNOWN_M2
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
-    from odomcorrupt.study.io.recording import Recording, Trajectory, TruthField
+    from odomcorrupt.study.io.recording import Recording, TruthField
 
 __all__ = [
     "LEAST_NODES",

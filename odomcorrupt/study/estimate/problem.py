@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
+from odomcorrupt.effects.compensation import corrected_twist, error_of, followed
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.motion import corrected_twist, error_of, followed, motion_of
+from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate.intervals import Intervals, join, lay_nodes
+from odomcorrupt.study.estimate.regressors import MotionSmoother, drives_sideways
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders
-from odomcorrupt.study.io.recording import Recording, Trajectory
-from odomcorrupt.study.terms.regressors import MotionSmoother, drives_sideways
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, Motion, Parameter
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.config import Approach
-    from odomcorrupt.study.terms.regressors import Side
+    from odomcorrupt.study.estimate.regressors import Side
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["Problem", "by_column", "pose_problem", "undo"]
 

@@ -17,13 +17,14 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import FitError
 from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.intervals import intervals, join
 from odomcorrupt.study.estimate.problem import Problem, undo
+from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.io.recording import Recording, Trajectory
-from odomcorrupt.study.terms.regressors import MotionSmoother
+from odomcorrupt.study.io.recording import Recording
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

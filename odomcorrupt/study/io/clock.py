@@ -12,8 +12,8 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from odomcorrupt.geometry.motion import slopes
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.headings import with_headings
-from odomcorrupt.study.io.recording import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

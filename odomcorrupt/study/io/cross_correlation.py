@@ -11,7 +11,7 @@ from odomcorrupt.geometry.motion import slopes
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.geometry.trajectory import Trajectory
 
 __all__ = ["CrossCorrelation", "Spread", "cross_correlation"]
 

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.lost_increments import losses
 from odomcorrupt.geometry.increments import accumulate, increments
-from odomcorrupt.geometry.motion import corrected_increments, motion_of
-from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

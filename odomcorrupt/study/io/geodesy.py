@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import Origin
-from odomcorrupt.study.io.recording import Trajectory
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.geometry.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +12,8 @@ from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.closure import end_by_scans
 from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
-from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_view_errors, without_spikes
-from odomcorrupt.laser.trajectory import relocalised
+from odomcorrupt.laser.stamps import white_noise, with_noise, with_view_errors, without_spikes
+from odomcorrupt.laser.trajectory import LaserRun, relocalised
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers
@@ -28,13 +27,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.laser.calibrate import Calibration
-    from odomcorrupt.laser.slam import Tracked
     from odomcorrupt.laser.sweep import Sweeps
-    from odomcorrupt.laser.trajectory import LaserPath
     from odomcorrupt.study.io.address import Address
 
-__all__ = ["NO_SCAN", "SCALE_ACCURACY", "LaserRun", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
+__all__ = ["NO_SCAN", "SCALE_ACCURACY", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
 
 SCALE_ACCURACY = 0.003
 """Default standard deviation of a laser's scale error: 0.3 %."""
@@ -47,23 +43,6 @@ _FEWEST = 20
 _BLIND = 0.9
 _JITTER_SAID_S = 3e-3
 _GAP_SAID_S, _GAP_PERIODS = 2.0, 5.0
-
-
-@dataclass(frozen=True, slots=True)
-class LaserRun:
-    """One run with its trajectory by the laser.
-
-    odometry : sorted by stamps
-    sweeps, calibration, tracked, path : laser sweeps, mounting and clock, the map, and the trajectory in it
-    noise : noise of the trajectory relative to its matches' covariances
-    """
-
-    odometry: Samples
-    sweeps: Sweeps
-    calibration: Calibration
-    tracked: Tracked
-    path: LaserPath
-    noise: WhiteNoise
 
 
 def only_scan(path: Path) -> str | None:
@@ -136,7 +115,9 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
         )
     found = with_view_errors(without_spikes(found, calibration.motion), calibration.motion)
     noise = white_noise(found, calibration.motion)
-    return LaserRun(odometry, sweeps, calibration, tracked, with_noise(found, calibration.motion, noise), noise)
+    return LaserRun(
+        odometry.trajectory(), sweeps, calibration, tracked, with_noise(found, calibration.motion, noise), noise
+    )
 
 
 def truth_of(run: LaserRun) -> list[Samples]:

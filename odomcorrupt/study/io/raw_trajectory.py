@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.geometry.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

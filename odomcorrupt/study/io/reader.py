@@ -42,9 +42,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.address import Address
     from odomcorrupt.study.io.raw_trajectory import Samples
-    from odomcorrupt.study.io.recording import Recording, Trajectory
+    from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.io.source import Source
     from odomcorrupt.study.io.topic_selection import Role
 
@@ -125,7 +126,7 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
     name = source.name or source.path.name
     for part in parts:
         try:
-            found += recordings_of(name, run.odometry, part, wheels.track_m, source.truth_shift_s)
+            found += recordings_of(name, wheels.odometry, part, wheels.track_m, source.truth_shift_s)
         except RecordingError:
             if len(parts) == 1:
                 raise
@@ -144,7 +145,7 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
         )
         for i, r in enumerate(found)
     ]
-    return _with_heading_source(source, source.imu or automatic_imu(source), run.odometry, wheels.noted(runs))
+    return _with_heading_source(source, source.imu or automatic_imu(source), wheels.odometry, wheels.noted(runs))
 
 
 def _by_motions(source: Source, path: Path) -> list[Recording]:

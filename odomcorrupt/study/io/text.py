@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.files import open_input
+from odomcorrupt.input_files import open_input
 from odomcorrupt.study.io.columns import TUM, Columns, find_columns, guess_tick
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.rows import Row, are_numbers, read_lines, split_line, whole_rows

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, choices
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.errors import EffectError, FitError
-from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.drift_error import drift
+from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.estimate.truth_bias import has_bias
 from odomcorrupt.study.estimate.windows import WINDOW_S
 from odomcorrupt.study.select.closed_loop import (
@@ -35,8 +36,7 @@ from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.shape_search import ShapeSearch
-from odomcorrupt.study.terms.drive_type import library_families
-from odomcorrupt.study.terms.heading_source import sees_travel
+from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.clocks import clock_nats
 from odomcorrupt.study.estimate.gauss_newton import carried
+from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.candidates import tried
 from odomcorrupt.study.select.confidence import may_be_misfit_of_lag
 from odomcorrupt.study.select.score import score_terms
-from odomcorrupt.study.terms.heading_source import sees_travel
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.terms.channels import MOVES
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.decisions import DECISIONS

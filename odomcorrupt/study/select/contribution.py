@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.clock import Clock
-    from odomcorrupt.study.io.recording import Recording, Trajectory
+    from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.decisions import Practical
 
 __all__ = ["FAR_M", "Contribution", "Span", "contributions"]

@@ -9,10 +9,10 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import choices, parameters
+from odomcorrupt.study.estimate.heading_source import heading_source_of
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.random_effects import is_remainder, remeasured
 from odomcorrupt.study.select.score import score_terms
-from odomcorrupt.study.terms.heading_source import heading_source_of
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:

@@ -15,11 +15,11 @@ import numpy as np
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.effects.flat_spot import FlatSpot
 from odomcorrupt.effects.wheels import TRACKS_M
+from odomcorrupt.study.estimate.drive_type import drive_type_of
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.screening import Screened
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
-from odomcorrupt.study.terms.drive_type import drive_type_of
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 if TYPE_CHECKING:

@@ -15,7 +15,9 @@ from scipy.linalg import eigh
 
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.estimate.config import NODE_S
+from odomcorrupt.study.estimate.drive_type import drive_type_of
 from odomcorrupt.study.estimate.gauss_newton import orthonormal
+from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
 from odomcorrupt.study.estimate.random_process import (
     CORRELATED_NOISE,
@@ -31,8 +33,6 @@ from odomcorrupt.study.estimate.random_process import (
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.remainder import within_remainder
 from odomcorrupt.study.select.score import project_out
-from odomcorrupt.study.terms.drive_type import drive_type_of
-from odomcorrupt.study.terms.heading_source import sees_travel
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
-from odomcorrupt.study.terms.drive_type import drive_type_of, readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from odomcorrupt.study.estimate.clocks import Clocks
+    from odomcorrupt.study.estimate.drive_type import DriveType
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.contribution import Contribution
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.random_effects import RandomCoefficient
-    from odomcorrupt.study.terms.drive_type import DriveType
 
 __all__ = ["Learned", "Step"]
 

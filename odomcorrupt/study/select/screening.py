@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError
-from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import MOVES, actions_on, views

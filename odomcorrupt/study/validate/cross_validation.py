@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate.intervals import LEAST_NODES, count_nodes
 from odomcorrupt.study.io.clock import clock_leaders
-from odomcorrupt.study.io.recording import Recording, Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["Pieces", "Split", "split_of"]
 

@@ -13,11 +13,11 @@ from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.study.estimate.noise_fit import CHANCE, OUTLIER
 from odomcorrupt.study.estimate.problem import Problem, pose_problem, undo
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
+from odomcorrupt.study.estimate.regressors import truth_noise
 from odomcorrupt.study.estimate.truth_field import remainder_whitener, window_roots
 from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
 from odomcorrupt.study.io.headings import UNKNOWN_RAD, with_recomputed_headings
-from odomcorrupt.study.terms.regressors import truth_noise
 from odomcorrupt.study.validate.calibration import Horizon, horizon_of
 from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty, uncertainty_of
 from odomcorrupt.study.validate.random_covariance import random_covariance

@@ -15,10 +15,10 @@ from scipy.stats import f as fisher_f
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.rng import stream
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.io.recording import Trajectory
-from odomcorrupt.study.terms.regressors import driving_motion
+from odomcorrupt.study.estimate.regressors import driving_motion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -20,13 +20,14 @@ import numpy as np
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.rng import stream
 from odomcorrupt.study.estimate.outliers import events
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import WINDOW_S, phased_misses
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
-from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.validate.predictive_check import overlapping, smooth_truth
 
 if TYPE_CHECKING:

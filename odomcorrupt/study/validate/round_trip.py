@@ -15,18 +15,18 @@ import numpy as np
 
 from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import EffectError, ModelError, OdomCorruptError
-from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.geometry.se2 import compose, inverse
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
-from odomcorrupt.study.io.recording import Trajectory
-from odomcorrupt.study.terms.regressors import MotionSmoother
 from odomcorrupt.study.validate.predictive_check import overlapping, smooth_truth
 
 if TYPE_CHECKING:

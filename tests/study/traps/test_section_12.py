@@ -11,11 +11,12 @@ from wandering import RATE_HZ
 
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
-from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.select.candidates import library, library_candidates
 from odomcorrupt.study.select.decisions import DECISIONS, penalty
 from odomcorrupt.study.select.score import score_columns

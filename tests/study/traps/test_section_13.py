@@ -11,6 +11,7 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import Segment, simulate
 from odomcorrupt.study.estimate.clocks import find_clocks
@@ -18,7 +19,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.variance_components import NAMES
-from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.select.candidates import library, library_candidates, objection
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.score import score_terms

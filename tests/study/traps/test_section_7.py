@@ -11,6 +11,7 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, increments
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.clocks import find_clocks
@@ -18,7 +19,6 @@ from odomcorrupt.study.estimate.confidence_intervals import coefficient_interval
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.windows import time_windows
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.stepwise import learn

@@ -10,8 +10,8 @@ import numpy as np
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.sampling.samples import ellipse, sample_moments
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

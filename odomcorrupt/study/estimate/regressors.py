@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.io.recording import Recording, Trajectory
+    from odomcorrupt.geometry.trajectory import Trajectory
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["MotionSmoother", "Side", "choose_side", "drives_sideways", "driving_motion", "truth_noise"]
 

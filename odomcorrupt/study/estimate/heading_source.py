@@ -9,16 +9,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import choices
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.io.recording import Recording
-    from odomcorrupt.study.terms.term import LibraryTerm
 
-__all__ = ["GAINS_OF_TURNS", "heading_source_of", "is_nameable", "is_settled", "sees_travel", "with_known_heading"]
+__all__ = ["GAINS_OF_TURNS", "heading_source_of", "is_nameable", "is_settled", "sees_travel"]
 
 GAINS_OF_TURNS = {"wheels": "wheelbase", "gyro": "gyro_scale"}  # yaw gain of each source of the heading
 _OF_TRAVEL = ("wheel_scale", "speed_scale", "scale_drift", "sideways_scale", "slope", "lever_arm", "mount_yaw")
@@ -49,10 +46,3 @@ def is_nameable(kind: type[Effect], source: str, *, travel: bool) -> bool:
 def is_settled(kind: type[Effect], source: str) -> bool:
     """Return whether an effect is the yaw gain of a known source of the heading."""
     return kind.name == GAINS_OF_TURNS.get(source)
-
-
-def with_known_heading(family: tuple[LibraryTerm, ...], source: str) -> tuple[LibraryTerm, ...]:
-    """Return the shapes of an effect with the known source of the odometry's heading; all if it is unknown."""
-    if not source:
-        return family
-    return tuple(t for t in family if "heading" not in choices(t.start) or getattr(t.start, "heading", "") == source)

@@ -1,4 +1,4 @@
-"""Small input files, which must be regular files, and result files, written completely or not at all.
+"""Small input files, which must be regular files.
 
 Maps, models, trajectories, tables of defaults, metadata and a batch's own files are opened here. A pipe, device or
 socket in their place is refused, because reading it could block for ever. Bags are opened in `bags`.
@@ -15,7 +15,7 @@ from odomcorrupt.errors import OdomCorruptError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["open_input", "read_input", "refuse_existing", "write_bytes", "write_text"]
+__all__ = ["open_input", "read_input"]
 
 _KINDS = {
     stat.S_IFDIR: "a directory",
@@ -89,29 +89,3 @@ def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCo
     if len(data) > most:
         raise error(f"{path}: more than {most} bytes; that is no {what}")
     return data
-
-
-def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
-    """Raise, before any work is done, if an output would replace a file, or its directory does not exist."""
-    if path is not None and path.exists() and not overwrite:
-        raise OdomCorruptError(f"{path}: exists already; choose another name or pass --overwrite")
-    if path is not None and not path.parent.is_dir():
-        raise OdomCorruptError(f"{path}: the directory {path.parent} does not exist; create it first")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write text as UTF-8, completely or not at all."""
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write beside the target and rename when complete."""
-    from odomcorrupt.bags.output import Output  # noqa: PLC0415 - numpy is slow to import, and help writes nothing
-
-    output = Output(path, overwrite=True)
-    try:
-        output.open()
-        output.write(data)
-        output.commit()
-    finally:
-        output.discard()

@@ -1,0 +1,38 @@
+"""Result files other than bags, written completely or not at all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from odomcorrupt.errors import OdomCorruptError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["refuse_existing", "write_bytes", "write_text"]
+
+
+def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
+    """Raise, before any work is done, if an output would replace a file, or its directory does not exist."""
+    if path is not None and path.exists() and not overwrite:
+        raise OdomCorruptError(f"{path}: exists already; choose another name or pass --overwrite")
+    if path is not None and not path.parent.is_dir():
+        raise OdomCorruptError(f"{path}: the directory {path.parent} does not exist; create it first")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text as UTF-8, completely or not at all."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write beside the target and rename when complete."""
+    from odomcorrupt.bags.output import Output  # noqa: PLC0415 - numpy is slow to import, and help writes nothing
+
+    output = Output(path, overwrite=True)
+    try:
+        output.open()
+        output.write(data)
+        output.commit()
+    finally:
+        output.discard()

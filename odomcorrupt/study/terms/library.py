@@ -1,0 +1,69 @@
+"""Library effects that a robot can have, as terms of the selection."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import choices
+from odomcorrupt.effects.wheels import brings_track
+from odomcorrupt.study.estimate.drive_type import MOUNTING, DriveType, drive_type_of, mountings
+from odomcorrupt.study.estimate.heading_source import is_settled
+from odomcorrupt.study.estimate.regressors import drives_sideways
+from odomcorrupt.study.terms.term import LibraryTerm
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Sequence
+
+    from odomcorrupt.effects.effect import Effect, Motion
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = ["library_families"]
+
+
+def library_families(
+    recordings: Sequence[Recording], motions: Sequence[Motion], have: Container[str]
+) -> list[tuple[LibraryTerm, ...]]:
+    """Return every systematic library effect that a robot can have and that can be tested, at every shape.
+
+    Clocks are excluded. Of aliases only one is tested and the others are reported as other readings; if that one is no
+    effect of this drive type, its alias is tested. Effects of single wheels need a track, given or as a parameter.
+
+    Parameters
+    ----------
+    recordings, motions : the recordings, and their smooth motions
+    have : names of effects that are already in the model
+
+    """
+    drive = drive_type_of(recordings)
+    track = not drive.steered and all(m.track_m is not None for m in motions)
+    sideways = drive.name == "omni" or (drive.name != "differential" and drives_sideways(motions))
+    families = []
+    for name, kind in registry().items():
+        wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _is_tested(kind, drive)
+        possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
+        if name in MOUNTING and name not in mountings(recordings):
+            continue
+        if wanted and possible:
+            family = _with_known_heading(LibraryTerm.family(kind, motions), drive.heading_source)
+            if drive.steered:  # its odometry does not compare two wheels
+                family = tuple(t for t in family if not (getattr(t.start, "track", 0.0) or kind.needs_track))
+            families.append(family)
+    return [family for family in families if family]
+
+
+def _is_tested(kind: type[Effect], drive: DriveType) -> bool:
+    """Tell whether an effect is tested itself, and not only reported as an alias of a tested one."""
+    if not drive.admits(kind) or kind.in_place_of is not None:
+        return False
+    # a lever arm has two parameters, so its one-parameter alias for steered robots is tested too; but not with an
+    # antenna, which is likelier off the axle than the base frame is
+    of_steered = drive.steered and kind.drives is not None and not drive.antenna
+    return kind.twin_of is None or of_steered or is_settled(kind, drive.heading_source)
+
+
+def _with_known_heading(family: tuple[LibraryTerm, ...], source: str) -> tuple[LibraryTerm, ...]:
+    """Return the shapes of an effect with the known source of the odometry's heading; all if it is unknown."""
+    if not source:
+        return family
+    return tuple(t for t in family if "heading" not in choices(t.start) or getattr(t.start, "heading", "") == source)

@@ -1,0 +1,53 @@
+"""Imports between packages point one way, in the order of the table in docs/architecture.md."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+ENTRIES = ("odomcorrupt/__init__.py", "odomcorrupt/__main__.py", "odomcorrupt/cli.py")
+"""They import everything else; the names of the interface are imported lazily."""
+
+
+def rows() -> list[list[str]]:
+    table = (ROOT / "docs" / "architecture.md").read_text(encoding="utf8").split("|---|---|")[1]
+    cells = (line.split("|")[1] for line in table.splitlines() if line.startswith("|"))
+    return [[name.strip("/").removesuffix(".py") for name in re.findall(r"`([^`]+)`", cell)] for cell in cells]
+
+
+def package_of(module: str) -> str:
+    """Return the package of the table that holds a module; single modules have their own name."""
+    parts = module.split(".")[1:]
+    return "/".join(parts[:2]) if parts[:1] == ["study"] else (parts or ["odomcorrupt"])[0]
+
+
+def imports() -> set[tuple[str, str, str]]:
+    """Return importing file, its package and the imported package, those for type checkers included."""
+    found = set()
+    for file in (ROOT / "odomcorrupt").rglob("*.py"):
+        path = file.relative_to(ROOT)
+        own = package_of(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "odomcorrupt":
+                for name in node.names:
+                    inner = f"{node.module}.{name.name}"
+                    is_module = (ROOT / inner.replace(".", "/")).with_suffix(".py").exists()
+                    module = inner if is_module or (ROOT / inner.replace(".", "/")).is_dir() else str(node.module)
+                    found.add((str(path), own, package_of(module)))
+    return found
+
+
+def test_every_package_is_in_the_table():
+    listed = {name for row in rows() for name in row}
+    packages = {path.parent.name for path in (ROOT / "odomcorrupt").glob("*/__init__.py")} - {"study"}
+    stages = {f"study/{path.parent.name}" for path in (ROOT / "odomcorrupt" / "study").glob("*/__init__.py")}
+    assert packages | stages <= listed
+
+
+def test_a_package_imports_only_packages_above_it_in_the_table():
+    order = {name: i for i, row in enumerate(rows()) for name in row}
+    found = {one for one in imports() if one[0] not in ENTRIES and one[1] != one[2]}
+    assert len(found) > 500
+    assert [(file, used) for file, own, used in found if order.get(used, 0) >= max(order.get(own, 0), 1)] == []
