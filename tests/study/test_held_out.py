@@ -184,15 +184,14 @@ def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
     assert confidence(evidence_of(step, replace(learned, fit=replace(learned.fit, problem=pulled)))) < 0.6
 
 
-def test_what_a_far_plainer_lag_leaves_is_no_sure_clock():
-    problem = SimpleNamespace(clocks=(Clock(-0.009),))
-    fitted = SimpleNamespace(
-        problem=problem, clock_errors=np.array([[0.0005, 0.0]]), effects=(SimpleNamespace(name="motor_lag"),)
-    )
-    clocks = Clocks(problem.clocks, ((True, False),), ((0.0005, 0.0),))
-    for gain, sure in ((4000.0, False), (400.0, True)):
-        step = SimpleNamespace(added="motor_lag", candidates=(SimpleNamespace(gain=gain),))
-        (found,) = clocks_found(beside_lags(clocks, fitted, [step]))
+def test_what_a_lag_may_leave_is_no_sure_clock():
+    clocks = Clocks((Clock(-0.019),), ((True, False),), ((0.0005, 0.0),))
+    for tau, sure in ((0.29, False), (0.05, True)):
+        lag = effect_from_values("motor_lag", {"tau": tau})
+        fitted = SimpleNamespace(
+            problem=SimpleNamespace(clocks=clocks.clocks), clock_errors=np.array([[0.0005, 0.0]]), effects=(lag,)
+        )
+        (found,) = clocks_found(beside_lags(clocks, fitted))
         assert (found.sure > 0.9) == sure
 
 

@@ -14,23 +14,21 @@ from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.candidates import tried
-from odomcorrupt.study.select.confidence import may_be_misfit_of_lag
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.decisions import Decisions
-    from odomcorrupt.study.select.result import Step
 
 __all__ = ["InPlaceOfClock", "beside_lags", "late_motors", "more_nats"]
 
 _LEAD_S = 0.04
 """Least lead of the odometry's clock at which a motor lag is tested, seconds: motors lag by 50 ms and more."""
+_LAGS, _MISFIT = ("channel_lag", "motor_lag", "steering_lag"), 0.2
+"""Lags, and the fraction of a time constant up to which an offset may be a misfit of its model (as `_MISFIT_GAIN`)."""
 
 
 class InPlaceOfClock(NamedTuple):
@@ -74,13 +72,14 @@ def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     return InPlaceOfClock(candidate, other, more_nats(other, fit))
 
 
-def beside_lags(clocks: Clocks, fit: Fit, steps: Sequence[Step]) -> Clocks:
-    """Return the clocks of a model; the misfit of a lag, slip or play in it that gained far more is a rival of theirs.
+def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:
+    """Return the clocks of a model; a lag in it, of which an offset may be the misfit, is a rival of theirs.
 
-    No real lag is exactly of first order: what remains of it resembles a small offset.
+    No real lag is exactly of first order: a part of its time constant remains, and resembles an offset.
     """
-    nats, kept = clock_nats(fit), {effect.name for effect in fit.effects}
-    misfit = (nats,) if may_be_misfit_of_lag(nats, [step for step in steps if step.added in kept]) else ()
+    lags_s = [abs(getattr(e, p.name)) for e in fit.effects if e.name in _LAGS for p in amplitudes(e)]
+    offset_s = max(abs(clock.offset_s) for clock in fit.problem.clocks)
+    misfit = (clock_nats(fit),) if offset_s < _MISFIT * max(lags_s, default=0.0) else ()
     return replace(clocks, clocks=fit.problem.clocks, rival_nats=(*clocks.rival_nats, *misfit))
 
 

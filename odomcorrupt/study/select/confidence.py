@@ -27,22 +27,11 @@ from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.remainder import within_remainder
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from odomcorrupt.study.select.decisions import PriorOdds
     from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = [
-    "Evidence",
-    "confidence",
-    "evidence_of",
-    "held_out_limit",
-    "may_be_misfit_of_lag",
-    "noise_evidence",
-    "odds_against",
-    "odds_formula",
-]
+__all__ = ["Evidence", "confidence", "evidence_of", "held_out_limit", "noise_evidence", "odds_against", "odds_formula"]
 
 _SHORT_ARM_M = 0.005
 """Largest lever arm, m, that errors of single wheels can imitate."""
@@ -167,13 +156,8 @@ def _may_be_misfit(step: Step, learned: Learned) -> bool:
     moved = {name: one.ten_seconds.moved_m for name, one in learned.contributions.items()}
     if step.added in moved and moved[step.added] < _MISFIT_DISPLACEMENT * max(moved.values()):
         return True
-    others = [other for other in learned.steps if other is not step]
-    return step.added in RIVALS and may_be_misfit_of_lag(step.candidates[0].gain, others)
-
-
-def may_be_misfit_of_lag(nats: float, steps: Sequence[Step]) -> bool:
-    """Return whether a gain at changes of speed, as a clock's, may be a misfit of a lag, slip or play."""
-    return nats < _MISFIT_GAIN * max((step.candidates[0].gain for step in steps if step.added in _LATE), default=0.0)
+    others = [other.candidates[0].gain for other in learned.steps if other.added in RIVALS and other is not step]
+    return step.added in RIVALS and step.candidates[0].gain < _MISFIT_GAIN * max(others, default=0.0)
 
 
 def _may_be_of_wheels(name: str, learned: Learned) -> bool:

@@ -125,7 +125,7 @@ def learn(
     final = with_robust_errors(found.fit, kept - given)
     errors = with_rounding(final.clock_errors.tolist(), found.clocks.free, recordings)
     return Learned(
-        clocks=replace(beside_lags(found.clocks, final, found.steps), errors=errors, left_nats=late_nats),
+        clocks=replace(beside_lags(found.clocks, final), errors=errors, left_nats=late_nats),
         first_clocks=clocks if same_data else None,
         rounds=tuple(found.steps),
         noise=tuple(found.noise),
