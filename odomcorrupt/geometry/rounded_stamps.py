@@ -25,9 +25,11 @@ _GAP = 1.5
 """Intervals longer than the median by this factor are gaps."""
 _MIN_VARY = 0.02
 """Least fraction of deviating intervals if stamps are rounded; those of a regular clock do not deviate."""
-_WINDOW, _TOLERANCE, _MIN_IN = 101, 0.6, 0.99
-"""Samples over which the rate is constant; tolerance of the even grid as a fraction of the resolution; and the least
-fraction of stamps within it."""
+_LEAST_PERIOD = 1.5
+"""Least period, in units of the resolution, of a grid that rounding leaves recognisable."""
+_WINDOW, _TOLERANCE, _MIN_IN = 101, 1.0, 0.99
+"""Samples over which the rate is constant; largest deviation from the even grid in units of the resolution, because
+rounding errors differ by less than that from their mean; and the least fraction of stamps within it."""
 
 
 def resolution_s(stamps_ns: NDArray[np.int64]) -> float:
@@ -62,10 +64,13 @@ def evened(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
     steps = np.diff(t_s)
     usual = steps[steps < _GAP * np.median(steps) + rounded_s]
     period_s = float(np.mean(usual))
-    if period_s < 2.0 * rounded_s:
+    if period_s < _LEAST_PERIOD * rounded_s:
         return None
-    count = np.concatenate(([0.0], np.cumsum(np.maximum(np.round(steps / period_s), 1.0))))
-    off = t_s - count * period_s
+    off = np.zeros(len(t_s))
+    for _ in range(2):  # the first mean holds intervals with a missing message, and the first stamp is off by itself
+        count = _periods(t_s, period_s, float(np.median(off[:_WINDOW])))
+        period_s = float(t_s[-1] / count[-1])
+        off = t_s - count * period_s
     half = _WINDOW // 2
     # Extrapolated by a line fit at each end, because a single sample has the full rounding error.
     row = np.arange(_WINDOW)
@@ -77,3 +82,19 @@ def evened(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
         return None
     even = stamps_ns[0] + np.round((count * period_s + smooth) * 1e9).astype(np.int64)
     return even if np.all(np.diff(even) > 0) else None
+
+
+def _periods(t_s: NDArray[np.float64], period_s: float, grid_s: float) -> NDArray[np.float64]:
+    """Return the number of periods (n,) from `grid_s` to each stamp, where messages may be missing.
+
+    Stamps are compared with a grid that follows their mean: a single interval differs from the period by up to the
+    resolution, which may be half of it.
+    """
+    count = np.zeros(len(t_s))
+    for i, stamp_s in enumerate(t_s.tolist()):
+        passed = round((stamp_s - grid_s) / period_s)
+        passed = max(passed, 1) if i else passed
+        count[i] = count[i - 1] + passed if i else passed
+        grid_s += passed * period_s
+        grid_s += 2.0 / _WINDOW * (stamp_s - grid_s)
+    return count

@@ -9,7 +9,7 @@ import pytest
 from test_held_out import drive, learned_with, with_truth
 
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.select.contribution import Contribution, Span, contributions, offset_displacement
+from odomcorrupt.study.select.contribution import Contribution, Span, contributions
 from odomcorrupt.study.select.decisions import DECISIONS, Practical
 
 LITTLE, MUCH = Span(0.001, 0.01, 7.0), Span(0.01, 0.01, 7.0)
@@ -63,12 +63,3 @@ def test_it_is_measured_on_recordings_that_were_not_fitted_where_there_are_any(l
 def test_effects_that_nobody_measured_matter(learned):
     assert not learned.is_negligible("wheel_scale")
     assert contributions(learned.fit.refit([])) == {}
-
-
-def test_a_late_clock_moves_displacements_by_the_change_of_speed_and_by_turns_of_the_frame(learned):
-    (one,) = learned.fit.problem.recordings
-    offset_s, moved_m = 0.01, offset_displacement(learned.fit, 0.01)
-    speeds = np.linalg.norm(np.diff(one.odometry.xyt[:, :2], axis=0), axis=1) / np.diff(one.odometry_s)
-    along_m = offset_s * np.sqrt(2.0) * np.std(speeds)
-    assert 0.5 * along_m < moved_m < 10.0 * along_m
-    assert offset_displacement(learned.fit, 2.0 * offset_s) == pytest.approx(2.0 * moved_m, rel=0.05)

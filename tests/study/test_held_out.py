@@ -21,6 +21,7 @@ from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.drift_error import Drift
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.select.clock_rivals import beside_lags
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.contribution import Contribution, Span
 from odomcorrupt.study.select.stepwise import Learned, Step, learn
@@ -183,13 +184,15 @@ def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
     assert confidence(evidence_of(step, replace(learned, fit=replace(learned.fit, problem=pulled)))) < 0.6
 
 
-def test_what_was_not_testable_lowers_how_sure_a_small_offset_is():
-    clocks = Clocks((Clock(-0.009),), ((True, False),), ((0.0005, 0.0),))
-    (sure,) = clocks_found(clocks)
-    (doubtful,) = clocks_found(replace(clocks, untested=("backlash",)))
-    (large,) = clocks_found(replace(clocks, clocks=(Clock(-0.2),), untested=("backlash",)))
-    assert min(sure.sure, large.sure) > 0.9
-    assert doubtful.sure < 0.6
+def test_what_a_lag_may_leave_is_no_sure_clock():
+    clocks = Clocks((Clock(-0.019),), ((True, False),), ((0.0005, 0.0),))
+    for tau, sure in ((0.29, False), (0.05, True)):
+        lag = effect_from_values("motor_lag", {"tau": tau})
+        fitted = SimpleNamespace(
+            problem=SimpleNamespace(clocks=clocks.clocks), clock_errors=np.array([[0.0005, 0.0]]), effects=(lag,)
+        )
+        (found,) = clocks_found(beside_lags(clocks, fitted))
+        assert (found.sure > 0.9) == sure
 
 
 def test_a_clock_beside_which_errors_depend_on_the_acceleration_is_the_less_sure():

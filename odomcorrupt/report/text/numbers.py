@@ -81,8 +81,6 @@ def words_text(effect: Effect) -> str:
 
 
 _CLOCKS = ("time_offset", "clock_skew")
-_LIKE_PLAY_S = 0.015
-"""Clock offset, seconds, below which wheel play is an alternative: crossing 5 mm takes as long at 0.3 to 0.5 m/s."""
 _SIGNIFICANT = 3.9
 """Standard errors from which a clock error counts as significant; others were only estimated."""
 
@@ -119,10 +117,8 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
             value, error = (clock.offset_s, clock.rate)[position], errors[position]
             if free[position] and abs(value) > _SIGNIFICANT * error:
                 own = 0.5 * (value / error) ** 2
-                # untested backlash (no known track) is an alternative explanation of a small offset
-                alike = (own,) if clocks.untested and name == "time_offset" and abs(value) < _LIKE_PLAY_S else ()
                 rivals, left = (clocks.rival_nats, clocks.left_nats) if name == "time_offset" else ((), 0.0)
-                sure = confidence(Evidence(own, (*alike, *(min(nats, own) for nats in rivals)), left))
+                sure = confidence(Evidence(own, tuple(min(nats, own) for nats in rivals), left))
                 yield ClockFound(name, i, float(value), float(error), sure)
 
 

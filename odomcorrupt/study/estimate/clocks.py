@@ -9,7 +9,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mountings
 from odomcorrupt.study.estimate.gauss_newton import carried, fit
 from odomcorrupt.study.estimate.problem import pose_problem
@@ -54,7 +53,6 @@ class Clocks:
         its rivals and one of them explains more; the effect of these rivals may be the clock's
     rival_nats : log-likelihood gain of each rival in place of a clock that explains more than any single rival but is
         not significant beside all of them
-    untested : rivals that could not be tested without the track width; a small offset may be their effect
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
     """
@@ -66,7 +64,6 @@ class Clocks:
     beside: tuple[Effect, ...] = ()
     ambiguous_nats: float = 0.0
     rival_nats: tuple[float, ...] = ()
-    untested: tuple[str, ...] = ()
     truths: tuple[TruthNoise, ...] = ()
     left_nats: float = 0.0
 
@@ -107,7 +104,6 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
         tuple(e for e in longest.onward.effects if e.name in _NUISANCE),
         max(f.ambiguous_nats for f in each),
         max((f.rival_nats for f in each), key=lambda nats: max(nats, default=0.0)),
-        tuple(n for n in RIVALS if _untested(registry()[n]) and any(r.track_m is None for r in recordings)),
         tuple(f.fit.noise.truth for f in each),
     )
 
@@ -152,11 +148,6 @@ def _differs(ratio: float) -> bool:
     return not 1.0 / _PLAIN_LEVEL < ratio < _PLAIN_LEVEL
 
 
-def _untested(kind: type[Effect]) -> bool:
-    """Return whether a rival cannot be tested without the track width."""
-    return kind.needs_track and not brings_track(kind)
-
-
 def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:
     """Return the rival effects to test.
 
@@ -165,11 +156,13 @@ def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:
     does not matter.
     """
     kinds = [registry()[name] for name in RIVALS]
+    if steered:  # the gears of its one driven axle do not turn it
+        play = effect_from_values("backlash", {"track": _TRACKS_M[0], "heading": "gyro"})
+        return [*(kind() for kind in kinds if not kind.needs_track), play, registry()["steering_lag"]()]
     if not wheels:
         anyhow: list[Effect] = [kind() for kind in kinds if not kind.needs_track]
-        wheeled = [kind for kind in kinds if kind.needs_track and brings_track(kind) and not steered]
-        on_tracks = [effect_from_values(kind.name, {"track": track}) for kind in wheeled for track in _TRACKS_M]
-        return [*anyhow, *on_tracks, *([registry()["steering_lag"]()] if steered else [])]
+        wheeled = [kind for kind in kinds if kind.needs_track]
+        return [*anyhow, *(effect_from_values(k.name, {"track": track}) for k in wheeled for track in _TRACKS_M)]
     slips = [effect_from_values("accel_slip", {"contact": contact}) for contact in ("axle", "wheels")]
     return [*slips, *(kind() for kind in kinds if kind.name != "accel_slip")]
 
@@ -197,6 +190,8 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
             clock = best.onward.clocks[0]
             errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
             last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
+            if not free[1] and _of_stamps(runs, clock, errors[0]) and _harmless(runs, clock):
+                return _Found(clock, free, errors, best)
             if not abs(last) > _CLOCK_LIMIT * error > 0.0:
                 break
             if not beside and not free[1]:
@@ -209,6 +204,16 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     if alone is None or not _harmless(runs, alone.clock):
         return nothing
     return _preferred(runs, alone, nothing, rivals)
+
+
+def _of_stamps(runs: Sequence[Recording], clock: Clock, error_s: float) -> bool:
+    """Return whether an offset is what rounded stamps, or stamps of arrival, hide, and known better than that.
+
+    Rounding by a step shifts stamps by up to that step, and arrivals that vary are late. Such an offset needs no
+    evidence: it is certain before the data are seen, and its rivals have to explain more than it does.
+    """
+    hidden_s = max(float(np.hypot(r.stamp_error_s, r.stamp_jitter_s)) for r in runs)
+    return 0.0 < error_s < hidden_s and abs(clock.offset_s) < np.sqrt(12.0) * hidden_s
 
 
 def _harmless(runs: Sequence[Recording], clock: Clock) -> bool:

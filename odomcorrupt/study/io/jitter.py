@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["jitter_warnings"]
+__all__ = ["jitter_warnings", "stamp_jitter_s"]
 
 _WINDOW = 21
 """Samples over which the speed is assumed constant."""
@@ -27,36 +27,35 @@ _MIN_RATIO, _SIGMAS = 0.5, 4.0
 _GAP_STEPS = 3.0
 
 
-def jitter_warnings(path: Samples, other: Samples) -> list[str]:
-    """Return a warning if a path's stamps jitter: a fit would count it as noise of every step."""
-    off_s = _jitter_s(path, other)
-    if off_s is None:
+def jitter_warnings(path: Samples, off_s: float) -> list[str]:
+    """Return a warning if a path's stamps jitter (`off_s` > 0): a fit would count it as noise of every step."""
+    if not off_s:
         return []
     seen = "the intervals between them vary, the steps between its poses do not"
     what = "what is learned as noise holds that, too; stamp poses when they are taken"
     return [f"{path.name}: its stamps are off by about {off_s * 1e3:.2g} ms each ({seen}), and {what}"]
 
 
-def _jitter_s(path: Samples, other: Samples) -> float | None:
-    """Return the standard deviation of the stamps' jitter, seconds; None if the poses follow their stamps."""
+def stamp_jitter_s(path: Samples, other: Samples) -> float:
+    """Return the standard deviation of the stamps' jitter, seconds; 0 if the poses follow their stamps."""
     interval_s = np.diff(path.stamps_ns) * 1e-9
     way_m = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
     if len(interval_s) < _MIN_SAMPLES:
-        return None
+        return 0.0
     usual_s, usual_m = _running_mean(interval_s), _running_mean(way_m)
     speed = usual_m / np.maximum(usual_s, 1e-9)
     used = (speed > _MOVING_MPS) & (interval_s < _GAP_STEPS * np.median(interval_s))
     used[: _WINDOW // 2] = used[-(_WINDOW // 2) :] = False
     if used.sum() < _MIN_SAMPLES:
-        return None
+        return 0.0
     varies_s = interval_s - usual_s
     off_s = float(np.std(varies_s[used])) / np.sqrt(2.0)
     there = other.trajectory().at(path.seconds_since(int(path.stamps_ns[0])), int(path.stamps_ns[0]))[:, :2]
     there_m = np.linalg.norm(np.diff(there, axis=0), axis=1)
     expected_m = (speed * varies_s)[used]
     if off_s < _MIN_JITTER_S or _follow((way_m - usual_m)[used], expected_m):
-        return None
-    return off_s if _follow((there_m - _running_mean(there_m))[used], expected_m) else None
+        return 0.0
+    return off_s if _follow((there_m - _running_mean(there_m))[used], expected_m) else 0.0
 
 
 def _follow(steps_m: Array, expected_m: Array) -> bool:

@@ -17,7 +17,7 @@ from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
-from odomcorrupt.study.io.jitter import jitter_warnings
+from odomcorrupt.study.io.jitter import jitter_warnings, stamp_jitter_s
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import NO_SCAN, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import MAP_SCALE_ACCURACY, corrections_alone, is_of_base
@@ -319,8 +319,9 @@ def recordings_of(
     said = check_identity(calm, real) or heading_warnings(calm, real)
     feedback = feedback_of(odometry, calm, real)
     # The reader of laser scans has checked their stamps already.
-    said += filter_warnings(calm, real, feedback) + jitter_warnings(calm, real)
-    said += jitter_warnings(real, calm) if truth.covariance is None else []
+    jitter_s = stamp_jitter_s(calm, real), stamp_jitter_s(real, calm) if truth.covariance is None else 0.0
+    said += filter_warnings(calm, real, feedback)
+    said += jitter_warnings(calm, jitter_s[0]) + jitter_warnings(real, jitter_s[1])
     odometry = feedback.free
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_description(odometry)}, truth {_description(truth)}"
@@ -330,6 +331,7 @@ def recordings_of(
             r,
             notes=(opening, *r.notes, *said),
             stamp_error_s=rounded_s / math.sqrt(12.0),
+            stamp_jitter_s=max(jitter_s),
             localised=truth.localised,
             of_base=is_of_base(truth, odometry),
             pulled_per_s=feedback.left_per_s,

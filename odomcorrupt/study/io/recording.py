@@ -75,6 +75,7 @@ class Recording:
     truth_level : noise of the truth relative to that of a study's first recording, position and heading
     odometry_topic : topic of the odometry; "" if it was no topic
     stamp_error_s : standard deviation of a clock offset hidden by rounded stamps, seconds
+    stamp_jitter_s : standard deviation of stamps of arrival, seconds; they are late by about as much
     """
 
     name: str
@@ -104,6 +105,7 @@ class Recording:
     geodetic_origin: Origin | None = None
     truth_level: tuple[float, float] = (1.0, 1.0)
     stamp_error_s: float = 0.0
+    stamp_jitter_s: float = 0.0
     localised: bool = False
     of_base: bool = False
     truth_correlation_m: float | None = None

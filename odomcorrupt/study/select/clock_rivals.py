@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.clocks import clock_nats
 from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
@@ -16,14 +18,17 @@ from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
+    from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.decisions import Decisions
 
-__all__ = ["InPlaceOfClock", "late_motors", "more_nats"]
+__all__ = ["InPlaceOfClock", "beside_lags", "late_motors", "more_nats"]
 
 _LEAD_S = 0.04
 """Least lead of the odometry's clock at which a motor lag is tested, seconds: motors lag by 50 ms and more."""
+_LAGS, _MISFIT = ("channel_lag", "motor_lag", "steering_lag"), 0.2
+"""Lags, and the fraction of a time constant up to which an offset may be a misfit of its model (as `_MISFIT_GAIN`)."""
 
 
 class InPlaceOfClock(NamedTuple):
@@ -65,6 +70,17 @@ def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
         return None
     other = with_it.refit()
     return InPlaceOfClock(candidate, other, more_nats(other, fit))
+
+
+def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:
+    """Return the clocks of a model; a lag in it, of which an offset may be the misfit, is a rival of theirs.
+
+    No real lag is exactly of first order: a part of its time constant remains, and resembles an offset.
+    """
+    lags_s = [abs(getattr(e, p.name)) for e in fit.effects if e.name in _LAGS for p in amplitudes(e)]
+    offset_s = max(abs(clock.offset_s) for clock in fit.problem.clocks)
+    misfit = (clock_nats(fit),) if offset_s < _MISFIT * max(lags_s, default=0.0) else ()
+    return replace(clocks, clocks=fit.problem.clocks, rival_nats=(*clocks.rival_nats, *misfit))
 
 
 def more_nats(here: Fit, there: Fit) -> float:

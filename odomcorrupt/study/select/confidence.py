@@ -14,7 +14,7 @@ rest appears as a dependence or as correlated noise. T, D, E, U and C are `tempe
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import exp, inf, isfinite, sqrt
+from math import exp, inf, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +23,6 @@ from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
-from odomcorrupt.study.select.contribution import offset_displacement
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.remainder import within_remainder
 
@@ -121,12 +120,7 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
         rivals = (*rivals, own)
     if learned.may_be_losses(step.added or ""):
         rivals = (*rivals, own)  # lost increments have the same mean error
-    doubts = (
-        _may_be_remainder(step.added or "", learned),
-        _may_be_misfit(step, learned),
-        _may_be_stamps(step, learned),
-    )
-    if any(doubts):
+    if _may_be_remainder(step.added or "", learned) or _may_be_misfit(step, learned):
         rivals = (*rivals, own)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
     margin = learned.margins.get(step.added or "", inf)
@@ -166,18 +160,6 @@ def _may_be_misfit(step: Step, learned: Learned) -> bool:
         return True
     others = [other.candidates[0].gain for other in learned.steps if other.added in RIVALS and other is not step]
     return step.added in RIVALS and step.candidates[0].gain < _MISFIT_GAIN * max(others, default=0.0)
-
-
-def _may_be_stamps(step: Step, learned: Learned) -> bool:
-    """Return whether an effect that resembles a clock moves no more than an offset hidden by rounded stamps.
-
-    Stamps cut to a step are late by half of it, which differs from zero by sqrt(3) of their standard deviation.
-    """
-    moved = learned.contributions.get(step.added or "")
-    if step.added not in RIVALS or moved is None:
-        return False
-    hidden_s = sqrt(3.0) * max(r.stamp_error_s for r in learned.fit.problem.recordings)
-    return moved.ten_seconds.moved_m < offset_displacement(learned.fit, hidden_s)
 
 
 def _may_be_of_wheels(name: str, learned: Learned) -> bool:

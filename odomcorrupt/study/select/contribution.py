@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.decisions import Practical
 
-__all__ = ["FAR_M", "Contribution", "Span", "contributions", "offset_displacement"]
+__all__ = ["FAR_M", "Contribution", "Span", "contributions"]
 
 FAR_M = 50.0
 """Length of path, m, at which slow causes are measured, such as a bias with hardly any influence in 10 s."""
@@ -105,19 +105,6 @@ def contributions(
         if near is not None:
             found[effect.name] = Contribution(near, far)
     return found
-
-
-def offset_displacement(fitted: Fit, offset_s: float) -> float:
-    """Return the RMS distance by which a clock offset of the odometry moves its displacements over 10 s, m."""
-    problem = fitted.problem
-    moved = [np.zeros((0, 2))]
-    for one in (aligned(r, c) for r, c in zip(problem.recordings, problem.clocks, strict=True)):
-        (ends,) = _windows([one], None)
-        ends = ends[ends[:, 1] + offset_s <= one.odometry_s[-1]]
-        late, on_time = (_displacements(one.odometry, ends + by_s, one.origin_ns) for by_s in (offset_s, 0.0))
-        moved.append(late - on_time)
-    every = np.concatenate(moved)
-    return _rms(every) if len(every) else 0.0
 
 
 def _left(recordings: Sequence[Recording], fitted: Fit) -> list[Recording]:

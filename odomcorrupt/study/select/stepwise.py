@@ -30,7 +30,7 @@ from odomcorrupt.study.select.candidates import (
     terms_of,
     with_shape_refined,
 )
-from odomcorrupt.study.select.clock_rivals import late_motors, more_nats
+from odomcorrupt.study.select.clock_rivals import beside_lags, late_motors, more_nats
 from odomcorrupt.study.select.closed_loop import is_pulled, may_be_of_lags, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
@@ -125,7 +125,7 @@ def learn(
     final = with_robust_errors(found.fit, kept - given)
     errors = with_rounding(final.clock_errors.tolist(), found.clocks.free, recordings)
     return Learned(
-        clocks=replace(found.clocks, clocks=final.problem.clocks, errors=errors, left_nats=late_nats),
+        clocks=replace(beside_lags(found.clocks, final), errors=errors, left_nats=late_nats),
         first_clocks=clocks if same_data else None,
         rounds=tuple(found.steps),
         noise=tuple(found.noise),

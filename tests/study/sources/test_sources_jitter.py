@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from odomcorrupt.study.io.jitter import jitter_warnings
+from odomcorrupt.study.io.jitter import jitter_warnings, stamp_jitter_s
 from odomcorrupt.study.io.raw_trajectory import Samples
 
 
@@ -34,7 +34,8 @@ ODD = REGULAR + np.random.default_rng(2).uniform(0.0, 0.015, len(REGULAR))
     ids=["arrival", "taken at odd times", "regular", "hardly off"],
 )
 def test_stamps_that_poses_know_nothing_of_are_noticed(taken, stamped, noticed):
-    said = jitter_warnings(path(taken, stamped), path(REGULAR, REGULAR))
+    seen = path(taken, stamped)
+    said = jitter_warnings(seen, stamp_jitter_s(seen, path(REGULAR, REGULAR)))
     assert bool(said) == noticed
     if noticed:
         assert said[0].startswith("/mocap: its stamps are off by about 4.")
@@ -50,4 +51,4 @@ def test_poses_that_are_published_whenever_the_robot_has_come_so_far_are_stamped
         return Samples("run.bag: /pose", "/pose", "", (at_s * 1e9).astype(np.int64), xyz, 0.0 * at_s, none, none)
 
     triggered = straight(np.interp(np.arange(0.5, way_m[-1], 0.5), way_m, t_s))
-    assert not jitter_warnings(triggered, straight(t_s))
+    assert not stamp_jitter_s(triggered, straight(t_s))

@@ -44,10 +44,13 @@ def test_what_stamps_are_rounded_to_is_seen_where_intervals_vary_on_it(t_s, roun
     assert stamp_resolution_s(path(np.floor(t_s / rounded_s) * rounded_s)) == pytest.approx(found_s)
 
 
-@pytest.mark.parametrize("rounded_s", [0.001, 0.01])
-def test_rounded_stamps_of_a_regular_publisher_are_spaced_evenly(rounded_s):
-    lost = np.random.default_rng(1).random(len(RATE_30)) < 0.02
-    true_s = RATE_30[~lost]
+# a timer of 50 Hz that jitters across the edges of a rounding to half of its period
+JITTER_50 = 0.02 * np.arange(1, 3001) + np.random.default_rng(3).normal(0.0, 2e-4, 3000)
+
+
+@pytest.mark.parametrize(("regular_s", "rounded_s"), [(RATE_30, 0.001), (RATE_30, 0.01), (JITTER_50, 0.01)])
+def test_rounded_stamps_of_a_regular_publisher_are_spaced_evenly(regular_s, rounded_s):
+    true_s = regular_s[np.random.default_rng(1).random(len(regular_s)) >= 0.02]
     even = even_stamps(path(np.floor(true_s / rounded_s) * rounded_s))
     off_s = even.seconds_since(START_NS // 10**9 * 10**9) - true_s
     assert np.std(off_s) < 0.06 * rounded_s

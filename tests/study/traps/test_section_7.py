@@ -77,6 +77,18 @@ def test_4_an_offset_is_estimated_without_the_bias_of_a_smoothed_derivative(late
     assert clocks.clocks[0].offset_s == pytest.approx(0.03, rel=0.03)
 
 
+def test_4_an_offset_that_rounded_or_late_stamps_hide_needs_no_evidence():
+    # breaks where it is left at zero, and the slip or play that resembles it is named
+    run = as_recording(simulate(26, None, duration_s=120.0))
+    stamps = run.odometry.stamps_ns + 700_000
+    hidden = replace(run, odometry=Trajectory(stamps, run.odometry.xyt), origin_ns=int(stamps[0]))
+    assert not find_clocks([hidden], choose_approach([hidden])).free[0][0]
+    for known in ({"stamp_error_s": 0.01 / np.sqrt(12.0)}, {"stamp_jitter_s": 0.004}):
+        clocks = find_clocks([replace(hidden, **known)], choose_approach([hidden]))
+        assert clocks.free[0][0]
+        assert clocks.clocks[0].offset_s == pytest.approx(0.0007, abs=3.0 * clocks.errors[0][0])
+
+
 def test_5_nodes_of_a_truth_that_wanders_lie_farther_apart():
     # breaks where the spacing does not look at the truth's noise
     seen = as_recording(simulate(26, None, duration_s=120.0, truth="rtk"))
