@@ -72,15 +72,18 @@ def _errors(learned: Learned, judged: Recording, floor: Recording) -> dict[str, 
 def _offered(learned: Learned, judged: Recording) -> float | None:
     """Return the 10 s error with the first offered expression added as well; None if none is offered.
 
-    An expression that is part of the model has been added already.
+    An expression that is part of the model has been added already; one that is offered in the place of an effect
+    replaces it.
     """
     if not learned.unknown:
         return None
     if learned.unknown[0] in learned.laws:
         return ten_second_error([judged], learned.fit.effects, learned.fit.problem.clocks[0])
     try:
-        effect = user_effect("offered", learned.unknown[0].expression, {})
-        return ten_second_error([judged], (*learned.fit.effects, effect), learned.fit.problem.clocks[0])
+        offered = learned.unknown[0]
+        effect = user_effect("offered", offered.expression, {})
+        others = (e for e in learned.fit.effects if e.name != offered.instead_of)
+        return ten_second_error([judged], (*others, effect), learned.fit.problem.clocks[0])
     except EffectError:
         return float(np.inf)
 
