@@ -64,6 +64,7 @@ CARPET = "where(abs(0.8 * x + 0.6 * y - 4.0) < 4.0, 1, 0) * where(abs(0.8 * y - 
         ),
         (95, f"along += -0.08 * v * {CARPET}"),
         (98, f"yaw += 0.1 * v * {IRON}"),
+        (90, "yaw += 0.05 * omega * where(x > 1.0, 1, 0)"),
     ],
 )
 def test_a_ramp_a_carpet_or_iron_near_a_compass_is_reported_by_its_place(seed, text):

@@ -40,6 +40,8 @@ __all__ = ["ColumnScore", "Projection", "Score", "project_out", "score_columns",
 
 _SEPARABLE = 0.02
 """Fraction of a column's length outside the span of the design matrix below which it is not separable from it."""
+_OTHERS, _STRONG = 50, 1e-6
+"""Number of columns whose variance beside a tested group is measured, and probability below which it is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,11 +173,30 @@ def score_columns(fit: Fit, groups: Sequence[Array], *, family: int | None = Non
         tests.append(_test(rest.residual, rest.of(raw), raw, block))
     usable = [t for t in tests if t.separable]
     shared = shared_variance(np.array([t.variance for t in usable]), np.array([t.dof for t in usable]))
-    return [_tested(t, shared, len(usable) if family is None else family) for t in tests]
+    others = usable[:: max(1, len(usable) // _OTHERS)]
+    count = len(usable) if family is None else family
+    return [_tested(t, _shared_beside(t, others, rest.residual, block, shared, count), count) for t in tests]
+
+
+def _shared_beside(
+    test: _Test, others: Sequence[_Test], r: Array, block: NDArray[np.int64], shared: float, family: int
+) -> float:
+    """Return the shared variance ratio with a tested group in the model.
+
+    A strong missing term makes the scores of all other columns vary between blocks, which is no evidence against it.
+    """
+    if shared <= 1.0 or not test.separable or family * chi2.sf(test.statistic, len(test.estimate)) > _STRONG:
+        return shared
+    explained = r - test.unit * (test.unit @ r)
+    beside = [between_blocks(block, other.unit[:, None], explained) for other in others]
+    variance, dof = (np.array([float(one[i][0]) for one in beside]) for i in (0, 1))
+    return min(shared, shared_variance(variance, dof))
 
 
 @dataclass(frozen=True, slots=True)
 class _Test:
+    """Test of one group; `unit` (3 K,) is the direction of its best combination of columns."""
+
     estimate: Array
     covariance: Array
     statistic: float
@@ -183,6 +204,7 @@ class _Test:
     dof: float
     separable: bool
     held_out: Array
+    unit: Array
 
 
 def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Test:
@@ -194,7 +216,7 @@ def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Tes
     condition = np.linalg.cond(normal / np.outer(scale, scale)) if kept.all() else np.inf
     if condition > 1e8:
         nothing = np.full(count, np.nan)
-        return _Test(nothing, np.zeros((count, count)), 0.0, 1.0, 1.0, separable=False, held_out=np.zeros(2))
+        return _Test(nothing, np.zeros((count, count)), 0.0, 1.0, 1.0, separable=False, held_out=np.zeros(2), unit=r)
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     estimate = covariance @ (column.T @ r)
     best = column @ estimate
@@ -203,7 +225,9 @@ def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Tes
     unit = best / length
     ((variance,), (dof,)) = between_blocks(block, unit[:, None], r)
     held_out = _held_out(r, column, block)
-    return _Test(estimate, covariance, statistic, float(variance), float(dof), separable=True, held_out=held_out)
+    return _Test(
+        estimate, covariance, statistic, float(variance), float(dof), separable=True, held_out=held_out, unit=unit
+    )
 
 
 def _held_out(r: Array, column: Array, block: NDArray[np.int64]) -> Array:

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
 __all__ = ["ShapeSearch", "maximise"]
 
-_COARSE, _EXACT = (1.0, 0.5, 0.25, 0.125), (0.25, 0.125, 0.05)
-"""Scales of the steps of a shape: with approximate columns, and then with exact ones."""
+_WIDE, _COARSE, _EXACT = (4.0, 2.0), (1.0, 0.5, 0.25, 0.125), (0.25, 0.125, 0.05)
+"""Scales of the steps of a shape: of places, whose gain does not change until an edge reaches another part of the path;
+with approximate columns, and then with exact ones."""
 _SIMPLEX = 0.25
 """Scale of the first simplex."""
 _MOST_STEPS, _WORTH_NATS = 12, 0.1  # largest number of steps at each scale; least gain of a step
@@ -162,7 +163,8 @@ class ShapeSearch:
         """Return the term at the nearest maximum of the approximate gain; unchanged if it is an effect with memory."""
         if isinstance(term, LibraryTerm) and term.remembers:
             return term
-        return self._climb(term, self.coarse_gains, _COARSE)
+        wide = _WIDE if isinstance(term, BasisTerm) and term.several_maxima else ()
+        return self._climb(term, self.coarse_gains, (*wide, *_COARSE))
 
     def maximise(self, term: T) -> T:
         """Return the term at the nearest maximum over all shape parameters jointly, from exact columns."""
