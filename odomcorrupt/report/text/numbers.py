@@ -117,8 +117,8 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
             value, error = (clock.offset_s, clock.rate)[position], errors[position]
             if free[position] and abs(value) > _SIGNIFICANT * error:
                 own = 0.5 * (value / error) ** 2
-                rivals, left = (clocks.rival_nats, clocks.left_nats) if name == "time_offset" else ((), 0.0)
-                sure = confidence(Evidence(own, tuple(min(nats, own) for nats in rivals), left))
+                margins, left = (clocks.margins_nats, clocks.left_nats) if name == "time_offset" else ((), 0.0)
+                sure = confidence(Evidence(own, tuple(own - max(nats, 0.0) for nats in margins), left))
                 yield ClockFound(name, i, float(value), float(error), sure)
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Clocks", "clock_nats", "find_clocks", "levelled", "nuisance_of", "with_rounding"]
+__all__ = ["Clocks", "find_clocks", "levelled", "nuisance_of", "with_rounding"]
 
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _CLOCK_HARM = 1.15
@@ -51,8 +51,8 @@ class Clocks:
     noise, beside : noise and nuisance effects of the last fit: starting values for later fits, not results
     ambiguous_nats : log-likelihood gain of a clock offset that was left at zero, because it is significant only without
         its rivals and one of them explains more; the effect of these rivals may be the clock's
-    rival_nats : log-likelihood gain of each rival in place of a clock that explains more than any single rival but is
-        not significant beside all of them
+    margins_nats : log-likelihood gain of a clock over each rival: an effect beside which it is not significant,
+        an effect that was tried in its place, or a lag of which it may be the misfit
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
     """
@@ -63,7 +63,7 @@ class Clocks:
     noise: Array | None = None
     beside: tuple[Effect, ...] = ()
     ambiguous_nats: float = 0.0
-    rival_nats: tuple[float, ...] = ()
+    margins_nats: tuple[float, ...] = ()
     truths: tuple[TruthNoise, ...] = ()
     left_nats: float = 0.0
 
@@ -77,7 +77,7 @@ class _Found:
     errors: tuple[float, float]
     fit: Fit
     ambiguous_nats: float = 0.0
-    rival_nats: tuple[float, ...] = ()
+    margins_nats: tuple[float, ...] = ()
 
 
 def nuisance_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -103,15 +103,9 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
         longest.noise.free,
         tuple(e for e in longest.onward.effects if e.name in _NUISANCE),
         max(f.ambiguous_nats for f in each),
-        max((f.rival_nats for f in each), key=lambda nats: max(nats, default=0.0)),
+        min((f.margins_nats for f in each), key=lambda nats: min(nats, default=np.inf)),
         tuple(f.fit.noise.truth for f in each),
     )
-
-
-def clock_nats(fitted: Fit) -> float:
-    """Return the largest log-likelihood gain (nats) of a clock offset in a fit, half its squared z-score."""
-    pairs = zip(fitted.problem.clocks, fitted.clock_errors[:, 0].tolist(), strict=True)
-    return max((0.5 * (clock.offset_s / error_s) ** 2 for clock, error_s in pairs if error_s > 0.0), default=0.0)
 
 
 def with_rounding(
@@ -248,5 +242,5 @@ def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals
     own = with_it - without
     gains = tuple(likelihood((rival,)) - without for rival in rivals)
     if own > max(gains, default=0.0):
-        return replace(clock, rival_nats=gains)
+        return replace(clock, margins_nats=tuple(own - gain for gain in gains))
     return replace(nothing, ambiguous_nats=max(own, 0.0))

@@ -9,7 +9,6 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.estimate.clocks import clock_nats
 from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
@@ -79,8 +78,8 @@ def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:
     """
     lags_s = [abs(getattr(e, p.name)) for e in fit.effects if e.name in _LAGS for p in amplitudes(e)]
     offset_s = max(abs(clock.offset_s) for clock in fit.problem.clocks)
-    misfit = (clock_nats(fit),) if offset_s < _MISFIT * max(lags_s, default=0.0) else ()
-    return replace(clocks, clocks=fit.problem.clocks, rival_nats=(*clocks.rival_nats, *misfit))
+    misfit = (0.0,) if offset_s < _MISFIT * max(lags_s, default=0.0) else ()
+    return replace(clocks, clocks=fit.problem.clocks, margins_nats=(*clocks.margins_nats, *misfit))
 
 
 def more_nats(here: Fit, there: Fit) -> float:

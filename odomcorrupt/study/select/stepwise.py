@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.estimate.clocks import clock_nats, find_clocks, levelled, with_rounding
+from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
@@ -154,6 +154,7 @@ class _Selection:
     withdrawn : names of effects that were admitted to the current model and removed again
     compared, compared_at : comparisons of library effects with basis functions, and the fit in which they were made
     seen : terms of all models so far
+    over_motor_lag : gain of the clock over a motor lag in its place, prior odds included, nats; None if not tested
     """
 
     fit: Fit
@@ -170,6 +171,7 @@ class _Selection:
     compared: dict[str, ModelComparison] = field(default_factory=dict)
     compared_at: Fit | None = None
     seen: set[frozenset[str]] = field(default_factory=set)
+    over_motor_lag: float | None = None
 
     def __post_init__(self) -> None:
         self.noise = list(self.noise)
@@ -180,6 +182,8 @@ class _Selection:
         while self._step() or self._name_laws() or self._swap_clock() or self._replace_leading_clock():
             pass
         self._finish()
+        if self.over_motor_lag is not None:
+            self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, self.over_motor_lag))
         return self
 
     def _include(self, proposal: Proposal, candidates: Sequence[Candidate]) -> None:
@@ -332,13 +336,13 @@ class _Selection:
 
     def _replace_leading_clock(self) -> bool:
         """Replace the lead of the odometry's clock by a motor lag if that gains more; return whether it did."""
+        self.over_motor_lag = None
         found = late_motors(self.fit, self.decisions)
         if found is None:
             return False
         better = found.more_nats > self.decisions.replacement_nats and not self._already_seen(found.fit)
         if not better:
-            rivals = (*self.clocks.rival_nats, clock_nats(self.fit) - abs(found.more_nats))
-            self.clocks = replace(self.clocks, rival_nats=rivals)
+            self.over_motor_lag = self.decisions.alternative_nats - found.more_nats
             return False
         clocks, free = found.fit.problem.clocks, found.fit.free_clocks
         left_nats = max(found.candidate.gain - found.more_nats, 0.0)
@@ -377,8 +381,7 @@ class _Selection:
             self.included = [one for one in self.included if one.name not in late or not clocked]
             self._continue_from(without_redundant(other, self.given, self.decisions))
         if np.any(self.fit.free_clocks):
-            rivals = (*self.clocks.rival_nats, clock_nats(self.fit) - abs(more))
-            self.clocks = replace(self.clocks, rival_nats=rivals)
+            self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, abs(more)))
         else:
             gains = (step.candidates[0].gain for step in self.steps if step.added in _CLOCK_LIKE_EFFECTS)
             nats = max(gains, default=0.0) - abs(more)
