@@ -42,7 +42,7 @@ class ComplementaryFilter(Effect):
     drives = PIVOTING
     about = About(
         equation="f_yaw = -e / (1 + e) L omega, L a low-pass filter of time constant tau / (1 + e)",
-        typical="e as of a wheelbase, 0.5 to 5 %; tau 0.5 to 30 s",
+        typical="e as of a wheelbase, 0.5 to 5 %; tau 1 to 30 s (a shorter one is a lag of the wheels' heading)",
         source="Mahony, Hamel & Pflimlin 2008, IEEE T-AC 53(5), with one axis",
         confused_with=("wheelbase", "gyro_bias_walk", "channel_lag"),
         drive="turn on the spot by half a turn, and stand still for a minute: the heading creeps at rest",
@@ -50,7 +50,7 @@ class ComplementaryFilter(Effect):
 
     e: float = parameter("", "turn of the wheels over the true one, minus one", low=-0.5, high=1.0, typical=0.015)
     tau: float = parameter(
-        "s", "time constant of the filter", low=0.3, high=100.0, typical=3.0, identity=3.0, amplitude=False
+        "s", "time constant of the filter", low=1.0, high=100.0, typical=3.0, identity=3.0, amplitude=False
     )
 
     @classmethod
