@@ -152,11 +152,13 @@ def _may_be_remainder(name: str, learned: Learned) -> bool:
 def _may_be_misfit(step: Step, learned: Learned) -> bool:
     """Return whether an effect may be a misfit of the model of a far larger one.
 
-    No effect model is exact to 1 %: a steering error enters by the tangent of the angle, for example. Nor is a real lag
-    exactly a filter or a delay, or real play rigid; their misfits depend on the acceleration.
+    No effect model is exact to 1 %: a steering error enters by the tangent of the angle, for example, and the mean of
+    slip bursts is not known better. Nor is a real lag exactly a filter or a delay, or real play rigid; their misfits
+    depend on the acceleration.
     """
     moved = {name: one.ten_seconds.moved_m for name, one in learned.contributions.items()}
-    if step.added in moved and moved[step.added] < _MISFIT_DISPLACEMENT * max(moved.values()):
+    bursts_m = learned.error_m if any(gain.effect.name == "slip_burst" for gain in learned.noise) else 0.0
+    if step.added in moved and moved[step.added] < _MISFIT_DISPLACEMENT * max(*moved.values(), bursts_m):
         return True
     others = [other.candidates[0].gain for other in learned.steps if other.added in RIVALS and other is not step]
     return step.added in RIVALS and step.candidates[0].gain < _MISFIT_GAIN * max(others, default=0.0)
