@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 ENTRIES = ("odomcorrupt/__init__.py", "odomcorrupt/__main__.py", "odomcorrupt/cli.py")
-"""They import everything else; the names of the interface are imported lazily."""
+"""Entry modules, which may import all packages; the names of the interface are imported lazily."""
 
 
 def rows() -> list[list[str]]:
@@ -18,13 +18,13 @@ def rows() -> list[list[str]]:
 
 
 def package_of(module: str) -> str:
-    """Return the package of the table that holds a module; single modules have their own name."""
+    """Return the package of a module as the table names it; single modules have their own name."""
     parts = module.split(".")[1:]
     return "/".join(parts[:2]) if parts[:1] == ["study"] else (parts or ["odomcorrupt"])[0]
 
 
 def imports() -> set[tuple[str, str, str]]:
-    """Return importing file, its package and the imported package, those for type checkers included."""
+    """Return importing file, its package and the imported package of all imports, also those for type checkers."""
     found = set()
     for file in (ROOT / "odomcorrupt").rglob("*.py"):
         path = file.relative_to(ROOT)

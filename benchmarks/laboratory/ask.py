@@ -72,8 +72,8 @@ def _errors(learned: Learned, judged: Recording, floor: Recording) -> dict[str, 
 def _offered(learned: Learned, judged: Recording) -> float | None:
     """Return the 10 s error with the first offered expression added as well; None if none is offered.
 
-    An expression that is part of the model has been added already; one that is offered in the place of an effect
-    replaces it.
+    An expression that is part of the model has been added already. An expression that is offered in the place of an
+    effect replaces that effect.
     """
     if not learned.unknown:
         return None

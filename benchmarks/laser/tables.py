@@ -90,7 +90,7 @@ def _extras(row: dict[str, Any], who: str) -> list[str]:
 
 
 def _wrong_and_sure(row: dict[str, Any]) -> bool:
-    """Return whether a name of the final model is wrong and certain; a step that was taken back is not reported."""
+    """Return whether the final model has a wrong name of high confidence; steps that were taken back do not count."""
     return any(
         step["added"] in row["answer"]["added"] and not right(step["added"], row) and step["confidence"] >= _SURE
         for step in row["answer"]["looks"]

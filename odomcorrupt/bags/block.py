@@ -85,8 +85,8 @@ class Block:
     raw : format-specific data for writing (compression, record framing, non-message records)
     added : messages to append, in order
     ends : end offsets of the chunks that were joined; empty for a single chunk
-    places : where the data of its chunks begin in its file, if they are not compressed there; else empty
-    changed : (n,) rows of the table of all messages that are not as they were read, None where this is not known
+    places : positions in the input file of the data of its chunks, if they are not compressed; else empty
+    changed : (n,) rows of the table; all other messages are as they were read. None if this is not known
     """
 
     data: NDArray[np.uint8]

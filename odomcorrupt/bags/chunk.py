@@ -39,7 +39,7 @@ class Chunk:
     """A decompressed chunk or a part of one, and the contents of the indexes that follow it.
 
     open : records of a ROS 1 chunk that was never finished
-    place : where its data are in the file, if these are not compressed
+    place : position of its data in the file, if they are not compressed; else None
     """
 
     data: NDArray[np.uint8]

@@ -1,4 +1,4 @@
-"""Copy of a file by the kernel, in a thread of its own, while its reader goes on: a reflink where file systems can."""
+"""Copy of a file by the kernel, in a thread beside the reader; a reflink if the file system supports it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 __all__ = ["FileCopy", "FileState"]
 
 _AT_ONCE_BYTES = 16 << 20
-"""What the system copies in one call: an interrupt waits for no more."""
+"""Bytes copied by one system call; an interrupt waits for the end of a call."""
 
 
 class FileState(NamedTuple):
-    """What of a file is different once it was replaced or written to."""
+    """Device, inode, size and modification time of a file, which differ after it was replaced or written to."""
 
     device: int
     inode: int
@@ -29,26 +29,26 @@ class FileState(NamedTuple):
 
     @classmethod
     def of(cls, descriptor: int) -> FileState:
-        """Return that of an open file."""
+        """Return the state of an open file."""
         now = os.fstat(descriptor)
         return cls(now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns)
 
 
 class FileCopy:
-    """The bytes of a file from one position on, being copied to the same position of another file.
+    """Running copy of a file, from one position to its end, to the same position of another file.
 
-    The copy ends early where the system has no such call, or the call fails.
+    The copy ends early if the system has no such call, or if the call fails.
 
     Parameters
     ----------
     source : Path
         File to be copied.
     target : int
-        Descriptor of the other file, whose own position does not change.
+        Descriptor of the file that is written. Its file offset does not change.
     begin : int
-        First byte.
+        Position of the first byte to copy.
     state : FileState, optional
-        The source's when it was read; by default the present one.
+        State of the source when it was read; by default its present state.
 
     Raises
     ------
@@ -72,11 +72,11 @@ class FileCopy:
 
     @property
     def done(self) -> bool:
-        """Whether it has ended."""
+        """Whether the copy has ended, completely or early."""
         return self._ended
 
     def complete(self) -> bool:
-        """Wait for its end, and return whether all bytes were copied."""
+        """Wait until the copy has ended; return whether all bytes were copied."""
         return self.reaches(self._state.size)
 
     def reaches(self, end: int) -> bool:
@@ -86,12 +86,12 @@ class FileCopy:
         return self._position >= end
 
     def stop(self) -> None:
-        """End it early."""
+        """End the copy early."""
         self._stopped = True
         self._thread.join()
 
     def close(self) -> None:
-        """End it, and close the source."""
+        """End the copy, and close the source."""
         self.stop()
         os.close(self._source)
 
@@ -99,7 +99,7 @@ class FileCopy:
         """Raise BagError if the source was replaced or written to since it was read."""
         if FileState.of(self._source) != self._state:
             raise BagError(
-                f"{self._name}: was written to while it was read; nothing is kept, run again when it is done"
+                f"{self._name}: was written to while it was read; no output is kept, run again once it is complete"
             )
 
     def _run(self) -> None:

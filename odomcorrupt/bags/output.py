@@ -42,11 +42,11 @@ class Shared:
 
 @dataclass(slots=True)
 class Original:
-    """Bytes of a file that an output has, too, but for some.
+    """Bytes of the input file that the output repeats, except for changed spans.
 
-    path, state : the file, when it was read
-    position : where they begin in it
-    changed : begin and end of each span that differs, counted from `position`
+    path, state : the input file, and its state when it was read
+    position : of the first of these bytes in the file
+    changed : begin and end of each changed span, relative to `position`
     """
 
     path: Path
@@ -106,7 +106,7 @@ class Output:
             self.crc = crc_of_both(self.crc, crc, piece)
 
     def write_changed(self, piece: memoryview, crc: int, original: Original) -> None:
-        """Write bytes with a known CRC-32; of those that a file has at the same position only what differs."""
+        """Write bytes with a known CRC-32; if they are copied from the original, write only the changed spans."""
         try:
             if self._stream is None or not self._has_copied(original, len(piece)):
                 self.write_summed(piece, crc)
@@ -124,7 +124,7 @@ class Output:
             self.crc = crc_of_both(self.crc, crc, piece)
 
     def _has_copied(self, original: Original, size: int) -> bool:
-        """Return whether the next `size` bytes are there, copied by a thread that the first call starts."""
+        """Return whether the next `size` bytes were copied to the output; the first call starts the copying thread."""
         if 2 * sum(end - begin for begin, end in original.changed) > size:
             return False
         if self._partial is None or self._stream is None or original.position != self.position:
@@ -134,7 +134,7 @@ class Output:
         if self._copy is None:
             try:
                 self._copy = FileCopy(original.path, self._stream.fileno(), self.position, original.state)
-            except OSError:  # the input was moved away meanwhile; its reader still has it
+            except OSError:  # the input was moved or replaced; the reader's open file is still valid
                 return False
         return self._copy.reaches(self.position + size)
 

@@ -165,7 +165,7 @@ class OrderedResults:
 
     @property
     def beside(self) -> bool:
-        """Whether there are other threads than the submitting one."""
+        """Whether calls run in threads other than the submitting one."""
         return self._workers is not None
 
     def put(self, call: Callable[[], T], then: Callable[[T], None], size: int, *, worth: bool = True) -> None:

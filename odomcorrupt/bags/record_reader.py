@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["RecordReader"]
 
 _CLOSE_BYTES = 1 << 13
-"""So many bytes between two messages are written as quickly as left out."""
+"""Changed messages at most this many bytes apart are written at once, which takes no longer than two writes."""
 
 
 class RecordReader(ABC):
@@ -91,7 +91,7 @@ class RecordReader(ABC):
             )
 
     def originals(self, block: Block) -> list[Original]:
-        """Return the file's bytes that a block's chunks had, chunk by chunk; none if it is not known what changed."""
+        """Return the input bytes of each chunk of a block, with their changes; empty if the changes are unknown."""
         if self._state is None or block.changed is None or block.added or not block.places:
             return []
         spans = zip(block.places, _changed_spans(block, block.changed), strict=True)
@@ -161,7 +161,7 @@ class RecordReader(ABC):
 
 
 def _changed_spans(block: Block, changed: NDArray[np.int64]) -> list[list[tuple[int, int]]]:
-    """Return for each chunk of a block where changed messages (n,) begin and end in it, bytes; close ones as one."""
+    """Return the spans (begin, end) of changed messages (n,) in each chunk of a block, bytes; close ones are merged."""
     rows = block.table[np.unique(changed)]
     chunk_ends = np.array(block.ends or (block.data.size,))
     spans: list[list[tuple[int, int]]] = [[] for _ in chunk_ends]

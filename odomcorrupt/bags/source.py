@@ -76,7 +76,7 @@ class Source:
         return source
 
     def state(self) -> FileState:
-        """Return the state of the file."""
+        """Return the state of the open file, to detect later changes."""
         return FileState.of(self._stream.fileno())
 
     def spooled(self) -> Self:

@@ -122,7 +122,7 @@ POSE, START = _Pose(), _Start()
 
 @contextmanager
 def usage_errors(kind: type[OdomCorruptError], before: str = "") -> Iterator[None]:
-    """Report errors of one kind as wrong usage: exit code 2, and the hint to the command's help."""
+    """Convert errors of one kind to usage errors: exit code 2, with a hint to the command's help."""
     try:
         yield
     except kind as error:

@@ -1,4 +1,4 @@
-"""Arguments and options of the study's commands: recordings, how to read them, models, and what is written."""
+"""Arguments and options of the study's commands: recordings, how to read them, models, and extra output files."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
 
     model = _model(given)
     options, container = split_options(bag_words(given))
-    threads = max(1, (given["threads"] or default_threads()) // given["jobs"])  # of each process
+    threads = max(1, (given["threads"] or default_threads()) // given["jobs"])  # per process
     container = replace(container, overwrite=False, threads=threads)
     if given["output"] != "full":
         _require_whole_bags(given)

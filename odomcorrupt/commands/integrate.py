@@ -68,7 +68,7 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
         raise click.UsageError(f"--runs {given['runs']}: without --twist-noise all runs are the same")
     check_picture(plot, overwrite=given["overwrite"])
     refuse_existing(output, overwrite=given["overwrite"])
-    if output is not None:  # a name that is not a bag's is refused before any work is done
+    if output is not None:  # refuse a name that is not that of a bag before any work is done
         with open_reader(input_) as reader:
             form_of(output, reader)
     drive = read_drive(input_, given["odom_topic"])

@@ -279,7 +279,7 @@ class Transform:
 
     def _patch(self, held: _Held) -> Block:
         targets = self._targets(held)
-        # also those of them whose bytes the patches leave as they are
+        # all rows of the patched topics, although a patch may leave some of their bytes unchanged
         rows = [target.layout.rows for target in targets]
         held.block.changed = np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
         if not targets or self._first_ns is None:

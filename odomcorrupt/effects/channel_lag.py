@@ -22,7 +22,7 @@ _UNSEEN_RATE = 10.0
 
 
 def lag_remainder(tau_s: float, seconds: float) -> float:
-    """Return the part of a difference that a first-order lag leaves after a time: the backward Euler step.
+    """Return the fraction of a difference that remains after a first-order lag has acted, by a backward Euler step.
 
     Its mean delay is tau for steps of any length, and its inverse is stable.
     """

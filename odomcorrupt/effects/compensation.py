@@ -1,4 +1,4 @@
-"""Errors of effects over a motion, and the true motion after compensating for them, u = u' + f(u')."""
+"""Twist errors f of effects over a motion, and the true motion u = u' + f(u') after compensating for them."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _TIMES_S = (1.0, 3.0, 10.0, 30.0)
-"""Trial time constants, seconds: at 1 s and below hardly a turn comes from the gyro, at 30 s hardly one from wheels."""
+"""Trial time constants, seconds: at 1 s nearly all turns come from the wheels, at 30 s nearly all from the gyro."""
 
 
 class _Filtered(NamedTuple):
@@ -31,24 +31,24 @@ class _Filtered(NamedTuple):
 class ComplementaryFilter(Effect):
     """f = (0, 0, -e / (1 + e) L omega), L a low-pass filter of time constant tau / (1 + e).
 
-    The heading follows the gyro, and with time constant tau the heading of wheels whose turns are (1 + e) times the
-    true ones. Its error d obeys tau d' + d = the error of the wheels' heading.
+    The reported heading follows the gyro at once, and the wheels' heading with time constant tau. Turns of the wheels'
+    heading are (1 + e) times the true ones. The heading error d obeys tau d' + d = error of the wheels' heading.
     """
 
     name = "complementary_filter"
     layer = "record"
-    summary = "a filter blends a gyro with the heading of wheels whose turns have a wrong gain: turns err seconds later"
+    summary = "a filter blends a gyro with a wheel heading of wrong gain: the error of a turn appears seconds later"
     needs_gyro = True
     drives = PIVOTING
     about = About(
         equation="f_yaw = -e / (1 + e) L omega, L a low-pass filter of time constant tau / (1 + e)",
-        typical="e as of a wheelbase, 0.5 to 5 %; tau 1 to 30 s (a shorter one is a lag of the wheels' heading)",
+        typical="e as in wheelbase, 0.5 to 5 %; tau 1 to 30 s (a shorter one is a lag of the wheels' heading)",
         source="Mahony, Hamel & Pflimlin 2008, IEEE T-AC 53(5), with one axis",
         confused_with=("wheelbase", "gyro_bias_walk", "channel_lag"),
-        drive="turn on the spot by half a turn, and stand still for a minute: the heading creeps at rest",
+        drive="turn by 180 deg on the spot, and stand still for a minute: the heading creeps at rest",
     )
 
-    e: float = parameter("", "turn of the wheels over the true one, minus one", low=-0.5, high=1.0, typical=0.015)
+    e: float = parameter("", "turn of the wheels divided by the true one, minus one", low=-0.5, high=1.0, typical=0.015)
     tau: float = parameter(
         "s", "time constant of the filter", low=1.0, high=100.0, typical=3.0, identity=3.0, amplitude=False
     )
@@ -59,7 +59,7 @@ class ComplementaryFilter(Effect):
         return tuple(replace(cls(), tau=tau) for tau in _TIMES_S)
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the state of a robot that has not turned for long."""
+        """Return the state of a robot that has not turned for a long time."""
         return _Filtered()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:

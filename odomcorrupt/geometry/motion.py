@@ -50,8 +50,8 @@ class Motion:
     before : (n, 2, 3) acceleration and trail of the previous interval; None if speeds are smooth already
 
     Speeds are the odometry's. Acceleration, pose and distance are the true ones: of the clean motion in corruption, of
-    the corrected one in correction, of the smoothest estimate in the study. Forces accelerate the body, and a floor's
-    effect depends on the body's position; only so can an effect of accelerations be applied and inverted stably.
+    the corrected one in correction, of the smoothest estimate in the study. Forces accelerate the body, and effects
+    of the floor depend on its position. Effects of accelerations can be applied and inverted stably only in this way.
     """
 
     t_s: Array

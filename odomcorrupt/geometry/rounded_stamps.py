@@ -26,7 +26,7 @@ _GAP = 1.5
 _MIN_VARY = 0.02
 """Least fraction of deviating intervals if stamps are rounded; those of a regular clock do not deviate."""
 _LEAST_PERIOD = 1.5
-"""Least period, in units of the resolution, of a grid that rounding leaves recognisable."""
+"""Shortest period, in units of the resolution, at which an even grid can be recognised in rounded stamps."""
 _WINDOW, _TOLERANCE, _MIN_IN = 101, 1.0, 0.99
 """Samples over which the rate is constant; largest deviation from the even grid in units of the resolution, because
 rounding errors differ by less than that from their mean; and the least fraction of stamps within it."""
@@ -67,7 +67,7 @@ def evened(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
     if period_s < _LEAST_PERIOD * rounded_s:
         return None
     off = np.zeros(len(t_s))
-    for _ in range(2):  # the first mean holds intervals with a missing message, and the first stamp is off by itself
+    for _ in range(2):  # the first mean includes intervals with a missing message and the first stamp's rounding
         count = _periods(t_s, period_s, float(np.median(off[:_WINDOW])))
         period_s = float(t_s[-1] / count[-1])
         off = t_s - count * period_s
@@ -85,10 +85,10 @@ def evened(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
 
 
 def _periods(t_s: NDArray[np.float64], period_s: float, grid_s: float) -> NDArray[np.float64]:
-    """Return the number of periods (n,) from `grid_s` to each stamp, where messages may be missing.
+    """Return the number of periods (n,) from `grid_s` to each stamp; messages may be missing.
 
-    Stamps are compared with a grid that follows their mean: a single interval differs from the period by up to the
-    resolution, which may be half of it.
+    Stamps are compared with a grid that follows their mean, because a single interval differs from the period by up to
+    the resolution, which may be half of the period.
     """
     count = np.zeros(len(t_s))
     for i, stamp_s in enumerate(t_s.tolist()):

@@ -330,7 +330,7 @@ def _lag(pairs: _Pairs, motion: Motion) -> float:
 
 
 def _turn_ratio(pairs: _Pairs, motion: Motion) -> float:
-    """Return the turns of the sweeps over those of the odometry, by robust regression; 1 with too little turning."""
+    """Return the sweeps' turns divided by the odometry's, by robust regression; 1 if the robot hardly turns."""
     measured, turned = pairs.pose[:, 2], _turned(pairs, motion)
     ratio, weight = 1.0, np.ones(len(turned))
     if len(turned) < _LEAST_PAIRS or min(np.abs(measured).sum(), np.abs(turned).sum()) < _TURNS_RAD:

@@ -29,8 +29,9 @@ class Motion:
 
     lag_s : offset added to the laser's times to get the odometry's, seconds
     mount : (3,) the laser's pose on the robot, m and rad
-    turn_ratio : turns of the laser over those of the odometry. With turns 4 % wrong, a return 3 m away is displaced by
-        1 cm within a sweep at 1 rad/s, which resembles slip to the side and a scale that differs between directions
+    turn_ratio : turns of the laser divided by those of the odometry. If the odometry's turns are 4 % wrong, a return
+        3 m away is displaced by 1 cm within a sweep at 1 rad/s. This resembles slip to the side, and a scale that
+        differs between directions
     """
 
     odometry: Trajectory

@@ -1,9 +1,9 @@
 """Motion within a map, p(x_t | u_t, x_t-1, m), by rejection, for many runs of a drive at once.
 
 The book (Probabilistic Robotics, section 5.5) multiplies the motion's density by an indicator of a free pose.
-Drawing again until the pose is free samples exactly from that. The number of tries is bounded, because no motion from
-a dead end is free. Among many runs, one without a free try is replaced by a copy of another one with its past, as in
-the resampling of a particle filter (section 4.3).
+Repeated draws until the pose is free are exact samples of this density. The number of tries is limited, because no
+motion from a dead end is free. A run without a free try is replaced by a copy of another run, past included, as in the
+resampling of a particle filter (section 4.3).
 """
 
 from __future__ import annotations

@@ -69,14 +69,14 @@ class FreeSpace:
 
 @dataclass(frozen=True, slots=True)
 class Constraint:
-    """Free space that motions must stay in, whether by their ends or all the way, and the number of draws for each."""
+    """Constraint of motions to free space: the space, the part of a motion that is checked, and the number of tries."""
 
     space: FreeSpace
     check: Check = "endpoint"
     tries: int = 100
 
     def allows(self, from_xy: Array, to_xy: Array) -> NDArray[np.bool_]:
-        """Return whether motions (n, 2) to (n, 2) are possible."""
+        """Return whether motions (n,) between positions (n, 2) are free."""
         return self.space.free(to_xy) if self.check == "endpoint" else self.space.reachable(from_xy, to_xy)
 
 
@@ -86,8 +86,8 @@ def free_space(
     """Prepare a map for a round robot.
 
     grid : occupancy grid
-    radius_m : radius of the robot. A cell is blocked if a wall is nearer than this to its centre, to half a cell's
-        diagonal
+    radius_m : radius of the robot. A cell is blocked if a wall is nearer than this to its centre, accurate
+        to half a cell's diagonal
     unknown : whether the robot's centre may be in an unknown cell, or beyond the map. Only walls are inflated by the
         radius; unknown cells are not
     map_from_odom : pose of the odom frame in the map; by default the same frame

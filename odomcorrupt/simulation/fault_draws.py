@@ -21,7 +21,7 @@ _LOT = {"none": 0.2, "one": 0.5, "two": 0.15, "outside": 0.15}
 def draw_parameters(cause: str, size: float, rng: np.random.Generator) -> Drawn:
     """Return random parameters of a fault: magnitude log-uniform over its range times `size`, random sign.
 
-    The place of a fault on the floor is not among them.
+    The place of a fault on the floor is not drawn here.
 
     cause : a key of `EVERY`
     size : factor on the magnitude; 1 is realistic
@@ -41,7 +41,7 @@ def draw_fault(
     Raises
     ------
     EffectError
-        If a given parameter is none of the cause's, or of the wrong kind or sign.
+        If a given parameter does not belong to the cause, or has the wrong kind or sign.
     """
     fault = EVERY[cause]
     drawn = draw_parameters(cause, size, stream(robot_seed, f"cause {cause}"))

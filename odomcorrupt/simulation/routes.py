@@ -180,7 +180,7 @@ def draw_route(duration_s: float, rng: np.random.Generator) -> tuple[Segment, ..
 def follow(route: Sequence[Segment], grid_s: np.ndarray) -> np.ndarray:
     """Return the commanded speeds (n, 2), m/s and rad/s: S-shaped ramps (bounded jerk) from rest, constant between.
 
-    route : after the last one its speeds are kept
+    route : segments in order; the speeds of the last one are kept
     grid_s : (n,) times, s
     """
     starts_s = np.concatenate(([0.0], np.cumsum([s.ramp_s + s.hold_s for s in route[:-1]])))

@@ -1,4 +1,4 @@
-"""An uncompressed bag is copied by the kernel and changed in place: the same bytes as written from beginning to end."""
+"""An uncompressed bag copied by the kernel and then changed has the same bytes as one written completely."""
 
 import errno
 import os
@@ -30,7 +30,7 @@ def corrupt(source, target, threads=2, *, recover=False, **options):
 
 
 def messages(name):
-    """Yield the first messages of a fixture, and noise that does not change between them."""
+    """Yield the first messages of a fixture, and between them large messages that corruption leaves unchanged."""
     numbers = count()
     with open_reader(FIXTURES / name) as reader:
         for block in reader.blocks():
@@ -79,7 +79,7 @@ def bag(request, tmp_path_factory):
 
 @pytest.fixture
 def copied(monkeypatch):
-    """Return the numbers of bytes that the kernel has copied."""
+    """Return the number of bytes copied by each call of the kernel's copy."""
     sizes, call = [], os.copy_file_range
 
     def counted(*words):

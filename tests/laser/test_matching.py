@@ -118,7 +118,7 @@ def test_the_turns_of_sweeps_are_taken_where_the_odometry_turns_too_far():
     for k in range(20, len(t_s) - 20, 18):
         turned = np.interp(t_s[k] + after_s, t_s, yaw) - yaw[k]
         clean = seen(np.array([*xy[k], yaw[k]]), 0.005, rng, beams=180)
-        # each return is taken at its own heading
+        # each return is measured at the robot's heading at that time
         c, s = np.cos(-turned), np.sin(-turned)
         moved = np.stack((c * clean[:, 0] - s * clean[:, 1], s * clean[:, 0] + c * clean[:, 1]), axis=1)
         sweeps.append(Sweep(round(t_s[k] * 1e9), moved.astype(np.float32), after_s.astype(np.float32)))

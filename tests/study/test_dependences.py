@@ -48,7 +48,7 @@ def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted(
 
 
 def test_a_wheel_that_ran_backwards_only_in_turns_on_the_spot_was_not_seen_in_reverse():
-    """Its error could not be told from one of such turns, and a drive in reverse would show the difference."""
+    """Its error cannot be distinguished from an error of such turns; only a drive in reverse separates them."""
     motion = driving_motion(as_recording(simulate(70, None, duration_s=60.0)), "odometry")
     halting = np.maximum(np.abs(motion.v) - 0.2, 0.0)
     forwards, backwards = (replace(motion, v=sign * halting, omega=motion.omega + 0.5) for sign in (1.0, -1.0))

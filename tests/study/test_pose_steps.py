@@ -18,7 +18,7 @@ PUSHED_S = 200.0
 
 
 def localised(seed, *, pushed_m=0.0, jump_m=0.0):
-    """Return a recording with poses of a localisation at 1.25 Hz, correlated over some; one is a step, or a jump."""
+    """Return a recording with poses of a localisation at 1.25 Hz, correlated errors, and a push or a jump."""
     steps = wander(seed, 420.0)
     run = recording(steps, noisy_path(steps, Coefficients(0.003, 0.003, 0.003, 0.001), seed), seed=seed)
     travel = steps.ds_m.copy()

@@ -103,7 +103,7 @@ def _publisher(definition: Definition) -> dict[str, str]:
 
 
 _HEADER_BYTES = 4104
-"""What rosbag reserves for the bag header's record, so that it can be written over when the index is known."""
+"""Size of the bag header's record as rosbag reserves it; it is overwritten once the index is known."""
 _MOST_HEADER_BYTES = 1 << 16
 _CHUNK_LIMIT = 1 << 32
 
@@ -137,7 +137,7 @@ class Ros1Writer(OutputContext):
         self._connections = Connections(reader)
         self._reader = reader
         self._infos: list[bytes] = []
-        # the chunks of another ROS 1 bag stay where they are
+        # with the header size of a ROS 1 input its chunks keep their positions
         taken = reader.header_bytes if isinstance(reader, Ros1Reader) else _HEADER_BYTES
         self._header_bytes = taken if len(self._header(0, 0, 0)) <= taken <= _MOST_HEADER_BYTES else _HEADER_BYTES
         self._written = self._added = 0

@@ -256,7 +256,7 @@ class SqliteWriter(SqliteOutput):
             self._copied_to.close()
 
     def _copy_here(self) -> None:
-        """Copy the file where the system has no call for it, or the call failed."""
+        """Copy the file in Python, if the kernel's copy is not available or has failed."""
         try:
             shutil.copyfile(self._reader.path, self._partial)
         except OSError as error:

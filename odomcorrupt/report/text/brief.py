@@ -215,7 +215,7 @@ def _open_lines(search: Learned, advice: Advice) -> list[Line]:
 
 
 def _limit_lines(advice: Advice) -> list[Line]:
-    """Return the effects that the scale error of a gyro or laser as the truth hides, and the remedy."""
+    """Return the effects hidden by the scale error of a gyro or laser that serves as truth, and the remedy."""
     hidden = [one for one in advice.untestable if one.limited_by_truth]
     return [Line("not testable", f"{one.effect}: {one.why}; {one.hint}", "warning") for one in hidden]
 

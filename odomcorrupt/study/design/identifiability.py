@@ -37,7 +37,7 @@ __all__ = [
 FOUND = 4.2
 """Size in standard errors at which an effect is found nearly always."""
 _RULER_ERRORS = 2.0
-"""Size in standard errors of a laser's scale from which a scale of the wheels that is not named is reported."""
+"""An unnamed scale of the wheels is reported if it exceeds this many standard errors of the laser's scale."""
 MASKED = 4.0
 """An included term masks an effect if it increases the effect's standard error by this factor."""
 _NO_TRACK = (

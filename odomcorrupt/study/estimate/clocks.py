@@ -52,7 +52,7 @@ class Clocks:
     ambiguous_nats : log-likelihood gain of a clock offset that was left at zero, because it is significant only without
         its rivals and one of them explains more; the effect of these rivals may be the clock's
     margins_nats : log-likelihood gain of a clock over each rival: an effect beside which it is not significant,
-        an effect that was tried in its place, or a lag of which it may be the misfit
+        an effect that was tried in its place, or a lag whose imperfect model it may absorb
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
     """
@@ -150,7 +150,7 @@ def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:
     does not matter.
     """
     kinds = [registry()[name] for name in RIVALS]
-    if steered:  # the gears of its one driven axle do not turn it
+    if steered:  # play of its single driven axle does not turn the robot
         play = effect_from_values("backlash", {"track": _TRACKS_M[0], "heading": "gyro"})
         return [*(kind() for kind in kinds if not kind.needs_track), play, registry()["steering_lag"]()]
     if not wheels:
@@ -201,10 +201,10 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
 
 
 def _of_stamps(runs: Sequence[Recording], clock: Clock, error_s: float) -> bool:
-    """Return whether an offset is what rounded stamps, or stamps of arrival, hide, and known better than that.
+    """Return whether rounded stamps or stamps of arrival can hide an offset, and it is known better than their error.
 
-    Rounding by a step shifts stamps by up to that step, and arrivals that vary are late. Such an offset needs no
-    evidence: it is certain before the data are seen, and its rivals have to explain more than it does.
+    Rounding shifts stamps by up to one step, and varying arrivals are late. Such an offset is expected before the data
+    are seen, so it needs no evidence, and its rivals have to explain more than it does.
     """
     hidden_s = max(float(np.hypot(r.stamp_error_s, r.stamp_jitter_s)) for r in runs)
     return 0.0 < error_s < hidden_s and abs(clock.offset_s) < np.sqrt(12.0) * hidden_s

@@ -45,7 +45,7 @@ __all__ = [
 GAP_S = 3.0
 """Multiple of the node spacing above which an interval is a gap in the truth and is not used."""
 TURN_M = 0.3
-"""Travel that changes a localisation's view as much as a turn by 1 rad, metres."""
+"""Travel, metres, that changes a localisation's view as much as a turn by 1 rad does."""
 _MOST_MEMORY = 0.97
 """Upper limit of the correlation of the truth's errors at two nodes; it would be 1 at the same place."""
 LEAST_NODES = 20

@@ -34,7 +34,7 @@ __all__ = ["NoiseStart", "fit_noise", "fit_noise_beside", "outliers", "without_p
 
 _ROBUST_ROUNDS = 5
 _CHANCE, _SIGNAL = 0.002, 0.05
-"""Shares of outliers among the nodes, or probability of one: as chance produces; too many to be outliers."""
+"""Fraction of outliers, or probability of the largest, that chance explains; fraction above which they are signal."""
 _OUTLIER = float(chi2.isf(2e-4, 3))
 """Sum of squared innovations above which a node is an outlier: 1 in 5000 by chance, so trimming adds no bias."""
 _MOST_ROUNDS = 8
@@ -62,10 +62,10 @@ class NoiseStart:
 
 
 def outliers(square: Array) -> NDArray[np.bool_]:
-    """Return a mask (K,) of the intervals that are outliers; none if they are no more and no larger than by chance.
+    """Return a mask (K,) of the intervals that are outliers; none if chance explains their number and size.
 
-    square : (K,) sums of three squared innovations. The largest of K normal triples is beyond the limit in one fit of
-        500: a single jump of the truth counts, however long the recording
+    square : (K,) sums of three squared innovations. The largest of K normal triples exceeds its limit in one fit of
+        500, so a single jump of the truth is an outlier in a recording of any length
     """
     odd: NDArray[np.bool_] = square > _OUTLIER
     by_chance = odd.mean() < _CHANCE and not (square > chi2.isf(_CHANCE / len(square), 3)).any()

@@ -81,7 +81,7 @@ class Event:
 
 
 def events(fit: Fit) -> list[Event]:
-    """Return the stretches that a robust fit excludes or flags in order of time, neighbouring intervals merged."""
+    """Return in order of time the stretches that a robust fit excludes or flags, neighbouring intervals merged."""
     found = [*_left_out(fit), *_events_of(fit, np.flatnonzero(fit.noise.weights > 1.0))]
     return sorted(found, key=lambda event: (event.recording, event.start_s))
 
@@ -116,7 +116,7 @@ def single_events(fit: Fit) -> list[Event]:
 
 
 def _left_out(fit: Fit) -> list[Event]:
-    """Return the steps between the odometry and a localisation, which the intervals leave out."""
+    """Return as events the steps between odometry and a localisation; no interval contains them."""
     usual = _usual(fit)
 
     def turn_rad(recording: Recording, step: PoseStep) -> float:

@@ -1,8 +1,8 @@
 """Detection of lasting steps between odometry and a localisation, such as by a push or a lift of the robot.
 
-A localisation's errors are centimetres, and may jump for some corrections. Medians of the poses before and after each
-moment, carried to that moment by the odometry, average both out; their difference is the step at that moment. Its usual
-size is that at all other moments of the drive, where it contains the errors of odometry and localisation.
+The poses before and after each moment are carried to that moment by the odometry. The difference of their medians is
+the step at that moment. Medians suppress a localisation's errors (centimetres) and its short jumps. A step is compared
+with those at all other moments of the drive, which contain only errors of odometry and localisation.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 __all__ = ["with_pose_steps"]
 
 _SHORT_S, _LONG_S = 8.0, 12.0
-"""Durations of the poses before and after a step. It has to be significant for both: drift grows with the duration, and
-the short jump of a localisation disappears."""
+"""Durations of the poses before and after a step, seconds. A step has to be significant for both: drift grows with the
+duration, and a short jump of the localisation disappears."""
 _LASTS_S, _LONGEST_S = 4.0, 20.0
-"""Duration of an event, and the longest without poses."""
+"""Time allowed for an event, and largest time without poses during it, seconds."""
 _FEW, _MOST = 5, 5
-"""Fewest poses on a side; most steps of a drive, as more are no single events."""
+"""Least number of poses on each side; largest number of steps in a drive, because more are not single events."""
 _LEVEL = 0.01
-"""Probability of any step in a drive without one."""
+"""Probability of reporting any step in a drive without one."""
 _EFFICIENCY = 0.37
-"""Efficiency of a median of absolute values as a standard deviation, normal data."""
+"""Efficiency of the median absolute value as an estimate of the standard deviation of normal data."""
 _UPPER = 0.9
 """Quantile that, besides the median, determines the usual size, so that long tails enlarge it."""
 _EDGE = 0.25
-"""Fraction of a step up to which a pose is one before it."""
+"""Largest fraction of a step that may have happened at the last pose before it (1 minus this: at the first after)."""
 _ROUNDS, _HUBER = 20, 1.5
 
 
@@ -67,7 +67,7 @@ def with_pose_steps(recording: Recording) -> Recording:
 
 
 def _largest(t_s: Array, truth: Array, own: Array, found: list[PoseStep]) -> PoseStep | None:
-    """Return the most significant step besides those that were found."""
+    """Return the most significant step apart from those already found; None if there is none."""
     short, long = (_steps(t_s, truth, own, side_s, found) for side_s in (_SHORT_S, _LONG_S))
     if not (len(short.start_s) and len(long.start_s)):
         return None
@@ -87,7 +87,7 @@ def _largest(t_s: Array, truth: Array, own: Array, found: list[PoseStep]) -> Pos
 
 
 def _edges(t_s: Array, truth: Array, own: Array, start_s: float, usual: Array, apart: Array) -> tuple[int, int]:
-    """Return the last pose before a step and the first one after it: a quarter and three quarters of it are passed."""
+    """Return the indices of the last pose before a step and of the first pose after it, see `_EDGE`."""
     near = np.flatnonzero(np.abs(t_s - start_s - _LASTS_S / 2.0) < _LASTS_S / 2.0 + _SHORT_S)
     at = int(np.searchsorted(t_s, start_s))
     before = _carried(truth[near][t_s[near] <= start_s], own[near][t_s[near] <= start_s], own[at])
@@ -101,7 +101,7 @@ def _edges(t_s: Array, truth: Array, own: Array, start_s: float, usual: Array, a
 
 
 def _steps(t_s: Array, truth: Array, own: Array, side_s: float, found: list[PoseStep]) -> _Steps:
-    """Return the steps at each pose with enough poses on both sides, away from those that were found."""
+    """Return the steps at each pose with enough poses on both sides, away from steps already found."""
     rows, motions = [], []
     for i in range(len(t_s)):
         j = max(int(np.searchsorted(t_s, t_s[i] + _LASTS_S)), i + 1)
@@ -133,7 +133,7 @@ def _steps(t_s: Array, truth: Array, own: Array, side_s: float, found: list[Pose
 
 
 def _carried(truth: Array, own: Array, to: Array) -> Array:
-    """Return the median pose (3,) of the truth's poses (n, 3), each carried to a pose of the odometry."""
+    """Return the median pose (3,) of truth poses (n, 3), each carried to the odometry pose `to` by the odometry."""
     poses = compose(truth, between(own, np.broadcast_to(to, own.shape)))
     poses[:, 2] = poses[0, 2] + wrap(poses[:, 2] - poses[0, 2])
     median: Array = np.median(poses, axis=0)
@@ -141,7 +141,7 @@ def _carried(truth: Array, own: Array, to: Array) -> Array:
 
 
 def _without_drift(apart: Array, motions: Array) -> Array:
-    """Return steps (n, 3) without what is proportional to the motion or the time between both sides (Huber)."""
+    """Return steps (n, 3) minus their robust (Huber) regression on the motion and the time between both sides."""
     rest = np.empty_like(apart)
     for c in range(3):
         weights: NDArray[np.float64] = np.ones(len(apart))

@@ -38,7 +38,7 @@ _MAX_FRACTION = 0.2
 """Fraction of departing poses above which nothing is removed: departures are then usual for this truth."""
 _APART_S = 3.0
 _MAX_LEFT, _FEW_BESIDE = 0.5, 4
-"""Largest residual departure after an excursion, as a fraction of its size; fewest poses that show what is left."""
+"""Largest departure left after an excursion, as a fraction of its size; least number of poses on each side."""
 _FLIP_RAD = 1.3
 """Step of the heading difference, radians, that counts as a flip; its direction then cannot be inferred."""
 
@@ -138,9 +138,9 @@ def _departures(
 
 
 def _returns(t_s: Array, difference: Array, first: int, end: int) -> NDArray[np.bool_]:
-    """Return whether position and heading (2,) of truth minus odometry (m, 3) return after poses first to end.
+    """Return whether position and heading (2,) of truth minus odometry (m, 3) return after the poses `first` to `end`.
 
-    A running median follows a lasting step at once only if poses are as frequent after the step as before it.
+    Needed because a running median follows a lasting step at once only if poses are as frequent after it as before.
     """
     begin, last = np.searchsorted(t_s, (t_s[first] - _REACH_S, t_s[end - 1] + _REACH_S)).tolist()
     if first - begin < _FEW_BESIDE or last - end < _FEW_BESIDE:

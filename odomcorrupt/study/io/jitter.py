@@ -28,7 +28,7 @@ _GAP_STEPS = 3.0
 
 
 def jitter_warnings(path: Samples, off_s: float) -> list[str]:
-    """Return a warning if a path's stamps jitter (`off_s` > 0): a fit would count it as noise of every step."""
+    """Return a warning if a path's stamps jitter (`off_s` > 0), because a fit would count it as noise of each step."""
     if not off_s:
         return []
     seen = "the intervals between them vary, the steps between its poses do not"

@@ -30,7 +30,7 @@ REPEATED, CORRECTIONS = 0.3, 20
 The second is the least number of corrections from which to learn.
 """
 MAP_SCALE_ACCURACY = 0.001
-"""Standard deviation of a map's scale error: a cell of 5 cm in 50 m. Engineering judgement; no published figure."""
+"""Standard deviation of a map's relative scale error: one cell of 5 cm in 50 m (judgement; no published figure)."""
 _NAMES = re.compile(r"amcl|slam|locali[sz]|cartographer|rtabmap|hector")
 """Names of topics on which localisations publish their poses."""
 SPARSE_HZ = 5.0

@@ -354,10 +354,10 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
 
 
 def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
-    """Return the fit with the word-valued parameters of a term chosen by refits, all but the source of the heading.
+    """Return the fit with the word-valued parameters of a term chosen by refits, except the source of the heading.
 
-    Robust weights stay fixed, so that likelihoods compare. Among words that the data do not separate, none is chosen
-    that increases the drift.
+    Robust weights stay fixed, so that likelihoods can be compared. A word that the data hardly separate from another
+    one is not chosen if it increases the drift.
     """
     if not isinstance(score.term, LibraryTerm):
         return fit, score

@@ -27,7 +27,7 @@ __all__ = ["InPlaceOfClock", "beside_lags", "late_motors", "more_nats"]
 _LEAD_S = 0.04
 """Least lead of the odometry's clock at which a motor lag is tested, seconds: motors lag by 50 ms and more."""
 _LAGS, _MISFIT = ("channel_lag", "motor_lag", "steering_lag"), 0.2
-"""Lags, and the fraction of a time constant up to which an offset may be a misfit of its model (as `_MISFIT_GAIN`)."""
+"""Names of lags; largest offset, as a fraction of a time constant, that may be a lag's misfit (as `_MISFIT_GAIN`)."""
 
 
 class InPlaceOfClock(NamedTuple):
@@ -72,9 +72,9 @@ def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
 
 
 def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:
-    """Return the clocks of a model; a lag in it, of which an offset may be the misfit, is a rival of theirs.
+    """Return the clocks of a model; they get a rival if their offset may be the misfit of a lag in the model.
 
-    No real lag is exactly of first order: a part of its time constant remains, and resembles an offset.
+    No real lag is exactly of first order. The first-order model leaves a small delay, which resembles an offset.
     """
     lags_s = [abs(getattr(e, p.name)) for e in fit.effects if e.name in _LAGS for p in amplitudes(e)]
     offset_s = max(abs(clock.offset_s) for clock in fit.problem.clocks)

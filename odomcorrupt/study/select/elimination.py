@@ -147,8 +147,8 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
 
     A single effect may prefer "gyro" only because two wheel effects cancel in the heading. If a gyro bias is in the
     model, no gain is required: heading errors of wheels and the scale error of a gyro may be the same function. A gyro
-    that gains less is the source all the same if wheels increase the drift. The scale of a laser is uncertain, so the
-    likelihood hardly weighs travel that a wheel effect must give up to leave turns as they are.
+    that gains less is chosen too if the wheels increase the drift. With a laser as truth, whose scale is uncertain, the
+    likelihood hardly penalises wheel effects that distort travel to leave turns unchanged.
 
     given : names of effects whose parameters were chosen by the user
     """

@@ -60,8 +60,8 @@ class ModelComparison:
     effects : the compared effects of the fit
     bare : the fit without them, see `drop_term`
     nats, penalty : their joint gain minus the sum of their penalties, and that sum
-    scores : the best basis function of each regressor and channel, without copies of the effects and without those that
-        a refit refutes
+    scores : the best basis function of each regressor and channel, except copies of the effects and functions that a
+        refit refutes
     """
 
     effects: tuple[Effect, ...]
@@ -113,14 +113,14 @@ def compare_with_basis(
     others = [e for e in fit.effects if e not in effects]
 
     def refuted(score: Score) -> bool:
-        """Return whether a function explains clearly less without the effects, whose correction its score used."""
+        """Return whether a function explains clearly less in a refit without the effects, which its score had used."""
         if not (with_it := _with(fit, (*others, score.estimated))):
             return True
         with_it, score = with_shape_refined(with_it, score, decisions)
         more = with_it.log_likelihood - fit.log_likelihood - score.penalty + penalties
         return more < -decisions.replacement_nats
 
-    # from the best one down, as far as a refit can change the comparison
+    # refit from the best function on, as long as that can change the comparison
     while scores and scores[0].score.nats > nats - decisions.replacement_nats and refuted(scores[0].score):
         del scores[0]
     return ModelComparison(tuple(effects), bare, nats, penalties, scores)

@@ -125,7 +125,7 @@ class Learned:
         return tuple(one for one in self.unknown if not (one.instead_of or self.hardly_moves(one)))
 
     def hardly_moves(self, one: Dependence) -> bool:
-        """Return whether a dependence is negligible in practice: in the model, or because hardly an error is left."""
+        """Return whether a dependence is negligible: by its part in the model, else by the remaining error."""
         if one in self.laws:
             return self.is_negligible(one.name)
         motions = self.fit.problem.motions

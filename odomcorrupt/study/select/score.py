@@ -41,7 +41,7 @@ __all__ = ["ColumnScore", "Projection", "Score", "project_out", "score_columns",
 _SEPARABLE = 0.02
 """Fraction of a column's length outside the span of the design matrix below which it is not separable from it."""
 _OTHERS, _STRONG = 50, 1e-6
-"""Number of columns whose variance beside a tested group is measured, and probability below which it is."""
+"""Number of other columns whose variance is measured beside a strong group, and probability that makes it strong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,9 +181,10 @@ def score_columns(fit: Fit, groups: Sequence[Array], *, family: int | None = Non
 def _shared_beside(
     test: _Test, others: Sequence[_Test], r: Array, block: NDArray[np.int64], shared: float, family: int
 ) -> float:
-    """Return the shared variance ratio with a tested group in the model.
+    """Return the shared variance ratio, with the tested group in the model if its test is strong.
 
-    A strong missing term makes the scores of all other columns vary between blocks, which is no evidence against it.
+    A strong missing term makes the scores of all other columns vary between blocks. This variation is no evidence
+    against the term.
     """
     if shared <= 1.0 or not test.separable or family * chi2.sf(test.statistic, len(test.estimate)) > _STRONG:
         return shared

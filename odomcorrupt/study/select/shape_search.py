@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 __all__ = ["ShapeSearch", "maximise"]
 
 _WIDE, _COARSE, _EXACT = (4.0, 2.0), (1.0, 0.5, 0.25, 0.125), (0.25, 0.125, 0.05)
-"""Scales of the steps of a shape: of places, whose gain does not change until an edge reaches another part of the path;
-with approximate columns, and then with exact ones."""
+"""Scales of the steps of a shape search: wide steps for places, whose gain changes only when an edge reaches another
+part of the path; steps with approximate columns; steps with exact columns."""
 _SIMPLEX = 0.25
 """Scale of the first simplex."""
 _MOST_STEPS, _WORTH_NATS = 12, 0.1  # largest number of steps at each scale; least gain of a step

@@ -44,7 +44,7 @@ def test_what_stamps_are_rounded_to_is_seen_where_intervals_vary_on_it(t_s, roun
     assert stamp_resolution_s(path(np.floor(t_s / rounded_s) * rounded_s)) == pytest.approx(found_s)
 
 
-# a timer of 50 Hz that jitters across the edges of a rounding to half of its period
+# a 50 Hz timer that jitters across the steps of rounding to half of its period
 JITTER_50 = 0.02 * np.arange(1, 3001) + np.random.default_rng(3).normal(0.0, 2e-4, 3000)
 
 

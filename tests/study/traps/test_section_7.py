@@ -78,7 +78,7 @@ def test_4_an_offset_is_estimated_without_the_bias_of_a_smoothed_derivative(late
 
 
 def test_4_an_offset_that_rounded_or_late_stamps_hide_needs_no_evidence():
-    # breaks where it is left at zero, and the slip or play that resembles it is named
+    # breaks if the offset is left at zero and the slip or play that resembles it is named
     run = as_recording(simulate(26, None, duration_s=120.0))
     stamps = run.odometry.stamps_ns + 700_000
     hidden = replace(run, odometry=Trajectory(stamps, run.odometry.xyt), origin_ns=int(stamps[0]))

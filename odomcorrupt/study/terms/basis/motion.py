@@ -181,7 +181,7 @@ def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...],
 def _one_way(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield errors in reverse only, in turns to the right only, and of one wheel that scrubs in turns to one side.
 
-    A wheel that ran backwards only in turns on the spot, with a robot that never did, was not seen in reverse.
+    Reverse is tested only if the robot drove in reverse: a wheel also runs backwards in turns on the spot.
     """
     kinds: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega)]
     if np.concatenate([m.v < -_STILL for m in motions]).mean() > 1.0 - _TOP:
