@@ -12,7 +12,7 @@ RESULTS = ROOT / "benchmarks" / "laboratory" / "results"
 
 def test_the_page_is_what_the_script_writes(tmp_path):
     page = tmp_path / "page.md"
-    words = ["summary", str(RESULTS / "eleventh.jsonl"), "--before", str(RESULTS / "tenth.jsonl"), "--page", str(page)]
+    words = ["summary", str(RESULTS / "twelfth.jsonl"), "--before", str(RESULTS / "eleventh.jsonl"), "--page", str(page)]
     done = subprocess.run(
         [sys.executable, str(ROOT / "benchmarks" / "hidden_effects.py"), *words],
         capture_output=True, text=True, check=False, timeout=300,
