@@ -12,7 +12,8 @@ RESULTS = ROOT / "benchmarks" / "laboratory" / "results"
 
 def test_the_page_is_what_the_script_writes(tmp_path):
     page = tmp_path / "page.md"
-    words = ["summary", str(RESULTS / "twelfth.jsonl"), "--before", str(RESULTS / "eleventh.jsonl"), "--page", str(page)]
+    now, before = (str(RESULTS / f"{run}.jsonl") for run in ("twelfth", "eleventh"))
+    words = ["summary", now, "--before", before, "--page", str(page)]
     done = subprocess.run(
         [sys.executable, str(ROOT / "benchmarks" / "hidden_effects.py"), *words],
         capture_output=True, text=True, check=False, timeout=300,
