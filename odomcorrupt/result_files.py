@@ -25,11 +25,11 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes, *, overwrite: bool = True) -> None:
     """Write beside the target and rename when complete."""
     from odomcorrupt.bags.output import Output  # noqa: PLC0415 - numpy is slow to import, and help writes nothing
 
-    output = Output(path, overwrite=True)
+    output = Output(path, overwrite=overwrite)
     try:
         output.open()
         output.write(data)

@@ -20,11 +20,11 @@ import xxhash
 
 import odomcorrupt
 from odomcorrupt.bags.checksum import crc32
-from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import sweep
 from odomcorrupt.errors import BagError, OdomCorruptError
 from odomcorrupt.input_files import read_input
 from odomcorrupt.model.model_file import format_model
+from odomcorrupt.result_files import write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -44,7 +44,6 @@ __all__ = [
     "read_records",
     "sweep_leftovers",
     "write_manifest",
-    "write_whole",
 ]
 
 BEGINNING = "batch.json"
@@ -154,7 +153,7 @@ def begin(job: Job, fingerprint: str) -> None:
         # a second process finds the file of the first
         with suppress(BagError):
             _make_room(job)
-            write_whole(job.directory / BEGINNING, (json.dumps(now, indent=2) + "\n").encode(), overwrite=False)
+            write_bytes(job.directory / BEGINNING, (json.dumps(now, indent=2) + "\n").encode(), overwrite=False)
     then = read_beginning(job.directory)
     changed = [words for key, words in _WORDS.items() if _compared(then, key) != _compared(now, key)]
     if changed:
@@ -163,7 +162,7 @@ def begin(job: Job, fingerprint: str) -> None:
             f"{BEGINNING}), or name another directory"
         )
     _make_room(job)
-    write_whole(job.directory / "model.toml", job.model_text.encode())
+    write_bytes(job.directory / "model.toml", job.model_text.encode())
 
 
 def _make_room(job: Job) -> None:
@@ -206,17 +205,6 @@ def locked(job: Job, *, shared: bool) -> Iterator[None]:
 def _compared(table: Mapping[str, Any], key: str) -> Any:
     value = table.get(key)
     return value.get("hash") if isinstance(value, dict) else value
-
-
-def write_whole(path: Path, data: bytes, *, overwrite: bool = True) -> None:
-    """Write a small file under a temporary name, and rename it."""
-    output = Output(path, overwrite=overwrite)
-    try:
-        output.open()
-        output.write(data)
-        output.commit()
-    finally:
-        output.discard()
 
 
 class Content(NamedTuple):
@@ -304,7 +292,7 @@ def write_manifest(directory: Path) -> int:
     while True:
         seen = _parts(directory)
         records = read_records(directory)
-        write_whole(directory / MANIFEST, "".join(json.dumps(one) + "\n" for one in records.values()).encode())
+        write_bytes(directory / MANIFEST, "".join(json.dumps(one) + "\n" for one in records.values()).encode())
         if _parts(directory) == seen:
             return len(records)
 

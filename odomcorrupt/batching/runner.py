@@ -13,7 +13,7 @@ from odomcorrupt.bags.open import Form, Target, open_reader
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.bags.placement import beside, place, remove
 from odomcorrupt.batching.job import Task
-from odomcorrupt.batching.manifest import content_of, note, read_records, write_whole
+from odomcorrupt.batching.manifest import content_of, note, read_records
 from odomcorrupt.batching.parameter_draws import drawn_values
 from odomcorrupt.batching.patch_batch import LateTopic, portions
 from odomcorrupt.batching.run_state import RunState, SharedTransform
@@ -26,6 +26,7 @@ from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.preview.forecast import read_clean_drive
+from odomcorrupt.result_files import write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator, Sequence
@@ -237,7 +238,7 @@ def _put_beside(job: Job, home: Path, one: _Run) -> None:
         )
     if job.spreads:
         (home / "robots").mkdir(exist_ok=True)
-        write_whole(home / job.robot_of(run), format_model(model).encode())
+        write_bytes(home / job.robot_of(run), format_model(model).encode())
 
 
 def _is_copy(job: Job, model: MotionModel) -> bool:

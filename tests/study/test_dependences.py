@@ -60,10 +60,12 @@ def test_a_wheel_that_ran_backwards_only_in_turns_on_the_spot_was_not_seen_in_re
 
 @pytest.mark.slow
 def test_a_wheel_that_scrubs_in_turns_to_one_side_is_found_as_such():
-    told, track_m = wander(315, 200.0), 0.4
-    lost = (told.ds_m - 0.5 * track_m * told.dtheta_rad) * 0.05 * np.maximum(-told.dtheta_rad * RATE_HZ, 0.0)
-    driven = Increments(told.ds_m - 0.5 * lost, told.dl_m, told.dtheta_rad + lost / track_m)
-    run = recording(driven, accumulate(np.zeros(3), told), truth_mm=1.0, truth_rad=0.001, seed=315)
+    reported, track_m = wander(315, 200.0), 0.4
+    lost = (
+        (reported.ds_m - 0.5 * track_m * reported.dtheta_rad) * 0.05 * np.maximum(-reported.dtheta_rad * RATE_HZ, 0.0)
+    )
+    driven = Increments(reported.ds_m - 0.5 * lost, reported.dl_m, reported.dtheta_rad + lost / track_m)
+    run = recording(driven, accumulate(np.zeros(3), reported), truth_mm=1.0, truth_rad=0.001, seed=315)
     learned = learn([replace(run, track_m=track_m)])
     assert [effect.name for effect in learned.fit.effects] == ["left_over_yaw_rate"]
     assert "max(-omega, 0)" in learned.laws[0].expression

@@ -50,3 +50,9 @@ def test_a_push_is_found_with_time_and_size_and_no_interval_contains_it(seed, pu
 @pytest.mark.parametrize("jump_m", [0.0, 0.3])
 def test_errors_of_the_localisation_are_no_steps(seed, jump_m):
     assert with_pose_steps(localised(seed, jump_m=jump_m)).pose_steps == ()
+
+
+def test_simulated_odometry_that_equals_its_localisation_has_no_step():
+    run = localised(3)
+    truth = Trajectory(run.odometry.stamps_ns[::40], run.odometry.xyt[::40])
+    assert with_pose_steps(replace(run, truth=truth)).pose_steps == ()

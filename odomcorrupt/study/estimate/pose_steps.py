@@ -40,6 +40,9 @@ _UPPER = 0.9
 _EDGE = 0.25
 """Largest fraction of a step that may have happened at the last pose before it (1 minus this: at the first after)."""
 _ROUNDS, _HUBER = 20, 1.5
+_LEAST, _LEAST_SPREAD = 1e-6, 1e-3
+"""Least usual size, m or rad, and least ratio of its quantiles to those of normal data: only rounding errors are left
+if simulated odometry equals its localisation."""
 
 
 class _Steps(NamedTuple):
@@ -124,9 +127,9 @@ def _steps(t_s: Array, truth: Array, own: Array, side_s: float, found: list[Pose
         return _Steps(np.zeros(0), np.zeros((0, 3)), np.ones(3), np.zeros(0))
     table = np.array(rows)
     rest = _without_drift(table[:, 1:], np.array(motions))
-    usual = 1.4826 * np.median(np.abs(rest), axis=0)
+    usual = np.maximum(1.4826 * np.median(np.abs(rest), axis=0), _LEAST)
     square = np.sum((rest / usual) ** 2, axis=1)
-    spread = max(float(np.quantile(square, q) / chi2.ppf(q, 3)) for q in (0.5, _UPPER))
+    spread = max(_LEAST_SPREAD, *(float(np.quantile(square, q) / chi2.ppf(q, 3)) for q in (0.5, _UPPER)))
     searched_s = float(t_s[-1] - t_s[0])
     chance = searched_s / _LASTS_S * f.sf(square / spread / 3.0, 3.0, _EFFICIENCY * searched_s / (side_s + _LASTS_S))
     return _Steps(table[:, 0], rest, usual, chance)
