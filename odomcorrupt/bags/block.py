@@ -8,7 +8,7 @@ other bytes are unchanged.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -67,8 +67,7 @@ class Channel:
     raw: Any = field(default=None, compare=False, repr=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(NamedTuple):
     """A message added to a bag, written after the messages of its block."""
 
     channel: int
@@ -76,7 +75,7 @@ class Message:
     data: bytes
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Block:
     """Consecutive messages of a bag in one buffer.
 
@@ -163,8 +162,7 @@ def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
     return Block(data, table, PartFraming(block.raw.part, left))
 
 
-@dataclass(frozen=True, slots=True)
-class PartFraming:
+class PartFraming(NamedTuple):
     """Framing of a block of a bag of several files.
 
     part : index of the block's file
@@ -185,8 +183,7 @@ class Unframed(Framing):
     codec: str = "zstd"
 
 
-@dataclass(frozen=True, slots=True)
-class PartContents:
+class PartContents(NamedTuple):
     """Message counts and time span of a written file.
 
     counts : number of messages by topic

@@ -27,7 +27,11 @@ _PIECE_BYTES = 1 << 16
 """What the system takes at once: for more it looks for larger pages, and these cost it ten times as much."""
 
 
-@dataclass(slots=True)
+_KEPT_BYTES = 16 << 20
+"""Most bytes that wait for the end of a copy."""
+
+
+@dataclass(slots=True, eq=False, repr=False)
 class Shared:
     """Bytes common to several outputs.
 
@@ -40,7 +44,7 @@ class Shared:
     home: tuple[int, int] | None = None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Original:
     """Bytes of the input file that the output repeats, except for changed spans.
 
@@ -75,6 +79,8 @@ class Output:
         self._partial: Path | None = None
         self._stream = stream
         self._copy: FileCopy | None = None
+        self._kept: list[tuple[int, bytes]] | None = None  # pieces to write over the copy, None outside of it
+        self._kept_bytes = 0
 
     def open(self) -> None:
         """Open a hidden temporary file in the target's directory, or the stream itself; discard it if that fails."""
@@ -112,10 +118,8 @@ class Output:
                 self.write_summed(piece, crc)
                 return
             for begin, end in original.changed:
-                self._stream.seek(self.position + begin)
-                self._stream.write(piece[begin:end])
+                self._write_over(self.position + begin, piece[begin:end])
             self.position += len(piece)
-            self._stream.seek(self.position)
         except BagError:
             raise
         except OSError as error:
@@ -130,17 +134,51 @@ class Output:
         if self._partial is None or self._stream is None or original.position != self.position:
             if self._copy is not None:
                 self._copy.stop()
+            self._leave_copy()
             return False
         if self._copy is None:
             try:
                 self._copy = FileCopy(original.path, self._stream.fileno(), self.position, original.state)
             except OSError:  # the input was moved or replaced; the reader's open file is still valid
                 return False
-        return self._copy.reaches(self.position + size)
+            self._stream.flush()
+            self._kept = []
+        if self._kept is not None and self._copy.reaches(self.position + size):
+            return True
+        self._leave_copy()
+        return False
+
+    def _write_over(self, position: int, piece: memoryview) -> None:
+        """Write bytes over the copy, when it has ended: before that, each write would wait for the file's lock."""
+        if self._kept is None or self._copy is None:
+            return
+        self._kept.append((position, bytes(piece)))
+        self._kept_bytes += len(piece)
+        if self._kept_bytes > _KEPT_BYTES or self._copy.done:
+            self._write_kept()
+
+    def _write_kept(self) -> None:
+        """Write the bytes kept for the end of the copy."""
+        if self._kept is None or self._stream is None:
+            return
+        for position, piece in self._kept:
+            done = 0
+            while done < len(piece):
+                done += os.pwrite(self._stream.fileno(), piece[done:], position + done)
+        self._kept.clear()
+        self._kept_bytes = 0
+
+    def _leave_copy(self) -> None:
+        """Write through the stream from here on, no longer over a copy."""
+        if self._kept is not None and self._stream is not None:
+            self._write_kept()
+            self._kept = None
+            self._stream.seek(self.position)
 
     def write_shared(self, shared: Shared) -> None:
         """Write bytes common to several outputs; between files the kernel copies them from the first one."""
         try:
+            self._leave_copy()
             if self._copied(shared):
                 self.crc = crc_of_both(self.crc, shared.crc, shared.data) if self.summing else self.crc
                 return
@@ -184,10 +222,14 @@ class Output:
         try:
             for piece in pieces:
                 view = memoryview(piece)
-                if self._copy is not None:
-                    self._copy.reaches(self.position + len(view))
                 if self.summing:
                     self.crc = crc32(view, self.crc)
+                if self._kept is not None and self._copy is not None:
+                    if self._copy.reaches(self.position + len(view)):
+                        self._write_over(self.position, view)
+                        self.position += len(view)
+                        continue
+                    self._leave_copy()
                 # Up to the next border of a piece: what the buffer hands on are then whole pages. An unbuffered stdout
                 # may take a part only.
                 while view:
@@ -202,6 +244,7 @@ class Output:
         if self._stream is None or self._partial is None:
             raise BagError(f"{self.name}: cannot seek; write this format to a file")
         try:
+            self._leave_copy()
             self._stream.seek(position)
             self._stream.write(data)
             self._stream.seek(0, os.SEEK_END)
@@ -215,6 +258,7 @@ class Output:
         try:
             if self._copy is not None:
                 self._copy.stop()
+                self._leave_copy()
                 self._copy.require_unchanged()
                 self._stream.truncate(self.position)
             self._stream.flush()

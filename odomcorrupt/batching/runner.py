@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -260,7 +260,7 @@ def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]
     if job.spreads:
         record["robot"] = job.robot_of(strand.run)
         record["drawn"] = drawn_values(strand.model, job.spreads)
-    record["drift"] = {key: value for key, value in asdict(drift).items() if value is not None}
+    record["drift"] = {key: value for key, value in drift._asdict().items() if value is not None}
     events = [(one.name, one.window_s) for one in strand.model.effects if one.window_s is not None and acts(one)]
     if events:
         record["events"] = [{"effect": name, "from_s": w[0], "to_s": w[1]} for name, w in events]

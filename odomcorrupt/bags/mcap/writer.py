@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -162,7 +161,7 @@ class McapWriter(OutputContext):
 
     def _added(self, block: Block) -> Framed:
         """Return records of a block's added messages, after those of the channels they need."""
-        messages = [replace(one, channel=self._directory.written_id(one.channel)) for one in block.added]
+        messages = [one._replace(channel=self._directory.written_id(one.channel)) for one in block.added]
         framed = frame_added(messages, self._sequences)
         self._added_count += len(messages)
         return self._records(framed.table["channel"]).followed_by(framed)

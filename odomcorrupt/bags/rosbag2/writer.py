@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -114,7 +113,7 @@ class Rosbag2Writer:
     def write(self, block: Block) -> None:
         """Write a block to the file it came from, its added messages last."""
         part, own = (block.raw.part, block.raw.own) if isinstance(block.raw, PartFraming) else (0, block)
-        messages = [replace(one, channel=self._written_id(part, one.channel)) for one in block.added]
+        messages = [one._replace(channel=self._written_id(part, one.channel)) for one in block.added]
         for one in block.added:
             self._additions[part].note(self._described(one.channel).name, one.log_ns)
         written = Block(block.data, own.table, own.raw, messages, own.ends, own.places, block.changed)
