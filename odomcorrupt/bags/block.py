@@ -152,7 +152,7 @@ def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
         return offsets - sizes[passed] + np.maximum(befores[passed] - offsets, 0)
 
     framing = own.raw.kept(moved(every[~left_out])) if isinstance(own.raw, Framing) else own.raw
-    chunk_ends = np.unique(moved(np.array(own.ends, dtype=np.int64))).tolist()
+    chunk_ends = sorted(set(moved(np.array(own.ends, dtype=np.int64)).tolist()))
     left = Block(data, own.table[~left_out], framing, ends=tuple(end for end in chunk_ends if end > 0))
     left.table["offset"] = moved(left.table["offset"])
     if own is block:

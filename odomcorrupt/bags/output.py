@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.file_copy import FileState
 
-__all__ = ["Original", "Output", "OutputContext", "Shared"]
-
-_WORTH_BYTES = 1 << 16
-"""Less is written as quickly as copied."""
+__all__ = ["Original", "Output", "OutputContext"]
 
 _PIECE_BYTES = 1 << 16
 """What the system takes at once: for more it looks for larger pages, and these cost it ten times as much."""
@@ -29,19 +26,6 @@ _PIECE_BYTES = 1 << 16
 
 _KEPT_BYTES = 16 << 20
 """Most bytes that wait for the end of a copy."""
-
-
-@dataclass(slots=True, eq=False, repr=False)
-class Shared:
-    """Bytes common to several outputs.
-
-    crc : their CRC-32
-    home : file descriptor and position of the first output that contains them
-    """
-
-    data: bytes | memoryview
-    crc: int
-    home: tuple[int, int] | None = None
 
 
 @dataclass(slots=True, eq=False, repr=False)
@@ -174,45 +158,6 @@ class Output:
             self._write_kept()
             self._kept = None
             self._stream.seek(self.position)
-
-    def write_shared(self, shared: Shared) -> None:
-        """Write bytes common to several outputs; between files the kernel copies them from the first one."""
-        try:
-            self._leave_copy()
-            if self._copied(shared):
-                self.crc = crc_of_both(self.crc, shared.crc, shared.data) if self.summing else self.crc
-                return
-            position = self.position
-            self.write_summed(shared.data, shared.crc)
-            if self._partial is not None and self._stream is not None and len(shared.data) >= _WORTH_BYTES:
-                self._stream.flush()
-                shared.home = self._stream.fileno(), position
-        except BagError:
-            raise
-        except OSError as error:
-            raise self._failed(error) from error
-
-    def _copied(self, shared: Shared) -> bool:
-        """Return whether the kernel has copied the bytes; otherwise nothing is written."""
-        if shared.home is None or self._partial is None or self._stream is None:
-            return False
-        self._stream.flush()
-        (source, at), left, here = shared.home, len(shared.data), self._stream.fileno()
-        try:
-            while left:
-                done = os.copy_file_range(source, here, left, at, self.position + len(shared.data) - left)
-                if not done:
-                    break
-                at, left = at + done, left - done
-        except (OSError, AttributeError):
-            left = len(shared.data)  # another file system, or a system that has no such call
-        if left:
-            shared.home = None
-            self._stream.seek(self.position)
-            return False
-        self.position += len(shared.data)
-        self._stream.seek(self.position)
-        return True
 
     def write(self, *pieces: bytes | memoryview) -> None:
         """Write bytes, all of them."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from odomcorrupt.bags.block import Block, Channel, PartFraming
 from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.mcap.reader import McapReader
-from odomcorrupt.bags.mcap.writer import McapWriter
+from odomcorrupt.bags.mcap.writer import Foreign, McapWriter
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import beside, place, sweep
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, compress_file, compressed_block
@@ -223,26 +223,3 @@ class Rosbag2Writer:
 
 def _uncompressed(path: Path) -> Path:
     return path.with_suffix("") if path.suffix.lower() in SUFFIXES else path
-
-
-class Foreign:
-    """A reader of an MCAP presented as one of another format, so that a writer frames its messages itself."""
-
-    complete = True
-
-    def __init__(self, reader: BagReader) -> None:
-        ros1 = all(channel.encoding == "ros1" for channel in reader.channels.values())
-        self.kind: Kind = "ros1" if ros1 else "sqlite3"
-        self.name, self.paths, self.channels = reader.name, reader.paths, reader.channels
-        self.definition, self.blocks = reader.definition, reader.blocks
-        self._reader = reader
-
-    @property
-    def count(self) -> int:
-        """Number of messages of the last pass."""
-        return self._reader.count
-
-    @property
-    def losses(self) -> list[str]:
-        """Parts that could not be read, one sentence each."""
-        return self._reader.losses
