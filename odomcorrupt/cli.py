@@ -5,7 +5,6 @@ Commands are found by the names of the modules in `commands`; nothing heavy is i
 
 from __future__ import annotations
 
-import difflib
 import gc
 import importlib
 import os
@@ -89,6 +88,8 @@ def _suggest(word: str, *, alone: bool) -> None:
     """Raise if a first token is neither a file nor an option, but similar to a command, or the only argument."""
     if word.startswith("-") or Path(word).exists():
         return
+    import difflib
+
     near = difflib.get_close_matches(word, command_names(), 1, 0.75)
     if near:
         raise click.UsageError(f"{word}: no such file, and no such command; did you mean {near[0]}?")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import shlex
 import textwrap
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from odomcorrupt.standard_streams import visible
 
@@ -26,8 +25,7 @@ _COLOURS = {"good": "\x1b[32m", "warning": "\x1b[33m", "bad": "\x1b[31m", "comma
 _RESET = "\x1b[0m"
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(NamedTuple):
     """A label and its text; the label may be empty below another one."""
 
     label: str
@@ -35,8 +33,7 @@ class Line:
     tone: Tone = "plain"
 
 
-@dataclass(frozen=True, slots=True)
-class Summary:
+class Summary(NamedTuple):
     """Lines of a summary: the verdict is the first one, a command the last one.
 
     most : largest number of rows; a list of names is always printed completely

@@ -60,7 +60,7 @@ def split_options(options: BagOptions) -> tuple[Options, Container]:
     from odomcorrupt.corruption.run import Container
     from odomcorrupt.corruption.transform import Options
 
-    moved = {field.name for field in fields(Options)}
+    moved = set(Options._fields)
     known = moved | {field.name for field in fields(Container)}
     for name in options:
         if name not in known:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
@@ -73,7 +73,7 @@ class Correction(Result):
                 "left": [effect.name for effect in outcome.effects.left],
                 "odometry": outcome.run.odometry,
                 "moved": {**outcome.run.changes.odometry, **outcome.run.changes.edges},
-                "drift": asdict(outcome.run.drift),
+                "drift": outcome.run.drift._asdict(),
                 "losses": list(outcome.run.losses),
             }
         )

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import shutil
 import sys
-import tempfile
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -115,7 +114,7 @@ class Corruption(Result):
                 "base_frame": outcome.frames.base,
                 "moved": self.moved,
                 "added": dict(outcome.added),
-                "drift": asdict(outcome.drift),
+                "drift": outcome.drift._asdict(),
                 "remarks": oddities(outcome),
                 "losses": list(outcome.losses),
                 "earlier": list(self.earlier),
@@ -218,6 +217,8 @@ def corrupt(
 
 def _kept_pipe(kept: ExitStack) -> Path:
     """Return a temporary file with the contents of stdin: drawing a path within a map needs the whole drive first."""
+    import tempfile
+
     try:
         file = kept.enter_context(tempfile.NamedTemporaryFile(prefix="odomcorrupt"))  # noqa: SIM115 - it is one
         shutil.copyfileobj(sys.stdin.buffer, file)

@@ -245,6 +245,8 @@ class Model:
         EffectError
             If there is no such effect, or it has no such parameter.
         """
+        if not effects:
+            return self
         from odomcorrupt.model.effect_notation import parse_effect
 
         found, assumed = [], []

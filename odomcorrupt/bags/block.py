@@ -8,7 +8,7 @@ other bytes are unchanged.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -67,8 +67,7 @@ class Channel:
     raw: Any = field(default=None, compare=False, repr=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(NamedTuple):
     """A message added to a bag, written after the messages of its block."""
 
     channel: int
@@ -76,7 +75,7 @@ class Message:
     data: bytes
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Block:
     """Consecutive messages of a bag in one buffer.
 
@@ -153,7 +152,7 @@ def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
         return offsets - sizes[passed] + np.maximum(befores[passed] - offsets, 0)
 
     framing = own.raw.kept(moved(every[~left_out])) if isinstance(own.raw, Framing) else own.raw
-    chunk_ends = np.unique(moved(np.array(own.ends, dtype=np.int64))).tolist()
+    chunk_ends = sorted(set(moved(np.array(own.ends, dtype=np.int64)).tolist()))
     left = Block(data, own.table[~left_out], framing, ends=tuple(end for end in chunk_ends if end > 0))
     left.table["offset"] = moved(left.table["offset"])
     if own is block:
@@ -163,8 +162,7 @@ def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
     return Block(data, table, PartFraming(block.raw.part, left))
 
 
-@dataclass(frozen=True, slots=True)
-class PartFraming:
+class PartFraming(NamedTuple):
     """Framing of a block of a bag of several files.
 
     part : index of the block's file
@@ -185,8 +183,7 @@ class Unframed(Framing):
     codec: str = "zstd"
 
 
-@dataclass(frozen=True, slots=True)
-class PartContents:
+class PartContents(NamedTuple):
     """Message counts and time span of a written file.
 
     counts : number of messages by topic

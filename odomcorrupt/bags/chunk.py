@@ -34,7 +34,7 @@ _LARGEST_RECORD_BYTES = 1 << 32
 """An endless pipe must not fill the memory."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Chunk:
     """A decompressed chunk or a part of one, and the contents of the indexes that follow it.
 

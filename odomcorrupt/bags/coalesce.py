@@ -30,7 +30,7 @@ def joined(blocks: Iterable[Block]) -> Iterator[Block]:
         yield run.block()
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class _Run:
     blocks: list[Block] = field(default_factory=list)
     messages: int = 0

@@ -7,8 +7,7 @@ mask; a message with the same structural bytes has its numbers at the same offse
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -33,8 +32,7 @@ class UnreadableEncodingError(BagError):
     """A message is in an encoding that is not read here; it need not be damaged."""
 
 
-@dataclass(frozen=True, slots=True)
-class Item:
+class Item(NamedTuple):
     """One stamped item of a message: the Odometry itself, or one transform of a TFMessage.
 
     frame_id, child_frame_id : as written in the message ("" where the type has none), leading slashes kept
@@ -53,8 +51,7 @@ class Item:
     status: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Template:
+class Template(NamedTuple):
     """Layout common to all messages with these structural bytes.
 
     structure : (w,) uint8, the first w bytes of such a message, other than structural ones zeroed

@@ -6,8 +6,7 @@ strings, counts, CDR header) and is found by these, never by the message's lengt
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -42,8 +41,7 @@ READABLE = frozenset(PROGRAMS)
 _SECOND_NS = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
+class Layout(NamedTuple):
     """Messages of one channel in one block that share a layout.
 
     rows : (n,) indices into the block's table, ascending

@@ -5,7 +5,6 @@ A format is imported only when needed: all of them would add a tenth to the time
 
 from __future__ import annotations
 
-import difflib
 import sys
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
@@ -346,6 +345,8 @@ def _refuse_suffix(path: Path | None, *, directory: bool) -> None:
     suffix = "" if path is None else path.suffix.lower()
     if not suffix or suffix in _SUFFIXES:
         return
+    import difflib  # noqa: PLC0415 - slow to import, for a message only
+
     near = difflib.get_close_matches(suffix, _SUFFIXES, 1, 0.5)
     if near or not directory:
         meant = f" (did you mean {near[0]}?)" if near else ""

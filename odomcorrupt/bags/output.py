@@ -18,29 +18,17 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.file_copy import FileState
 
-__all__ = ["Original", "Output", "OutputContext", "Shared"]
-
-_WORTH_BYTES = 1 << 16
-"""Less is written as quickly as copied."""
+__all__ = ["Original", "Output", "OutputContext"]
 
 _PIECE_BYTES = 1 << 16
 """What the system takes at once: for more it looks for larger pages, and these cost it ten times as much."""
 
 
-@dataclass(slots=True)
-class Shared:
-    """Bytes common to several outputs.
-
-    crc : their CRC-32
-    home : file descriptor and position of the first output that contains them
-    """
-
-    data: bytes | memoryview
-    crc: int
-    home: tuple[int, int] | None = None
+_KEPT_BYTES = 16 << 20
+"""Most bytes that wait for the end of a copy."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Original:
     """Bytes of the input file that the output repeats, except for changed spans.
 
@@ -75,6 +63,8 @@ class Output:
         self._partial: Path | None = None
         self._stream = stream
         self._copy: FileCopy | None = None
+        self._kept: list[tuple[int, bytes]] | None = None  # pieces to write over the copy, None outside of it
+        self._kept_bytes = 0
 
     def open(self) -> None:
         """Open a hidden temporary file in the target's directory, or the stream itself; discard it if that fails."""
@@ -112,10 +102,8 @@ class Output:
                 self.write_summed(piece, crc)
                 return
             for begin, end in original.changed:
-                self._stream.seek(self.position + begin)
-                self._stream.write(piece[begin:end])
+                self._write_over(self.position + begin, piece[begin:end])
             self.position += len(piece)
-            self._stream.seek(self.position)
         except BagError:
             raise
         except OSError as error:
@@ -130,51 +118,46 @@ class Output:
         if self._partial is None or self._stream is None or original.position != self.position:
             if self._copy is not None:
                 self._copy.stop()
+            self._leave_copy()
             return False
         if self._copy is None:
             try:
                 self._copy = FileCopy(original.path, self._stream.fileno(), self.position, original.state)
             except OSError:  # the input was moved or replaced; the reader's open file is still valid
                 return False
-        return self._copy.reaches(self.position + size)
+            self._stream.flush()
+            self._kept = []
+        if self._kept is not None and self._copy.reaches(self.position + size):
+            return True
+        self._leave_copy()
+        return False
 
-    def write_shared(self, shared: Shared) -> None:
-        """Write bytes common to several outputs; between files the kernel copies them from the first one."""
-        try:
-            if self._copied(shared):
-                self.crc = crc_of_both(self.crc, shared.crc, shared.data) if self.summing else self.crc
-                return
-            position = self.position
-            self.write_summed(shared.data, shared.crc)
-            if self._partial is not None and self._stream is not None and len(shared.data) >= _WORTH_BYTES:
-                self._stream.flush()
-                shared.home = self._stream.fileno(), position
-        except BagError:
-            raise
-        except OSError as error:
-            raise self._failed(error) from error
+    def _write_over(self, position: int, piece: memoryview) -> None:
+        """Write bytes over the copy, when it has ended: before that, each write would wait for the file's lock."""
+        if self._kept is None or self._copy is None:
+            return
+        self._kept.append((position, bytes(piece)))
+        self._kept_bytes += len(piece)
+        if self._kept_bytes > _KEPT_BYTES or self._copy.done:
+            self._write_kept()
 
-    def _copied(self, shared: Shared) -> bool:
-        """Return whether the kernel has copied the bytes; otherwise nothing is written."""
-        if shared.home is None or self._partial is None or self._stream is None:
-            return False
-        self._stream.flush()
-        (source, at), left, here = shared.home, len(shared.data), self._stream.fileno()
-        try:
-            while left:
-                done = os.copy_file_range(source, here, left, at, self.position + len(shared.data) - left)
-                if not done:
-                    break
-                at, left = at + done, left - done
-        except (OSError, AttributeError):
-            left = len(shared.data)  # another file system, or a system that has no such call
-        if left:
-            shared.home = None
+    def _write_kept(self) -> None:
+        """Write the bytes kept for the end of the copy."""
+        if self._kept is None or self._stream is None:
+            return
+        for position, piece in self._kept:
+            done = 0
+            while done < len(piece):
+                done += os.pwrite(self._stream.fileno(), piece[done:], position + done)
+        self._kept.clear()
+        self._kept_bytes = 0
+
+    def _leave_copy(self) -> None:
+        """Write through the stream from here on, no longer over a copy."""
+        if self._kept is not None and self._stream is not None:
+            self._write_kept()
+            self._kept = None
             self._stream.seek(self.position)
-            return False
-        self.position += len(shared.data)
-        self._stream.seek(self.position)
-        return True
 
     def write(self, *pieces: bytes | memoryview) -> None:
         """Write bytes, all of them."""
@@ -184,10 +167,14 @@ class Output:
         try:
             for piece in pieces:
                 view = memoryview(piece)
-                if self._copy is not None:
-                    self._copy.reaches(self.position + len(view))
                 if self.summing:
                     self.crc = crc32(view, self.crc)
+                if self._kept is not None and self._copy is not None:
+                    if self._copy.reaches(self.position + len(view)):
+                        self._write_over(self.position, view)
+                        self.position += len(view)
+                        continue
+                    self._leave_copy()
                 # Up to the next border of a piece: what the buffer hands on are then whole pages. An unbuffered stdout
                 # may take a part only.
                 while view:
@@ -202,6 +189,7 @@ class Output:
         if self._stream is None or self._partial is None:
             raise BagError(f"{self.name}: cannot seek; write this format to a file")
         try:
+            self._leave_copy()
             self._stream.seek(position)
             self._stream.write(data)
             self._stream.seek(0, os.SEEK_END)
@@ -215,6 +203,7 @@ class Output:
         try:
             if self._copy is not None:
                 self._copy.stop()
+                self._leave_copy()
                 self._copy.require_unchanged()
                 self._stream.truncate(self.position)
             self._stream.flush()

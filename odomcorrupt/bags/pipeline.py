@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
+    from pathlib import Path
     from types import TracebackType
 
 __all__ = ["MOST_THREADS", "OrderedResults", "Workers", "default_threads", "read_ahead"]
@@ -33,14 +34,19 @@ _BATCH_BYTES = 1 << 20
 WAITING_BYTES = 12 << 20
 """What may wait for being compressed and written."""
 
+_WORTH_BYTES = 1 << 20
+"""An input file below this is done before threads have started to help."""
+
 _SWITCH_S = 1e-5
 """How long a thread that is back from a codec or a file waits for Python: the usual 5 ms cost a tenth of the time."""
 
 T = TypeVar("T")
 
 
-def default_threads() -> int:
-    """Return the default number of threads: that of the cores, at most four."""
+def default_threads(source: Path | None = None) -> int:
+    """Return the default number of threads: that of the cores, at most four; one for a small input file."""
+    if source is not None and source.is_file() and source.stat().st_size < _WORTH_BYTES:
+        return 1
     try:
         cores = len(os.sched_getaffinity(0))
     except AttributeError:  # not on this system

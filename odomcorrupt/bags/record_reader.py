@@ -162,7 +162,9 @@ class RecordReader(ABC):
 
 def _changed_spans(block: Block, changed: NDArray[np.int64]) -> list[list[tuple[int, int]]]:
     """Return the spans (begin, end) of changed messages (n,) in each chunk of a block, bytes; close ones are merged."""
-    rows = block.table[np.unique(changed)]
+    is_changed = np.zeros(len(block.table), dtype=bool)  # np.unique would import numpy.ma
+    is_changed[changed] = True
+    rows = block.table[is_changed]
     chunk_ends = np.array(block.ends or (block.data.size,))
     spans: list[list[tuple[int, int]]] = [[] for _ in chunk_ends]
     if not rows.size:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Self
 
 import numpy as np
@@ -81,6 +79,9 @@ class Source:
 
     def spooled(self) -> Self:
         """Return the rest of a pipe as a source on a temporary, seekable file."""
+        import shutil  # noqa: PLC0415 - slow to import, and seldom needed
+        import tempfile  # noqa: PLC0415 - as above
+
         stream = tempfile.TemporaryFile(prefix="odomcorrupt")  # noqa: SIM115 - closed by the source that is returned
         try:
             shutil.copyfileobj(self._stream, stream, _BUFFER_BYTES)

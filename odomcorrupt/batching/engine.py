@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 import time
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -121,6 +118,10 @@ def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
 
 def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
     """Run tasks in a process pool and remove finished ones from `left`; a worker that dies ends the pool."""
+    import multiprocessing  # noqa: PLC0415 - slow to import, and not needed for one process
+    from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait  # noqa: PLC0415 - as above
+    from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415 - as above
+
     context = multiprocessing.get_context("fork" if _alone() else "spawn")
     news = context.Queue() if audience.shown else None
     with ProcessPoolExecutor(jobs, context, _prepare_worker, (news,)) as pool:
@@ -174,6 +175,8 @@ def _terminated(number: int, _frame: object) -> None:
 
 def _end_with_parent() -> None:
     """End this worker once the batch is dead: it would wait for more work for ever, and hold the batch's lock."""
+    import multiprocessing  # noqa: PLC0415 - as above
+
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -53,7 +53,7 @@ ROBOTS = "robots"
 
 _LARGEST_BYTES = 1 << 30
 """More than a manifest of a million runs has."""
-_PIECE_BYTES = 1 << 20
+_PIECE_BYTES = 1 << 18
 _TEXTS = (("input", "path"), ("input", "hash"), ("model", "text"), ("model", "hash"))
 
 _WORDS = {
@@ -216,12 +216,12 @@ class Content(NamedTuple):
 
 def content_of(path: Path) -> Content:
     """Return size and CRC-32 of a run's file, or of a directory's file names and contents."""
-    crc = 0
+    crc, buffer = 0, memoryview(bytearray(_PIECE_BYTES))
     for file in _files(path):
         crc = crc32(file.name.encode(), crc) if file != path else crc
-        with file.open("rb") as stream:
-            while piece := stream.read(_PIECE_BYTES):
-                crc = crc32(piece, crc)
+        with file.open("rb", buffering=0) as stream:
+            while got := stream.readinto(buffer):
+                crc = crc32(buffer[:got], crc)
     return Content(_size(path), crc)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -61,6 +60,8 @@ def stated_spreads(path: Path) -> frozenset[str]:
 
     The standard errors of a fit are stored elsewhere in the file, and drawn only on request.
     """
+    import tomllib  # noqa: PLC0415 - not needed without a fleet
+
     table = tomllib.loads(read_model_text(path))
     stated = {name for name, value in table.get("noise", {}).items() if _is_spread(value)}
     for item in table.get("effect", []):

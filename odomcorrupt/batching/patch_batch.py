@@ -160,7 +160,7 @@ class _Gatherer:
         if late:
             raise LateTopic(min(late))
         whole |= changing
-        for number in set(np.unique(block.table["channel"]).tolist()) - whole:
+        for number in block.present() - whole:
             channel = self._reader.channels[number]
             if channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS):
                 self._passed.add(number)
@@ -175,7 +175,7 @@ class _Gatherer:
         table["offset"] = self._bytes + after - table["length"]
         data = np.empty(int(after[-1]), dtype=np.uint8)
         moves = []
-        for length in np.unique(lengths).tolist():
+        for length in sorted(set(lengths.tolist())):
             own = np.flatnonzero(lengths == length)
             mine = after[own] - length
             windows(data, length)[mine] = windows(block.data, length)[begins[own]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -17,15 +17,13 @@ from odomcorrupt.batching.manifest import content_of, note, read_records
 from odomcorrupt.batching.parameter_draws import drawn_values
 from odomcorrupt.batching.patch_batch import LateTopic, portions
 from odomcorrupt.batching.run_state import RunState, SharedTransform
-from odomcorrupt.batching.sinks import FullSink, MultiSink, OverlaySink, TumSink
-from odomcorrupt.batching.split_layout import Rests, SplitSink
+from odomcorrupt.batching.sinks import BagSink, FullSink, MultiSink, OverlaySink, TumSink
 from odomcorrupt.corruption.additions import CorrectionEdge
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.run import corrupt_bag
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.preview.forecast import read_clean_drive
 from odomcorrupt.result_files import write_bytes
 
 if TYPE_CHECKING:
@@ -162,8 +160,8 @@ def _make(
     silent = replace(_STILL, source=job.model.source)
     shared = SharedTransform(silent, job.options)
     shared.odometry.prepare(output.reader, output.reader.name)
-    rests, drive = Rests(), _drive(job)
-    runs = [_begin(job, run, output, (rests, workers), drive) for run in task.runs]
+    sink, drive = _sinks(job, output, workers), _drive(job)
+    runs = [_begin(job, run, output, sink, drive) for run in task.runs]
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
@@ -172,7 +170,7 @@ def _make(
         if one.sink is not None:
             stack.enter_context(one.sink)
     keep, paths = job.output == "full", job.output == "trajectories"
-    writers = [one.sink.writer for one in every if isinstance(one.sink, FullSink | SplitSink)]
+    writers = [one.sink.writer for one in every if keep and isinstance(one.sink, BagSink)]
     fan: Any = MultiSink(writers)
     for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole, writer=fan):
         for one in every:
@@ -207,22 +205,36 @@ def _drive(job: Job) -> CleanDrive | None:
     """Return the odometry of the bag, of which runs in a map draw whole paths; None without a map."""
     if job.condition is None:
         return None
+    from odomcorrupt.preview.forecast import read_clean_drive  # noqa: PLC0415 - needed within a map only
+
     with open_reader(job.source, recover=job.container.recover) as reader:
         return read_clean_drive(reader, job.model, job.options)
 
 
-def _begin(job: Job, run: int, output: Target, shared: tuple[Rests, Workers], drive: CleanDrive | None) -> _Run:
-    model, (rests, workers) = job.model_of(run), shared
+def _sinks(job: Job, output: Target, workers: Workers) -> Callable[[int], BagSink]:
+    """Return the function that creates the output of a run, for runs that are bags."""
+    if job.output == "overlay":
+        return lambda run: OverlaySink(job, run, output.reader)
+    if not job.split:
+        return lambda run: FullSink(job, run, output, workers)
+    from odomcorrupt.batching.split_layout import Rests, SplitSink  # noqa: PLC0415 - seldom needed
+
+    rests = Rests()
+    return lambda run: SplitSink(job, run, output, rests)
+
+
+def _begin(job: Job, run: int, output: Target, sink_of: Callable[[int], BagSink], drive: CleanDrive | None) -> _Run:
+    model = job.model_of(run)
     within = None if job.condition is None else job.condition.path(model, job.seed, run, drive)
     if job.output == "trajectories":
         path = TumSink(job.path_of(run), model)
         return _Run(RunState(model, job.seed, run, job.options, [path], path=within), path, patches=False)
     strand = RunState(model, job.seed, run, job.options, path=within)
     if job.output == "overlay":
-        return _Run(strand, OverlaySink(job, run, output.reader), patches=True)
+        return _Run(strand, sink_of(run), patches=True)
     if _is_copy(job, model):
         return _Run(strand, None, patches=False)
-    sink = SplitSink(job, run, output, rests) if job.split else FullSink(job, run, output, workers)
+    sink = sink_of(run)
     frame = job.options.new_odom_frame
     edge = None if frame is None else CorrectionEdge(frame, output.reader, sink.writer)
     return _Run(strand, sink, patches=True, edge=edge)
@@ -260,7 +272,7 @@ def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]
     if job.spreads:
         record["robot"] = job.robot_of(strand.run)
         record["drawn"] = drawn_values(strand.model, job.spreads)
-    record["drift"] = {key: value for key, value in asdict(drift).items() if value is not None}
+    record["drift"] = {key: value for key, value in drift._asdict().items() if value is not None}
     events = [(one.name, one.window_s) for one in strand.model.effects if one.window_s is not None and acts(one)]
     if events:
         record["events"] = [{"effect": name, "from_s": w[0], "to_s": w[1]} for name, w in events]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
@@ -12,10 +13,9 @@ import numpy as np
 import odomcorrupt
 from odomcorrupt.bags.block import Block, Message, PartFraming
 from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.writer import McapWriter
+from odomcorrupt.bags.mcap.writer import Foreign, McapWriter
 from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output, OutputContext
-from odomcorrupt.bags.rosbag2.writer import Foreign
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.input_files import open_input
@@ -186,7 +186,7 @@ def provenance(job: Job, run: int) -> dict[str, str]:
     return own if job.condition is None else own | job.condition.provenance()
 
 
-class BagSink:
+class BagSink(ABC):
     """A run written as a bag, with its model in the metadata where the format has any."""
 
     def __init__(self, job: Job, run: int, writer: Any) -> None:
@@ -198,6 +198,10 @@ class BagSink:
         """Writer of the bag."""
         writer: BagWriter = self._writer
         return writer
+
+    @abstractmethod
+    def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
+        """Write a portion, as `Sink` has it."""
 
     def __enter__(self) -> Self:
         self._writer.__enter__()

@@ -8,17 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, PartFraming, without
-from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
 from odomcorrupt.bags.open import open_reader, open_writer
-from odomcorrupt.bags.output import Shared
 from odomcorrupt.bags.provenance import mapping_of
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
-from odomcorrupt.bags.ros1.writer import Ros1Writer
-from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer
 from odomcorrupt.batching.manifest import BatchError
 from odomcorrupt.batching.sinks import BagSink
 
@@ -75,8 +71,6 @@ class Rests:
             return self._packed[key]
         chunk = how(codec, data, level)
         if any(np.may_share_memory(block.data, data) for block in self._blocks):
-            if isinstance(chunk, Packed):
-                chunk = chunk._replace(shared=Shared(chunk.data, crc32(chunk.data)))
             self._packed[key] = chunk
         return chunk
 
@@ -106,11 +100,10 @@ class SplitSink(BagSink):
 
     def __enter__(self) -> Self:
         super().__enter__()
-        files = self._writer.files if isinstance(self._writer, Rosbag2Writer) else [self._writer]
-        for file in files:
+        for file in getattr(self._writer, "files", [self._writer]):
             if isinstance(file, McapWriter):
                 file.pack = self._rests.compress
-            elif isinstance(file, Ros1Writer):
+            elif hasattr(file, "pack"):  # a ROS 1 bag; sqlite3 has no chunks
                 file.pack = self._rests.compress_for_ros1
         return self
 

@@ -9,9 +9,8 @@ import os
 import pkgutil
 import shutil
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import click
 from click.core import ParameterSource
@@ -42,8 +41,7 @@ _DEFAULTS = "odomcorrupt.defaults"
 _WIDTH = 80
 
 
-@dataclass(frozen=True, slots=True)
-class Voice:
+class Voice(NamedTuple):
     """Level of output of a command: eight lines, everything, nothing, or JSON."""
 
     verbose: bool = False

@@ -24,7 +24,7 @@ TOPIC = re.compile(r"[/~]?[A-Za-z_]\w*(/\w+)*", re.ASCII)
 TF = "tf2_msgs/msg/TFMessage"
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class TruthTopic:
     """Copy of the clean odometry on another topic: same bytes, same log times, same QoS."""
 
@@ -53,7 +53,7 @@ class TruthTopic:
             self.count += len(target.layout.rows)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class CorrectionEdge:
     """TF edge from a new frame to odom that carries the correction, one transform for each odometry message."""
 

@@ -8,7 +8,7 @@ is the same for a file, a pipe and any division into blocks.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,7 @@ MEMORY_NS = 10_000_000_000
 """Log time for which samples of the curve are kept."""
 
 
-@dataclass(frozen=True, slots=True)
-class Correction:
+class Correction(NamedTuple):
     """Correction at n stamps.
 
     xyt : (n, 3) motion of the odom frame, metres and radians
@@ -48,7 +47,7 @@ class Correction:
     held: NDArray[np.bool_]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class _Stretch:
     number: int
     stamps_ns: NDArray[np.int64]

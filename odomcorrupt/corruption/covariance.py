@@ -7,7 +7,6 @@ and q q'. Sums are taken along the noisy path, about which a filter linearises.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -45,8 +44,7 @@ RANDOM_SUMS = len(_FIRST)
 _BODY_FIRST, _BODY_SECOND = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
 
 
-@dataclass(frozen=True, slots=True)
-class _Memory:
+class _Memory(NamedTuple):
     """Present variance of a random coefficient, and its covariance (5,) with the five sums."""
 
     variance: float
@@ -152,8 +150,7 @@ and of such drives every second matrix would be none of a covariance.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class NoiseSteps:
+class NoiseSteps(NamedTuple):
     """Variances and geometry of n noisy increments.
 
     variances : of the four draws (rot1, trans, across, rot2)

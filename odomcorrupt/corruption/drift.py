@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,8 +22,7 @@ MARKS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0,
 """Distances at which the drift of many runs is reported, besides the end, metres."""
 
 
-@dataclass(frozen=True, slots=True)
-class Drift:
+class Drift(NamedTuple):
     """Position (m) and heading (rad) errors of a run, expected (standard deviation of the noise) and drawn.
 
     The leg values are root mean squares over legs of `LEG_M`; None for a shorter path.
@@ -50,8 +48,7 @@ class Drift:
         return (self.messages - 1) / self.duration_s if self.duration_s > 0.0 and self.messages > 1 else None
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
+class _Place(NamedTuple):
     clean_xyt: Array
     error_xyt: Array
     sums: Array

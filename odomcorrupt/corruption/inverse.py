@@ -6,8 +6,7 @@ The f of systematic effects add up. Random effects follow, one after the other, 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -52,8 +51,7 @@ def acts(effect: Effect) -> bool:
     return effect.acts
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(NamedTuple):
     """n clean increments and where they were made.
 
     steps : the increments

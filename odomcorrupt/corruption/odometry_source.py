@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -48,8 +47,7 @@ GLOBAL_FRAMES = frozenset({"map", "world", "earth", "utm"})
 Side = Literal["left", "right"]
 
 
-@dataclass(frozen=True, slots=True)
-class Frames:
+class Frames(NamedTuple):
     """The odom and base frames, without leading slashes; base is None where it is unknown."""
 
     odom: str

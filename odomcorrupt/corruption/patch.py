@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -32,8 +32,7 @@ STILL = 1e-9
 """What a step of a pose that stands still may be by rounding, metres or radians."""
 
 
-@dataclass(frozen=True, slots=True)
-class TwistChange:
+class TwistChange(NamedTuple):
     """Changes of n twists.
 
     known : (n,) whether the message has a predecessor at another stamp; others are not changed
@@ -165,8 +164,7 @@ PLANAR_BLOCK = (6 * PLANAR[:, None] + PLANAR).ravel()
 """Where their covariances stand in a row-major 6 x 6 matrix."""
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(NamedTuple):
     """n messages of one layout, and the item in them that the correction moves.
 
     side : whether the correction multiplies the pose from the left or from the right

@@ -8,7 +8,7 @@ over from the batch before, and normals are drawn row by row, so any division in
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -37,8 +37,7 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class StepGrowth:
+class StepGrowth(NamedTuple):
     """Progress of a path within its step: metres and radians since its start, now and at the start of the step."""
 
     gone_m: float = 0.0
@@ -47,8 +46,7 @@ class StepGrowth:
     began_rad: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class GrownVariances:
+class GrownVariances(NamedTuple):
     """Variances of n increments, and the progress after them."""
 
     variances: Variances
@@ -133,8 +131,7 @@ def _law_at(noise: Noise, gone_m: Array, gone_rad: Array) -> Variances:
     return noise.law.rule(noise.coefficients, half, np.maximum(gone_m, 0.0), half)
 
 
-@dataclass(frozen=True, slots=True)
-class _Ends:
+class _Ends(NamedTuple):
     """Ends of steps: index of the increment of each, and metres and radians since the path's start."""
 
     increment: NDArray[np.int64]
@@ -172,7 +169,7 @@ JUMP_MIN_S = 0.05
 """Stamps may bunch: an increment counts as at least this long, seconds, when it is asked whether it is a jump."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PathSamples:
     """Samples of a path at n stamps, clean and noisy.
 

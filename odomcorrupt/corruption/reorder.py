@@ -23,7 +23,7 @@ WINDOW_NS = 1_000_000_000
 """Messages swapped within this are sorted; a jump further back begins a new stretch."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Arrivals:
     """n poses with their stamps.
 

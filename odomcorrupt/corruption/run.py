@@ -154,7 +154,7 @@ class Container:
         return target_of(path, reader, ros=self.ros, storage=self.storage, exclude=self.exclude, recover=self.recover)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Outcome:
     """Result of one run.
 
@@ -249,7 +249,7 @@ def corrupt_bag(
     silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
     adds = options.keep_truth is not None or options.new_odom_frame is not None
     tape = TeeReader() if source is None and silent and not adds and container.as_it_was else None
-    threads = default_threads() if container.threads is None else container.threads
+    threads = default_threads(source) if container.threads is None else container.threads
     with (
         Workers(threads) as workers,
         open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as raw,

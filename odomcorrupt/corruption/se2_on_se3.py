@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,8 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["SpatialPoses", "finite_rows", "from_left", "from_right", "inverted"]
 
 
-@dataclass(frozen=True, slots=True)
-class SpatialPoses:
+class SpatialPoses(NamedTuple):
     """n poses: position (n, 3) in metres, quat_xyzw (n, 4) of any length but zero."""
 
     position: Array

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -58,8 +58,7 @@ _NAMED = 6
 """Edges named in an error."""
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
+class Options(NamedTuple):
     """Options of the corruption.
 
     odom_topic : topic of the odometry source; None to find it
@@ -82,7 +81,7 @@ class Options:
     subtracted: bool = False
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class _Held:
     block: Block
     parts: list[tuple[Channel, Layout]]

@@ -5,7 +5,6 @@ Other packages add effects through the entry point group `odomcorrupt.effects`, 
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import pkgutil
 import sys
@@ -116,5 +115,7 @@ def effect_of(kind: type[Effect], values: Mapping[str, float | str]) -> Effect:
 
 
 def _nearest(word: str, words: object) -> str:
+    import difflib  # noqa: PLC0415 - slow to import, for a message only
+
     near = difflib.get_close_matches(word, list(words), 1)  # type: ignore[call-overload]
     return f" (did you mean {near[0]}?)" if near else ""

@@ -9,7 +9,6 @@ An effect is therefore described completely by its own file.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
 
@@ -233,8 +232,7 @@ class Effect:
         return np.zeros_like(t_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
+class Parameter(NamedTuple):
     """Description of one parameter.
 
     identity : the value at which the effect does nothing

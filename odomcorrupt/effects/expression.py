@@ -15,8 +15,7 @@ from __future__ import annotations
 
 import ast
 import operator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -109,8 +108,7 @@ _COMPARE: Mapping[type[ast.cmpop], Callable[[Array, Array], Array]] = {
 _MOST_CHARACTERS, _MOST_NODES, _MOST_DEPTH, _HIGHEST_POWER, _LARGEST_NUMBER = 1000, 200, 60, 8.0, 1e12
 
 
-@dataclass(frozen=True, slots=True)
-class Expression:
+class Expression(NamedTuple):
     """A parsed expression.
 
     text : source text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ BEARING_MIN_M = 0.05
 """Smallest translation with a meaningful bearing, metres; below it, the turn is split evenly."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Increments:
     """n increments in the body frame at mid heading.
 
@@ -35,8 +35,7 @@ class Increments:
         return len(self.ds_m)
 
 
-@dataclass(frozen=True, slots=True)
-class RotTransRot:
+class RotTransRot(NamedTuple):
     """Increments as turn, drive, turn (Thrun, Burgard & Fox, Probabilistic Robotics, table 5.6); (n,) each.
 
     trans_m is negative in reverse; rot1_rad is then the turn before driving backwards.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,7 @@ TRAIL_S = 0.05
 _BLOCK = 1024
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Motion:
     """Motion over n intervals as reported by the odometry, (n,) each.
 
@@ -169,8 +169,7 @@ def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
     return LineFits(t_s, at_s, width_s).slopes(values)
 
 
-@dataclass(frozen=True, slots=True)
-class SpeedMemory:
+class SpeedMemory(NamedTuple):
     """The last `TRAIL_S` of a motion, from which the accelerations of the next intervals are computed.
 
     clock_s : (m,) elapsed time at the ends of intervals, seconds
@@ -183,8 +182,7 @@ class SpeedMemory:
     latest: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Accelerations:
+class Accelerations(NamedTuple):
     """Accelerations, and the speeds consistent with them.
 
     rate : (n, 3) m/s^2 and rad/s^2

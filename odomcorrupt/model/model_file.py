@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.drive_types import DRIVE_TYPES
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import choices, parameters
-from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import ModelError
 from odomcorrupt.input_files import read_input
 from odomcorrupt.model.correlation import Correlation
@@ -126,6 +125,8 @@ def _effect(item: Mapping[str, Any], errors: dict[str, float]) -> Effect:
 
 
 def _user_effect(name: str, item: Mapping[str, Any], errors: dict[str, float]) -> Effect:
+    from odomcorrupt.effects.user import user_effect  # noqa: PLC0415 - corruption by noise alone needs no effect
+
     text = item["expression"]
     if name in registry():
         raise ModelError(f"[[effect]] {name}: the library has an effect of that name; give the expression another one")
@@ -291,6 +292,8 @@ def _setup_lines(setup: Setup, errors: Mapping[str, float]) -> list[str]:
 
 
 def _effect_lines(effect: Effect, errors: Mapping[str, float]) -> list[str]:
+    from odomcorrupt.effects.user import UserEffect  # noqa: PLC0415 - as above
+
     lines = [f"name = {_text(effect.name)}  # {effect.summary}"]
     if isinstance(effect, UserEffect):
         lines.append(f"expression = {_text(effect.expression.text)}")

@@ -17,7 +17,7 @@ variances; corruption, fit, sampling and density all call these functions.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -71,8 +71,7 @@ _MAX_COEFFICIENT = 1e6
 """Largest coefficient: far above any robot's, and its square is still finite."""
 
 
-@dataclass(frozen=True, slots=True)
-class Variances:
+class Variances(NamedTuple):
     """Variances of the noise added to n steps, (n,) each: rad^2, m^2, m^2, rad^2.
 
     rot1 turns the robot before it translates, trans and across shift it along and to the left, rot2 turns it after.
@@ -89,8 +88,7 @@ class _Rule(Protocol):
         """Map magnitudes (all >= 0) of turn, travel, turn to variances."""
 
 
-@dataclass(frozen=True, slots=True)
-class Law:
+class Law(NamedTuple):
     """A named noise law.
 
     per_step : whether its drift depends on the step that it is applied to

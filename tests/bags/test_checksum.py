@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.bags import checksum
-from odomcorrupt.bags.output import Output, Shared
+from odomcorrupt.bags.output import Output
 
 
 @pytest.mark.parametrize("sizes", [(0, 0), (5, 0), (0, 7), (1, 1), (1000, 3), (3, 100_001), (70_000, 1 << 17)])
@@ -35,29 +35,6 @@ def test_without_isal_zlib_sums(monkeypatch):
     finally:
         monkeypatch.undo()
         importlib.reload(checksum)
-
-
-@pytest.mark.parametrize("size", [600, 300_000])
-@pytest.mark.parametrize("able", [True, False])
-def test_what_outputs_share_is_in_all_of_them_and_summed_the_same(size, able, tmp_path, monkeypatch):
-    if not able:
-        monkeypatch.delattr("os.copy_file_range")
-    data = np.random.default_rng(1).bytes(size)
-    shared = Shared(data, zlib.crc32(data))
-    outputs = [Output(tmp_path / name) for name in "abc"]
-    for number, output in enumerate(outputs):
-        output.open()
-        output.write(b"head" * number)
-        output.write_shared(shared)
-        output.write(b"tail")
-        output.write_shared(shared)
-    for number, output in enumerate(outputs):
-        output.commit()
-        whole = b"head" * number + data + b"tail" + data
-        assert (tmp_path / "abc"[number]).read_bytes() == whole
-        assert output.crc == zlib.crc32(whole)
-        assert output.position == len(whole)
-    assert (shared.home is not None) is (size > 100_000 and able) or not able
 
 
 def test_what_is_written_with_its_sum_is_summed_the_same(tmp_path):

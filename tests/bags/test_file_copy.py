@@ -11,7 +11,7 @@ from mcap.writer import Writer as McapLibraryWriter
 from oracles import FIXTURES
 from rosbags.rosbag1 import Writer as Ros1LibraryWriter
 
-from odomcorrupt.bags.file_copy import FileState
+from odomcorrupt.bags.file_copy import FileCopy, FileState
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.output import Original, Output
 from odomcorrupt.corruption.run import Container, corrupt_bag
@@ -96,6 +96,15 @@ def test_the_copy_makes_the_same_bytes(bag, tmp_path, copied):
     assert corrupt(bag, tmp_path / f"two{bag.suffix}", 2) == one
     assert sum(copied) > 0.9 * bag.stat().st_size
     assert threading.active_count() == 1
+
+
+@pytest.mark.parametrize("most", [0, 1 << 30])
+def test_changes_that_wait_for_the_copy_are_all_written(bag, most, tmp_path, monkeypatch):
+    call, one = os.copy_file_range, corrupt(bag, tmp_path / f"one{bag.suffix}", 1)
+    monkeypatch.setattr("os.copy_file_range", lambda a, b, size, *at: call(a, b, min(size, 1 << 16), *at))
+    monkeypatch.setattr("odomcorrupt.bags.output._KEPT_BYTES", most)
+    monkeypatch.setattr(FileCopy, "done", False)
+    assert corrupt(bag, tmp_path / f"two{bag.suffix}") == one
 
 
 @pytest.mark.parametrize("options", [{"keep_truth": "/odom_true"}, {"new_odom_frame": "odom1"}, {"recover": True}])

@@ -158,6 +158,13 @@ def test_there_are_as_many_threads_as_cores_and_at_most_four(monkeypatch):
         assert default_threads() == threads
 
 
+def test_a_small_input_has_one_thread(tmp_path, monkeypatch):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1}, raising=False)
+    for size, threads in ((1000, 1), (2 << 20, 2)):
+        (tmp_path / "bag").write_bytes(bytes(size))
+        assert default_threads(tmp_path / "bag") == threads
+
+
 def test_threads_are_switched_quickly_while_there_are_workers_and_then_as_before():
     usual = sys.getswitchinterval()
     with Workers(1):

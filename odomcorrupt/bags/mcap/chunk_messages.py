@@ -6,8 +6,7 @@ that of a sequential parse, at the cost of a few NumPy calls.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,8 +28,7 @@ MOST_RECORDS = 1 << 22
 _INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+class Record(NamedTuple):
     """A record other than a message, in a chunk: its content lies at data[start:end]."""
 
     opcode: int
@@ -38,8 +36,7 @@ class Record:
     end: int
 
 
-@dataclass(frozen=True, slots=True)
-class Contents:
+class Contents(NamedTuple):
     """Content of a chunk.
 
     table : (n,) of dtype TABLE, in the order of the data

@@ -59,7 +59,7 @@ class ChunkRows(NamedTuple):
     stop: int
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Index:
     """Statistics and indexes of a file being written."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from odomcorrupt.bags.magic import MCAP as MAGIC
@@ -81,8 +80,7 @@ class SchemaRecord(NamedTuple):
         return record(SCHEMA, head, struct.pack("<I", len(self.data)), self.data)
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelRecord:
+class ChannelRecord(NamedTuple):
     """A topic of one publisher; schema 0 is none."""
 
     id: int

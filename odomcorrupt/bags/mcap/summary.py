@@ -32,7 +32,7 @@ _END_OF_DATA = struct.pack("<BQI", DATA_END, 4, 0)
 """Of a data section without a checksum."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Summary:
     """Content of a summary section.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -37,25 +36,23 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.block import BagReader, Block, Channel, Kind
     from odomcorrupt.bags.definition import Definition
-    from odomcorrupt.bags.output import Original, Output, Shared
+    from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
 
-__all__ = ["McapWriter", "Packed", "packed"]
+__all__ = ["Foreign", "McapWriter", "Packed", "packed"]
 
 
 class Packed(NamedTuple):
     """A chunk's compressed data.
 
     crc, packed_crc : CRC-32 of the uncompressed data, and of the compressed data where known
-    shared : the same data, if several bags contain it
     """
 
     data: bytes | memoryview
     crc: int
     packed_crc: int | None = None
-    shared: Shared | None = None
 
 
 def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
@@ -162,7 +159,7 @@ class McapWriter(OutputContext):
 
     def _added(self, block: Block) -> Framed:
         """Return records of a block's added messages, after those of the channels they need."""
-        messages = [replace(one, channel=self._directory.written_id(one.channel)) for one in block.added]
+        messages = [one._replace(channel=self._directory.written_id(one.channel)) for one in block.added]
         framed = frame_added(messages, self._sequences)
         self._added_count += len(messages)
         return self._records(framed.table["channel"]).followed_by(framed)
@@ -196,9 +193,7 @@ class McapWriter(OutputContext):
         position, size = self._output.position, len(chunk.data)
         head = chunk_head(span.start_ns, span.end_ns, size=span.size, crc=chunk.crc, codec=span.codec, packed=size)
         self._output.write(head)
-        if chunk.shared is not None:
-            self._output.write_shared(chunk.shared)
-        elif original is not None:
+        if original is not None:
             self._output.write_changed(memoryview(chunk.data), chunk.crc, original)
         elif chunk.packed_crc is not None:
             self._output.write_summed(chunk.data, chunk.packed_crc)
@@ -230,3 +225,26 @@ class McapWriter(OutputContext):
 
     def _begin(self) -> None:
         self._output.write(MAGIC, record(HEADER, self._directory.header()))
+
+
+class Foreign:
+    """A reader of an MCAP presented as one of another format, so that a writer frames its messages itself."""
+
+    complete = True
+
+    def __init__(self, reader: BagReader) -> None:
+        ros1 = all(channel.encoding == "ros1" for channel in reader.channels.values())
+        self.kind: Kind = "ros1" if ros1 else "sqlite3"
+        self.name, self.paths, self.channels = reader.name, reader.paths, reader.channels
+        self.definition, self.blocks = reader.definition, reader.blocks
+        self._reader = reader
+
+    @property
+    def count(self) -> int:
+        """Number of messages of the last pass."""
+        return self._reader.count
+
+    @property
+    def losses(self) -> list[str]:
+        """Parts that could not be read, one sentence each."""
+        return self._reader.losses

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal
 
@@ -159,7 +158,7 @@ def compressed_block(block: Block, level: int | None) -> Block:
     rows = np.searchsorted(block.table["offset"], block.ends)
     moved = tuple(sorted({int(end) for end in np.concatenate(([0], ends))[rows].tolist() if end}))
     data = np.frombuffer(bytearray().join(pieces), dtype=np.uint8)
-    added = [replace(one, data=compressor.compress(one.data)) for one in block.added]
+    added = [one._replace(data=compressor.compress(one.data)) for one in block.added]
     return Block(data, table, Unframed(getattr(block.raw, "codec", "none")), added, moved)
 
 

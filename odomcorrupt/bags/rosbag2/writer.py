@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from odomcorrupt.bags.block import Block, Channel, PartFraming
 from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.mcap.reader import McapReader
-from odomcorrupt.bags.mcap.writer import McapWriter
+from odomcorrupt.bags.mcap.writer import Foreign, McapWriter
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import beside, place, sweep
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, compress_file, compressed_block
@@ -114,7 +113,7 @@ class Rosbag2Writer:
     def write(self, block: Block) -> None:
         """Write a block to the file it came from, its added messages last."""
         part, own = (block.raw.part, block.raw.own) if isinstance(block.raw, PartFraming) else (0, block)
-        messages = [replace(one, channel=self._written_id(part, one.channel)) for one in block.added]
+        messages = [one._replace(channel=self._written_id(part, one.channel)) for one in block.added]
         for one in block.added:
             self._additions[part].note(self._described(one.channel).name, one.log_ns)
         written = Block(block.data, own.table, own.raw, messages, own.ends, own.places, block.changed)
@@ -224,26 +223,3 @@ class Rosbag2Writer:
 
 def _uncompressed(path: Path) -> Path:
     return path.with_suffix("") if path.suffix.lower() in SUFFIXES else path
-
-
-class Foreign:
-    """A reader of an MCAP presented as one of another format, so that a writer frames its messages itself."""
-
-    complete = True
-
-    def __init__(self, reader: BagReader) -> None:
-        ros1 = all(channel.encoding == "ros1" for channel in reader.channels.values())
-        self.kind: Kind = "ros1" if ros1 else "sqlite3"
-        self.name, self.paths, self.channels = reader.name, reader.paths, reader.channels
-        self.definition, self.blocks = reader.definition, reader.blocks
-        self._reader = reader
-
-    @property
-    def count(self) -> int:
-        """Number of messages of the last pass."""
-        return self._reader.count
-
-    @property
-    def losses(self) -> list[str]:
-        """Parts that could not be read, one sentence each."""
-        return self._reader.losses

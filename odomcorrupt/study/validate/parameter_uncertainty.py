@@ -86,7 +86,7 @@ def uncertainty_of(
         if error > 0.0:
             bounds = getattr(k, name) + error, max(getattr(k, name) - error, 0.0)
             more, less = (law.rule(replace(k, **{name: value}), *moved) for value in bounds)
-            parts = (getattr(more, part) - getattr(less, part) for part in Variances.__slots__)
+            parts = (getattr(more, part) - getattr(less, part) for part in Variances._fields)
             change = windows.spread(law, Variances(*parts), steps)
             relative = np.linalg.solve(errors.covariance, change[:, :count, :count] / 2.0)
             scales.append(float(np.trace(relative, axis1=1, axis2=2).mean() / count))
