@@ -1,4 +1,4 @@
-"""Lag of the odometry's travel, of its turn or of both: a first-order filter or servo, or a pure delay."""
+"""Lag of the odometry's travel, of its turn or of all its speeds: a first-order filter or servo, or a pure delay."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def lag_remainder(tau_s: float, seconds: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ChannelLag(Effect):
-    """f_yaw = tau d omega / dt, f_along = tau d v / dt, or both, of the odometry's speeds: filtered true ones.
+    """f_yaw = tau d omega / dt, f_along = tau d v / dt, or all three, of the odometry's speeds: filtered true ones.
 
     A delay of one channel by tau has the same f to first order, for motion slow against tau; exactly, the true speed
     at a time is the speed that odometry reports tau later. A lag of all channels equals a late clock to first order.
@@ -96,7 +96,7 @@ class ChannelLag(Effect):
         return true
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
-        """Return the increments (n, 3) with one channel filtered or delayed; the inverse is `restored`."""
+        """Return the increments (n, 3) with late channels filtered or delayed; the inverse is `restored`."""
         if self.tau == 0.0:
             return Recorded(steps, state)
         columns, new_state = _COLUMNS[self.channel], _FilterState if self.by == "filter" else _DelayState
