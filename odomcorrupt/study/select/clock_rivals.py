@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.estimate.heading_source import sees_travel
@@ -59,7 +59,7 @@ def lag_in_place(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     tested = sees_travel(recordings) and not any(r.matched for r in recordings)
     if not np.any(fit.free_clocks) or tau_s < _LEAST_S or not tested:
         return None
-    late = effect_from_values("motor_lag", {}) if motors else effect_from_values("channel_lag", {"channel": "all"})
+    late = registry()["motor_lag"]() if motors else effect_from_values("channel_lag", {"channel": "all"})
     if late.name in have:
         return None
     term = LibraryTerm.of(late, fit.problem.motions)
