@@ -1,22 +1,22 @@
-"""Lag of the odometry's travel or turn: a first-order filter or servo, or a pure delay."""
+"""Lag of the odometry's travel, of its turn or of all its speeds: a first-order filter or servo, or a pure delay."""
 
 from __future__ import annotations
 
 import copy
 from bisect import bisect_right
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter
 from odomcorrupt.geometry.motion import TRAIL_S, accelerations
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-_COLUMN = {"along": 0, "yaw": 2}
-_SPEED = {"along": "v", "yaw": "omega"}
+_SPEEDS = ("v", "vy", "omega")
+_COLUMNS = {"along": [0], "yaw": [2], "all": [0, 1, 2]}
 _UNSEEN_RATE = 10.0
 """Largest acceleration assumed during the delay at the end of a recording, m/s^2 and rad/s^2."""
 
@@ -31,11 +31,11 @@ def lag_remainder(tau_s: float, seconds: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ChannelLag(Effect):
-    """f_yaw = tau d omega / dt, or f_along = tau d v / dt, of the odometry's speeds, which are the filtered true ones.
+    """f_yaw = tau d omega / dt, f_along = tau d v / dt, or all three, of the odometry's speeds: filtered true ones.
 
     A delay of one channel by tau has the same f to first order, for motion slow against tau; exactly, the true speed
-    at a time is the speed that odometry reports tau later. A lag of both channels equals a late clock. Corruption
-    applies the filter or the delay itself, which is stable for any tau.
+    at a time is the speed that odometry reports tau later. A lag of all channels equals a late clock to first order.
+    Corruption applies the filter or the delay itself, which is stable for any tau.
     """
 
     name = "channel_lag"
@@ -53,7 +53,7 @@ class ChannelLag(Effect):
     )
 
     tau: float = parameter("s", "time constant of the filter, or the delay", low=0.0, high=1.0, typical=0.05)
-    channel: str = choice("what comes late", "yaw", "along")
+    channel: str = choice("what comes late", "yaw", "along", "all")
     by: str = choice("what makes it late", "filter", "delay")
 
     @property
@@ -64,21 +64,27 @@ class ChannelLag(Effect):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: for a filter from the accelerations of the reported motion, for a delay to first order."""
         if self.by == "delay":
-            later = self.tau * motion.acceleration[:, _COLUMN[self.channel]]
-            return TwistError(stacked(*self._placed(later), later), state)
+            return TwistError(self._late(motion.acceleration), state)
         twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
         faster = accelerations(twist, motion.dt_s, state)
-        f = self.tau * faster.rate[:, _COLUMN[self.channel]]
-        return TwistError(stacked(*self._placed(f), f), faster.memory)
+        return TwistError(self._late(faster.rate), faster.memory)
 
-    def _placed(self, f: Array) -> tuple[Array | float, float, Array | float]:
-        return (0.0, 0.0, f) if self.channel == "yaw" else (f, 0.0, 0.0)
+    def _late(self, rate: Array) -> Array:
+        f = np.zeros_like(rate)
+        late = _COLUMNS[self.channel]
+        f[:, late] = self.tau * rate[:, late]
+        return f
 
     def restored(self, motion: Motion) -> Motion:
         """Return the motion that should have been reported; for a delay the one that is reported tau later."""
         if self.by == "filter" or not len(motion):
             return super(ChannelLag, self).restored(motion)
-        speed, dt_s = getattr(motion, _SPEED[self.channel]), motion.dt_s
+        names = [_SPEEDS[column] for column in _COLUMNS[self.channel]]
+        true: dict[str, Any] = {name: self._earlier(getattr(motion, name), motion.dt_s) for name in names}
+        return replace(motion, **true)
+
+    def _earlier(self, speed: Array, dt_s: Array) -> Array:
+        """Return the mean speeds (n,) over intervals of lengths dt_s (n,) that are reported tau later."""
         time_s = np.concatenate(([0.0], np.cumsum(dt_s)))
         path = np.concatenate(([0.0], np.cumsum(speed * dt_s)))
         last = speed[dt_s > 0.0][-1] if (dt_s > 0.0).any() else 0.0  # last speed, extrapolated
@@ -86,17 +92,18 @@ class ChannelLag(Effect):
         shifted = np.interp(
             time_s + self.tau, np.append(time_s, time_s[-1] + beyond_s), np.append(path, path[-1] + beyond_s * last)
         )
-        true = np.divide(np.diff(shifted), dt_s, out=speed.copy(), where=dt_s > 0.0)
-        return replace(motion, **{_SPEED[self.channel]: true})
+        true: Array = np.divide(np.diff(shifted), dt_s, out=speed.copy(), where=dt_s > 0.0)
+        return true
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
-        """Return the increments (n, 3) with one channel filtered or delayed; the inverse is `restored`."""
+        """Return the increments (n, 3) with late channels filtered or delayed; the inverse is `restored`."""
         if self.tau == 0.0:
             return Recorded(steps, state)
-        column, new_state = _COLUMN[self.channel], _FilterState if self.by == "filter" else _DelayState
-        late, past = steps.copy(), new_state() if state is None else copy.deepcopy(state)
-        for i, (step, now_s) in enumerate(zip(steps[:, column].tolist(), t_s.tolist(), strict=True)):
-            late[i, column] = past.reported(step, now_s, self.tau)
+        columns, new_state = _COLUMNS[self.channel], _FilterState if self.by == "filter" else _DelayState
+        late, past = steps.copy(), [new_state() for _ in columns] if state is None else copy.deepcopy(state)
+        for column, channel in zip(columns, past, strict=True):
+            for i, (step, now_s) in enumerate(zip(steps[:, column].tolist(), t_s.tolist(), strict=True)):
+                late[i, column] = channel.reported(step, now_s, self.tau)
         return Recorded(late, past)
 
 

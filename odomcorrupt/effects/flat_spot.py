@@ -94,7 +94,8 @@ class FlatSpot(Effect):
         """Return f: the speed that one wheel loses as it rolls over the spot."""
         track_m = needed_track_m(self.name, self.track or motion.track_m)
         rims = rims_of(motion.v, motion.omega, track_m)
-        ways = [np.cumsum(np.concatenate(([before], u * motion.dt_s))) for before, u in zip(state, rims, strict=True)]
+        arms_m = 0.5 * track_m, -0.5 * track_m
+        ways = [motion.rolled(arm_m, before) for arm_m, before in zip(arms_m, state, strict=True)]
         zero = np.zeros(len(motion))
         if self.wheel == "right":
             lost = Rims(self._lost(rims.right, ways[0]), zero)

@@ -48,6 +48,7 @@ class Motion:
     track_m : the robot's nominal track, metres, or None if unknown
     trail : (n, 3) mean true speeds whose rate is `acceleration`; None if speeds are smooth already
     before : (n, 2, 3) acceleration and trail of the previous interval; None if speeds are smooth already
+    reported : (n, 2) travel, m, and turn, rad, of the odometry so far; None if `v` and `omega` are the odometry's
 
     Speeds are the odometry's. Acceleration, pose and distance are the true ones: of the clean motion in corruption, of
     the corrected one in correction, of the smoothest estimate in the study. Forces accelerate the body, and effects
@@ -67,6 +68,13 @@ class Motion:
     track_m: float | None = None
     trail: Array | None = None
     before: Array | None = None
+    reported: Array | None = None
+
+    def rolled(self, arm_m: float, before_m: float = 0.0) -> Array:
+        """Return the reported travel (n + 1,), m, of a wheel `arm_m` to the right of the middle, from `before_m` on."""
+        if self.reported is not None:
+            return before_m + np.concatenate(([0.0], self.reported @ (1.0, arm_m)))
+        return np.cumsum(np.concatenate(([before_m], (self.v + arm_m * self.omega) * self.dt_s)))
 
     @property
     def in_step(self) -> Motion:

@@ -18,12 +18,12 @@ from odomcorrupt.model.noise_laws import Coefficients
 SILENT = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
 
 
-def lagging(tau, omega, rate_hz, by="filter"):
+def lagging(tau, omega, rate_hz, by="filter", channel="yaw"):
     """Return times, the clean poses of a robot that turns so, and those that its lagging odometry reports."""
     n = len(omega)
     clean = accumulate(np.zeros(3), Increments(np.full(n, 0.5 / rate_hz), np.zeros(n), omega / rate_hz))
     stamps = 10**12 + np.round(np.arange(n + 1) * 1e9 / rate_hz).astype(np.int64)
-    effect = effect_from_values("channel_lag", {"tau": tau, "by": by})
+    effect = effect_from_values("channel_lag", {"tau": tau, "by": by, "channel": channel})
     reported = clean + NoisyPath(MotionModel(SILENT, (effect,)), 1).feed(stamps, clean).error_xyt
     return (stamps - stamps[0]) * 1e-9, clean, reported, effect
 
@@ -40,10 +40,11 @@ def test_a_step_of_the_yaw_rate_is_reported_late_by_tau(rate_hz):
     assert rate == pytest.approx(0.8 * (1.0 - np.exp(-1.0)), abs=0.12)
 
 
-def test_any_lag_is_stable_to_put_in_and_taken_out_again():
+@pytest.mark.parametrize("channel", ["yaw", "all"])
+def test_any_lag_is_stable_to_put_in_and_taken_out_again(channel):
     omega = np.sin(np.arange(2000) * 0.01) + np.where(np.arange(2000) % 300 < 150, 0.5, -0.5)
     for tau in (0.02, 0.3, 1.0):
-        t_s, clean, reported, effect = lagging(tau, omega, 50.0)
+        t_s, clean, reported, effect = lagging(tau, omega, 50.0, channel=channel)
         back = accumulate(reported[0], corrected_increments([effect], motion_of(t_s, reported)))
         assert back == pytest.approx(clean, abs=1e-9)
 

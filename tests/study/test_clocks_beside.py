@@ -1,15 +1,22 @@
-"""Clocks of validation recordings are estimated after the model's effects are removed."""
+"""Clocks of validation recordings are estimated beside the model's effects, and lags are compared with clocks."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
+import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.select.clock_rivals import lag_in_place
+from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.validate.compare import clocks_beside
 
 
@@ -22,3 +29,24 @@ def test_an_effect_of_the_heading_in_the_world_is_taken_out_of_a_recording_whose
     model = MotionModel(preset_named("typical").noise, effects=(slope,))
     clocks = clocks_beside([recording], choose_approach([recording]), model)
     assert abs(clocks.clocks[0].offset_s) < 0.05
+
+
+@pytest.mark.parametrize("by", ["filter", "delay"])
+def test_odometry_that_a_filter_makes_late_is_told_from_odometry_with_a_late_clock(by):
+    recording = as_recording(simulate(93, None, duration_s=120.0))
+    path, tau_s = recording.odometry, 0.1
+    steps = increments(path.xyt)
+    lag = effect_from_values("channel_lag", {"tau": tau_s, "channel": "all", "by": by})
+    late = lag.recorded(np.stack(astuple(steps), axis=1), recording.odometry_s[1:], None, None).steps
+    xyt = accumulate(path.xyt[0], Increments(*np.ascontiguousarray(late.T)))
+    recording = replace(recording, odometry=Trajectory(path.stamps_ns, xyt))
+    clocked = fit(
+        [recording], clocks=(Clock(tau_s),), free_clocks=((True, False),), approach=choose_approach([recording])
+    )
+    found = lag_in_place(clocked, DECISIONS)
+    if by == "delay":
+        assert clocked.problem.clocks[0].offset_s == pytest.approx(tau_s, abs=0.003)
+        assert found is None or found.more_nats < -DECISIONS.replacement_nats
+    else:
+        assert found.more_nats > DECISIONS.replacement_nats
+        assert found.fit.effects[-1].tau == pytest.approx(tau_s, abs=0.003)

@@ -11,6 +11,7 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
@@ -112,3 +113,14 @@ def test_recordings_with_clocks_or_odometry_of_their_own_share_no_motion(recordi
         ([first, replace(second, clock="other")], [Clock()] * 2),
     ):
         assert len(pose_problem(parts, (), clocks, approach=approach).motions) == 2
+
+
+def test_a_wheel_rolls_as_far_as_the_odometry_reports_also_if_speeds_are_the_truths(recording):
+    wheels = replace(recording, track_m=0.4)
+    sides = {side: driving_motion(wheels, side) for side in ("odometry", "truth")}
+    steps = increments(recording.odometry.xyt)
+    for arm_m in (0.2, -0.2):
+        assert np.allclose(sides["truth"].rolled(arm_m)[1:], np.cumsum(steps.ds_m + arm_m * steps.dtheta_rad))
+    # the scale hidden in this odometry is 2 %, so integrals of the truth's speeds end elsewhere
+    speeds = np.cumsum(sides["truth"].v * sides["truth"].dt_s)
+    assert abs(sides["odometry"].rolled(0.0)[-1] - sides["truth"].rolled(0.0)[-1]) < 1e-3 * abs(speeds[-1])

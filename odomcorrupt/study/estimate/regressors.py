@@ -109,7 +109,16 @@ class MotionSmoother:
             theta=self._theta,
             distance=np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * self._dt_s),
             track_m=recording.track_m,
+            reported=self._reported,
         )
+
+    @cached_property
+    def _reported(self) -> Array | None:
+        """Travel and turn (n, 2) of the odometry so far, if speeds are the truth's: these lose a wheel's phase."""
+        if self._side == "odometry":
+            return None
+        steps = increments(self.recording.odometry.xyt)
+        return np.cumsum(np.stack((steps.ds_m, steps.dtheta_rad), axis=1), axis=0)
 
     def acceleration(self, recording: Recording) -> Array:
         """Return only the acceleration (n, 3) of `motion`."""

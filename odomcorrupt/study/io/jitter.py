@@ -39,10 +39,9 @@ def jitter_warnings(path: Samples, off_s: float) -> list[str]:
 def stamp_jitter_s(path: Samples, other: Samples) -> float:
     """Return the standard deviation of the stamps' jitter, seconds; 0 if the poses follow their stamps."""
     interval_s = np.diff(path.stamps_ns) * 1e-9
-    way_m = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
     if len(interval_s) < _MIN_SAMPLES:
         return 0.0
-    usual_s, usual_m = _running_mean(interval_s), _running_mean(way_m)
+    usual_s, (usual_m, varies_m) = _running_mean(interval_s), _steps(path.xyz[:, :2])
     speed = usual_m / np.maximum(usual_s, 1e-9)
     used = (speed > _MOVING_MPS) & (interval_s < _GAP_STEPS * np.median(interval_s))
     used[: _WINDOW // 2] = used[-(_WINDOW // 2) :] = False
@@ -51,11 +50,21 @@ def stamp_jitter_s(path: Samples, other: Samples) -> float:
     varies_s = interval_s - usual_s
     off_s = float(np.std(varies_s[used])) / np.sqrt(2.0)
     there = other.trajectory().at(path.seconds_since(int(path.stamps_ns[0])), int(path.stamps_ns[0]))[:, :2]
-    there_m = np.linalg.norm(np.diff(there, axis=0), axis=1)
     expected_m = (speed * varies_s)[used]
-    if off_s < _MIN_JITTER_S or _follow((way_m - usual_m)[used], expected_m):
+    if off_s < _MIN_JITTER_S or _follow(varies_m[used], expected_m):
         return 0.0
-    return off_s if _follow((there_m - _running_mean(there_m))[used], expected_m) else 0.0
+    return off_s if _follow(_steps(there)[1][used], expected_m) else 0.0
+
+
+def _steps(xy: Array) -> tuple[Array, Array]:
+    """Return the mean step (n,) of a path around each step, and how much longer the step itself is, m.
+
+    Steps are projected on the mean direction: noise makes every step longer, but not its projection.
+    """
+    step = np.diff(xy, axis=0)
+    mean = np.stack([_running_mean(part) for part in step.T], axis=1)
+    usual_m = np.linalg.norm(mean, axis=1)
+    return usual_m, np.sum(step * mean, axis=1) / np.maximum(usual_m, 1e-12) - usual_m
 
 
 def _follow(steps_m: Array, expected_m: Array) -> bool:

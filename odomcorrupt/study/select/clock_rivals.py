@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects import registry
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.estimate.heading_source import sees_travel
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.decisions import Decisions
 
-__all__ = ["InPlaceOfClock", "beside_lags", "late_motors", "more_nats"]
+__all__ = ["InPlaceOfClock", "beside_lags", "lag_in_place", "more_nats"]
 
-_LEAD_S = 0.04
-"""Least lead of the odometry's clock at which a motor lag is tested, seconds: motors lag by 50 ms and more."""
+_LEAST_S = 0.04
+"""Least offset of the odometry's clock at which a lag is tested, seconds: motors and filters lag by 50 ms and more."""
 _LAGS, _MISFIT = ("channel_lag", "motor_lag", "steering_lag"), 0.2
 """Names of lags; largest offset, as a fraction of a time constant, that may be a lag's misfit (as `_MISFIT_GAIN`)."""
 
@@ -43,27 +43,29 @@ class InPlaceOfClock(NamedTuple):
     more_nats: float
 
 
-def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
-    """Return a fit with a motor lag in place of the lead of the odometry's clock; None if not applicable.
+def lag_in_place(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
+    """Return a fit with a lag in place of the offset of the odometry's clock; None if not applicable.
 
-    A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it.
+    A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it. Odometry that
+    leads is that of commands, which motors follow late; odometry that is late comes from a filter.
     """
     clocks = fit.problem.clocks
-    lead_s = min(-clock.offset_s for clock in clocks)
+    late_s = [clock.offset_s for clock in clocks]
+    motors = max(late_s) < 0.0
+    tau_s = min(map(abs, late_s)) if motors or min(late_s) > 0.0 else 0.0
     have = {effect.name for effect in fit.effects}
     recordings = fit.problem.recordings
     # A laser's scans have a clock of their own, whose lead is no sign of late motors.
     tested = sees_travel(recordings) and not any(r.matched for r in recordings)
-    if not np.any(fit.free_clocks) or lead_s < _LEAD_S or not tested:
+    if not np.any(fit.free_clocks) or tau_s < _LEAST_S or not tested:
         return None
-    kind = next(k for k in registry().values() if k.in_place_of == "time_offset")
-    if kind.name in have:
+    late = registry()["motor_lag"]() if motors else effect_from_values("channel_lag", {"channel": "all"})
+    if late.name in have:
         return None
-    (term,) = LibraryTerm.family(kind, fit.problem.motions)
+    term = LibraryTerm.of(late, fit.problem.motions)
     without = fit.refit(clocks=(Clock(),) * len(clocks), free_clocks=((False, False),) * len(clocks))
     (score,) = score_terms(without, [term], decisions, family=1)
-    late = term.effect([min(lead_s, amplitudes(kind)[0].high)])
-    with_it = without.refit([*without.effects, late], weights=without.noise.weights)
+    with_it = without.refit([*without.effects, term.effect([tau_s])], weights=without.noise.weights)
     candidate = tried(without, with_it, score, decisions)
     if candidate.refused:
         return None

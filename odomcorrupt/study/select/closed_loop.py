@@ -118,7 +118,9 @@ def may_be_of_lags(fit: Fit, score: Score) -> bool:
     rest, made = project_out(fit), np.zeros(len(score.estimate))
     own = rest.of(fit.noise.whitener.whiten(score.term.columns(problem)))
     for channel, column in (("along", 0), ("yaw", 2)):
-        late_s = clock_s + sum(getattr(lag, "tau", 0.0) for lag in lags if getattr(lag, "channel", "") == channel)
+        late_s = clock_s + sum(
+            getattr(lag, "tau", 0.0) for lag in lags if getattr(lag, "channel", "") in (channel, "all")
+        )
         # per interval: the second derivative of the speed times the interval's length
         bends = np.concatenate([np.gradient(m.acceleration[:, column]) for m in problem.motions])
         form = problem.nodes.column(bends[:, None] * np.eye(3)[column])[:, :, None]

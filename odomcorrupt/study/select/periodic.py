@@ -66,7 +66,7 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     found: list[tuple[float, FlatSpot]] = []
     for track_m in TRACKS_M if own is None else (own,):
         for wheel, side in (("right", 0.5 * track_m), ("left", -0.5 * track_m)):
-            for turn_m in _likeliest(fit, score, _rolled_by(side)):
+            for turn_m in _likeliest(fit, score, lambda m, side=side: m.rolled(side)[1:]):  # type: ignore[misc]
                 if turn_m > _LARGEST_TURN_M:
                     continue
                 spot = FlatSpot(circumference=turn_m, wheel=wheel, form="eccentric", track=0.0 if own else track_m)
@@ -82,18 +82,13 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     return [tuple(LibraryTerm(spot, trials * len(forms)) for spot in forms)] if forms else []
 
 
-def _rolled_by(side_m: float) -> Callable[[Motion], Array]:
-    """Return a function to the distance (n,), m, rolled by a wheel `side_m` to the right of the centre."""
-    return lambda m: np.cumsum((m.v + side_m * m.omega) * m.dt_s)
-
-
 def _distances(track_m: float | None) -> list[tuple[str, Callable[[Motion], Array]]]:
     """Return the distances to test, as text and function: of the body, and of each wheel if the track is known."""
     distances: list[tuple[str, Callable[[Motion], Array]]] = [("distance", lambda m: m.distance)]
     if track_m is not None:
         for side, sign in ((0.5 * track_m, "+"), (-0.5 * track_m, "-")):
             text = f"(distance {sign} {abs(side):.4g} * theta)"
-            distances.append((text, lambda m, side=side: np.cumsum((m.v + side * m.omega) * m.dt_s)))  # type: ignore[misc]
+            distances.append((text, lambda m, side=side: m.rolled(side)[1:]))  # type: ignore[misc]
     return distances
 
 

@@ -30,7 +30,7 @@ from odomcorrupt.study.select.candidates import (
     terms_of,
     with_shape_refined,
 )
-from odomcorrupt.study.select.clock_rivals import beside_lags, late_motors, more_nats
+from odomcorrupt.study.select.clock_rivals import beside_lags, lag_in_place, more_nats
 from odomcorrupt.study.select.closed_loop import is_pulled, may_be_of_lags, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
@@ -154,7 +154,7 @@ class _Selection:
     withdrawn : names of effects that were admitted to the current model and removed again
     compared, compared_at : comparisons of library effects with basis functions, and the fit in which they were made
     seen : terms of all models so far
-    over_motor_lag : gain of the clock over a motor lag in its place, prior odds included, nats; None if not tested
+    over_lag : gain of the clock over a lag in its place, prior odds included, nats; None if not tested
     """
 
     fit: Fit
@@ -171,19 +171,19 @@ class _Selection:
     compared: dict[str, ModelComparison] = field(default_factory=dict)
     compared_at: Fit | None = None
     seen: set[frozenset[str]] = field(default_factory=set)
-    over_motor_lag: float | None = None
+    over_lag: float | None = None
 
     def __post_init__(self) -> None:
         self.noise = list(self.noise)
 
     def run(self) -> _Selection:
         """Take steps until the model no longer changes, then finish; return self."""
-        self._replace_leading_clock()
-        while self._step() or self._name_laws() or self._swap_clock() or self._replace_leading_clock():
+        self._replace_clock_by_lag()
+        while self._step() or self._name_laws() or self._swap_clock() or self._replace_clock_by_lag():
             pass
         self._finish()
-        if self.over_motor_lag is not None:
-            self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, self.over_motor_lag))
+        if self.over_lag is not None:
+            self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, self.over_lag))
         return self
 
     def _include(self, proposal: Proposal, candidates: Sequence[Candidate]) -> None:
@@ -334,15 +334,15 @@ class _Selection:
         found = {name: own.better(self.decisions, nearly)[:1] for name, own in self.compared.items()}
         return [replace(one, instead_of=name) for name, nearest in found.items() for one in nearest]
 
-    def _replace_leading_clock(self) -> bool:
-        """Replace the lead of the odometry's clock by a motor lag if that gains more; return whether it did."""
-        self.over_motor_lag = None
-        found = late_motors(self.fit, self.decisions)
+    def _replace_clock_by_lag(self) -> bool:
+        """Replace the offset of the odometry's clock by a lag if that gains more; return whether it did."""
+        self.over_lag = None
+        found = lag_in_place(self.fit, self.decisions)
         if found is None:
             return False
         better = found.more_nats > self.decisions.replacement_nats and not self._already_seen(found.fit)
         if not better:
-            self.over_motor_lag = self.decisions.alternative_nats - found.more_nats
+            self.over_lag = self.decisions.alternative_nats - found.more_nats
             return False
         clocks, free = found.fit.problem.clocks, found.fit.free_clocks
         left_nats = max(found.candidate.gain - found.more_nats, 0.0)

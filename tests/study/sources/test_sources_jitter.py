@@ -52,3 +52,11 @@ def test_poses_that_are_published_whenever_the_robot_has_come_so_far_are_stamped
 
     triggered = straight(np.interp(np.arange(0.5, way_m[-1], 0.5), way_m, t_s))
     assert not stamp_jitter_s(triggered, straight(t_s))
+
+
+def test_noise_of_poses_with_lost_frames_is_no_jitter_beside_stamps_that_do():
+    """Noise makes steps longer, those of single intervals more than those across lost frames."""
+    camera_s = (np.arange(9000) / 30.0)[np.random.default_rng(3).random(9000) > 0.03]
+    camera, arrival = path(camera_s, camera_s, noise_m=0.02), path(REGULAR, ODD)
+    assert not stamp_jitter_s(camera, path(REGULAR, REGULAR))
+    assert stamp_jitter_s(arrival, camera)
