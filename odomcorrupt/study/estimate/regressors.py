@@ -219,7 +219,8 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     noisy &= shared.part + _ERRORS * shared.error < _SHARED
     only_odometry = shared.odometry_noise > _NOISE_RATIO * np.maximum(shared.noise_of_truth, 0.0)
     only_odometry &= shared.odometry_noise > _ERRORS * shared.noise_error
-    noisy |= only_odometry & (shared.odometry_noise * per_noise > _LEAST_BIAS)
+    if not recording.matched:  # sweeps are too far apart: between them their motion is smooth, and not the odometry's
+        noisy |= only_odometry & (shared.odometry_noise * per_noise > _LEAST_BIAS)
     return "truth" if noisy.any() else "odometry"
 
 

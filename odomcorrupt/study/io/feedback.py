@@ -114,8 +114,8 @@ def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
 def pull_of(odometry: Samples, truth: Samples) -> Pull:
     """Return the decay rates of odometry errors against a truth with headings; both sorted, on nearly the same clock.
 
-    For headings there is no test like that of sideways steps. If the truth is a localisation, which is corrected
-    itself, a decay of the heading counts only together with one of the position.
+    For headings there is no test like that of sideways steps. If the truth is a localisation or the matches of a laser
+    with its map, which are corrected themselves, a decay of the heading counts only together with one of the position.
     """
     at = _aligned(odometry, truth)
     if at is None:
@@ -148,7 +148,7 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
             position = max(position, both.rate)
         if alone.plain(at.span_s):
             heading = max(heading, alone.rate)
-    return Pull(position, heading if position or not truth.localised else 0.0)
+    return Pull(position, heading if position or not (truth.localised or truth.covariance is not None) else 0.0)
 
 
 def _pull_of_steps(odometry: Samples, free: Samples, truth: Samples) -> Pull:

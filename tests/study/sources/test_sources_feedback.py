@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from sourcebags import topic, write
 from sourcedrive import Rows, path
 
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.report.json.diagnosis import recordings_json
 from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.feedback import pull_of
+from odomcorrupt.study.io.raw_trajectory import Samples
 
 RATE_HZ, SECONDS = 20.0, 200.0
 TIMES = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
@@ -116,6 +121,19 @@ def test_a_truth_that_is_corrected_is_no_filter_of_the_odometry(tmp_path):
     for i, new in enumerate(rng.normal(0.0, [0.03, 0.03, 0.004], REAL.shape)[1:], start=1):
         error[i] = keeps * error[i - 1] + np.sqrt(1.0 - keeps**2) * new
     assert "fade" not in said_of(tmp_path, wheels, REAL + error)
+
+
+def test_headings_that_a_map_of_scans_corrects_are_no_filter_of_the_odometry():
+    times, none = np.arange(0.0, 2000.0, 0.2), np.zeros(0)
+    real, rng = path(times), np.random.default_rng(4)
+    turned = lfilter([0.2], [1.0, -np.exp(-0.2 / 6.0)], rng.normal(0.0, 0.03, len(times)))
+    stamps, positions = (1e9 * times).astype(np.int64), np.column_stack((real[:, :2], 0.0 * times))
+    wheels, scans = (
+        Samples("run", "/odom", "odom", stamps, positions, yaw, none, none) for yaw in (real[:, 2], real[:, 2] + turned)
+    )
+    assert pull_of(wheels, scans).heading > 0.0
+    matched = replace(scans, covariance=np.tile(1e-6 * np.eye(3), (len(times), 1, 1)))
+    assert pull_of(wheels, matched) == (0.0, 0.0)
 
 
 @pytest.mark.slow
