@@ -211,31 +211,24 @@ class ShapeSearch:
 
 
 def starts(ranked: Sequence[T], nats: float) -> list[T]:
-    """Return terms to refine: the best, or if its gain is large, the best of each form and others of other maxima.
+    """Return terms to refine, the best first: one, or if its gain is large, some that may lead to other maxima.
 
     nats : gain of the best
     """
-    if nats < _LARGE_NATS:
-        return [ranked[0]]
-    forms = {_form(term): term for term in reversed(ranked)}
-    chosen = [term for term in ranked if term is forms[_form(term)]]
-    for term in ranked:
-        if len(chosen) >= _STARTS:
+    chosen = [ranked[0]]
+    for term in ranked[1:]:
+        if len(chosen) == _STARTS or nats < _LARGE_NATS:
             break
         if all(_apart(term, other) for other in chosen):
             chosen.append(term)
     return chosen
 
 
-def _form(term: Term) -> str:
-    return term.function.form if isinstance(term, BasisTerm) else ""
-
-
 def _apart(one: Term, other: Term) -> bool:
     """Return whether two terms are likely to lead to different maxima."""
     if getattr(one, "action", None) != getattr(other, "action", None) or len(one.shape) != len(other.shape):
         return True
-    if _form(one) != _form(other):
+    if isinstance(one, BasisTerm) and isinstance(other, BasisTerm) and one.function.form != other.function.form:
         return True
     return one.several_maxima and bool(np.any(np.abs(one.shape - other.shape) > one.steps))
 

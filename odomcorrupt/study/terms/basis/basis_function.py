@@ -30,7 +30,7 @@ class BasisFunction:
     parts : one function per coefficient, from a motion of n intervals to values (n,)
     trials : size of the family that the function is selected from
     wavelength_m : wavelength of a wave over the travelled distance, m; else 0
-    form : "step" or "hinge" at a threshold, or the angle of a wave, which are searched separately; else ""
+    form : "step" or "hinge" at a threshold, which are searched separately; else ""
     reaches : classes of targets, see `Action.reaches`, except those for which the library has the effect
     shape, steps : shape parameters that may be refined, and the first step of a search over each
     with_shape : returns the function with other shape parameters

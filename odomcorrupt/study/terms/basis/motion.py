@@ -75,11 +75,10 @@ def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunc
     ways = (True, False) if regressor in _SIGNED else (True,)
     within = (-_latest(regressor, motions, -1.0) if len(ways) > 1 else 0.0, _latest(regressor, motions))
     cuts = _cuts(regressor, motions)
-    inside = np.flatnonzero((cuts >= within[0]) & (cuts <= within[1]))
-    for above, i in product(ways, inside):
+    cuts = cuts[(cuts >= within[0]) & (cuts <= within[1])]
+    for above, (i, cut) in product(ways, enumerate(cuts)):
         gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
-        shape = (float(cuts[i]),)
-        yield _threshold(regressor, len(inside) * len(ways), shape, (0.5 * gap,), above=above, within=within)
+        yield _threshold(regressor, len(cuts) * len(ways), (float(cut),), (0.5 * gap,), above=above, within=within)
 
 
 def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:

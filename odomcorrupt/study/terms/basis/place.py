@@ -34,11 +34,7 @@ def functions_of_heading() -> Iterator[BasisFunction]:
     """Yield waves of the heading with one and two periods per turn."""
     for times, inner in ((1, "theta"), (2, "2 * theta")):
         yield BasisFunction(
-            "heading",
-            f"k * cos({inner}) + m * sin({inner})",
-            (_wave(np.cos, times), _wave(np.sin, times)),
-            2,
-            form=inner,
+            "heading", f"k * cos({inner}) + m * sin({inner})", (_wave(np.cos, times), _wave(np.sin, times)), 2
         )
 
 
