@@ -85,7 +85,7 @@ def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
     """Return quantiles of a regressor while the robot moved; for a speed also the limit of rest."""
     value = VALUES[regressor][1]
     seen = np.concatenate([value(m)[(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL)] for m in motions])
-    rare = _TAIL[_TAIL > _least_part(motions)] if regressor != "time" else _TAIL[:0]
+    rare = _TAIL[_least_part(motions) < _TAIL] if regressor != "time" else _TAIL[:0]
     levels = np.concatenate((rare if regressor in _SIGNED else rare[:0], _CUTS, 1.0 - rare))
     cuts = np.quantile(seen, np.sort(levels)) if len(seen) else np.zeros(0)
     return np.unique(np.append(cuts, _STILL) if regressor in ("speed", "yaw_rate") else cuts)
