@@ -218,12 +218,12 @@ def _reshaped(one: Dependence, score: Score) -> Dependence:
 def best_replacement(
     fit: Fit, compared: Iterable[ModelComparison], decisions: Decisions, contradicted: Container[str] = ()
 ) -> Proposal | None:
-    """Return a dependence that explains clearly more than included effects, and the fit with it in their place.
+    """Return the dependence that explains most beyond the included effects that it replaces, and the fit with it.
 
     contradicted : channels on which no dependence is admitted
     """
+    found = []
     for own in compared:
         better = [one for one in own.better(decisions, decisions.replacement_nats) if one.channel not in contradicted]
-        if best := best_dependence(fit, better, decisions, instead_of=own):
-            return best
-    return None
+        found.append(best_dependence(fit, better, decisions, instead_of=own))
+    return max((one for one in found if one is not None), key=lambda one: one.candidate.gain, default=None)

@@ -35,13 +35,14 @@ _OF_A_BIAS = ("speed", "yaw_rate", "time")
 """Regressors of a heading rate that also acts at rest, as a gyro bias does."""
 _LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
 """Least thresholds, m/s^2 and rad/s^2: noise (of ticks) crosses smaller ones, and a correction has no smooth truth."""
-_TOP, _WITHIN = 0.99, 0.9
-"""A threshold is at most `_WITHIN` times the `_TOP` quantile of the regressor: what exceeds the cruising speed of a
-robot is odometry noise, which is part of the error as well."""
+_LEAST_S, _WITHIN = 2.0, 0.9
+"""Least time, s, that a robot spends beyond a threshold or in reverse; and the largest threshold of a speed, as a
+fraction of the speed exceeded for that time: what exceeds a cruising speed is odometry noise, part of the error too."""
 _HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")  # regressors with hinges
 _STILL = 0.02
 """Rates below which a robot is at rest, m/s and rad/s."""
-_CUTS = np.linspace(0.05, 0.95, 19)  # quantiles at which thresholds are tried
+_CUTS, _TAIL = np.linspace(0.05, 0.95, 19), 0.05 * 2.0 ** (-0.5 * np.arange(1.0, 9.0))
+"""Quantiles at which thresholds are tried, and fractions of the data beyond further ones: hard braking is rare."""
 
 
 def functions_of_motion(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
@@ -84,7 +85,9 @@ def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
     """Return quantiles of a regressor while the robot moved; for a speed also the limit of rest."""
     value = VALUES[regressor][1]
     seen = np.concatenate([value(m)[(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL)] for m in motions])
-    cuts = np.quantile(seen, _CUTS) if len(seen) else np.zeros(0)
+    rare = _TAIL[_least_part(motions) < _TAIL] if regressor != "time" else _TAIL[:0]
+    levels = np.concatenate((rare if regressor in _SIGNED else rare[:0], _CUTS, 1.0 - rare))
+    cuts = np.quantile(seen, np.sort(levels)) if len(seen) else np.zeros(0)
     return np.unique(np.append(cuts, _STILL) if regressor in ("speed", "yaw_rate") else cuts)
 
 
@@ -135,7 +138,12 @@ def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> flo
     if regressor not in ("speed", "yaw_rate"):
         return float("inf")
     seen = np.concatenate([sign * VALUES[regressor][1](m) for m in motions])
-    return _WITHIN * max(float(np.quantile(seen, _TOP)), 0.0) if len(seen) else 0.0
+    return _WITHIN * max(float(np.quantile(seen, 1.0 - _least_part(motions))), 0.0) if len(seen) else 0.0
+
+
+def _least_part(motions: Sequence[Motion]) -> float:
+    """Return `_LEAST_S` as a fraction of the recorded time, at most one."""
+    return min(_LEAST_S / max(sum(float(m.dt_s.sum()) for m in motions), 1e-9), 1.0)
 
 
 def _hinge(
@@ -184,7 +192,7 @@ def _one_way(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     Reverse is tested only if the robot drove in reverse: a wheel also runs backwards in turns on the spot.
     """
     kinds: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega)]
-    if np.concatenate([m.v < -_STILL for m in motions]).mean() > 1.0 - _TOP:
+    if np.concatenate([m.v < -_STILL for m in motions]).mean() > _least_part(motions):
         kinds.append(("speed", "v", lambda m: m.v))
     for regressor, name, value in kinds:
         text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
