@@ -9,7 +9,8 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.estimate.gauss_newton import carried
+from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.study.estimate.gauss_newton import carried, fit
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.candidates import tried
@@ -43,24 +44,24 @@ class InPlaceOfClock(NamedTuple):
     more_nats: float
 
 
-def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
+def late_motors(clocked: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     """Return a fit with a motor lag in place of the lead of the odometry's clock; None if not applicable.
 
     A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it.
     """
-    clocks = fit.problem.clocks
+    clocks = clocked.problem.clocks
     lead_s = min(-clock.offset_s for clock in clocks)
-    have = {effect.name for effect in fit.effects}
-    recordings = fit.problem.recordings
+    have = {effect.name for effect in clocked.effects}
+    recordings = clocked.problem.recordings
     # A laser's scans have a clock of their own, whose lead is no sign of late motors.
     tested = sees_travel(recordings) and not any(r.matched for r in recordings)
-    if not np.any(fit.free_clocks) or lead_s < _LEAD_S or not tested:
+    if not np.any(clocked.free_clocks) or lead_s < _LEAD_S or not tested:
         return None
     kind = next(k for k in registry().values() if k.in_place_of == "time_offset")
     if kind.name in have:
         return None
-    (term,) = LibraryTerm.family(kind, fit.problem.motions)
-    without = fit.refit(clocks=(Clock(),) * len(clocks), free_clocks=((False, False),) * len(clocks))
+    (term,) = LibraryTerm.family(kind, clocked.problem.motions)
+    without = clocked.refit(clocks=(Clock(),) * len(clocks), free_clocks=((False, False),) * len(clocks))
     (score,) = score_terms(without, [term], decisions, family=1)
     late = term.effect([min(lead_s, amplitudes(kind)[0].high)])
     with_it = without.refit([*without.effects, late], weights=without.noise.weights)
@@ -68,22 +69,52 @@ def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     if candidate.refused:
         return None
     other = with_it.refit()
-    return InPlaceOfClock(candidate, other, more_nats(other, fit))
+    return InPlaceOfClock(candidate, other, more_nats(other, clocked))
 
 
-def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:
+def beside_lags(clocks: Clocks, final: Fit) -> Clocks:
     """Return the clocks of a model; they get a rival if their offset may be the misfit of a lag in the model.
 
     No real lag is exactly of first order. The first-order model leaves a small delay, which resembles an offset.
     """
-    lags_s = [abs(getattr(e, p.name)) for e in fit.effects if e.name in _LAGS for p in amplitudes(e)]
-    offset_s = max(abs(clock.offset_s) for clock in fit.problem.clocks)
+    lags_s = [abs(getattr(e, p.name)) for e in final.effects if e.name in _LAGS for p in amplitudes(e)]
+    offset_s = max(abs(clock.offset_s) for clock in final.problem.clocks)
     misfit = (0.0,) if offset_s < _MISFIT * max(lags_s, default=0.0) else ()
-    return replace(clocks, clocks=fit.problem.clocks, margins_nats=(*clocks.margins_nats, *misfit))
+    return replace(clocks, clocks=final.problem.clocks, margins_nats=(*clocks.margins_nats, *misfit))
 
 
 def more_nats(here: Fit, there: Fit) -> float:
-    """Return the log likelihood of `here` minus that of `there`, nats: the smaller one under either robust weights."""
+    """Return the log likelihood of `here` minus that of `there`, nats: the smaller one under either robust weights.
+
+    Both are of the samples of the truth at which the odometry of both clocks is known.
+    """
+    here, there = (_within(one, _common(here, there)) for one in (here, there))
     same = there.refit(weights=carried(here.noise.weights, here.problem, there.problem))
     turned = here.refit(weights=carried(there.noise.weights, there.problem, here.problem))
     return min(here.log_likelihood - same.log_likelihood, turned.log_likelihood - there.log_likelihood)
+
+
+def _common(here: Fit, there: Fit) -> list[tuple[float, float]]:
+    """Return for each recording the time, s, that its odometry covers by the clocks of both fits."""
+    ends = [[r.odometry_s[[0, -1]] for r in one.problem.left] for one in (here, there)]
+    return [(max(a[0], b[0]), min(a[1], b[1])) for a, b in zip(*ends, strict=True)]
+
+
+def _within(one: Fit, spans_s: list[tuple[float, float]]) -> Fit:
+    """Return a fit to the truth within a span of each recording."""
+    recordings = []
+    for recording, (first_s, last_s) in zip(one.problem.recordings, spans_s, strict=True):
+        truth, truth_s = recording.truth, recording.truth.seconds_since(recording.origin_ns)
+        rows = (truth_s >= first_s) & (truth_s <= last_s)
+        known = truth.covariance[rows] if truth.covariance is not None else None
+        part = Trajectory(truth.stamps_ns[rows], truth.xyt[rows], known, truth.relative)
+        recordings.append(replace(recording, truth=part))
+    return fit(
+        recordings,
+        one.effects,
+        clocks=one.problem.clocks,
+        free_clocks=one.free_clocks,
+        approach=one.problem.approach,
+        start=one.noise.free,
+        random=one.random,
+    )
