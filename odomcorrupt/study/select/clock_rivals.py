@@ -13,7 +13,8 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate.gauss_newton import carried, fit
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.candidates import tried
+from odomcorrupt.study.select.candidates import tried, with_shape_refined
+from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.terms.term import LibraryTerm
 
@@ -69,6 +70,11 @@ def late_motors(clocked: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     if candidate.refused:
         return None
     other = with_it.refit()
+    for name in (e.name for e in clocked.effects if e.name in registry()):
+        # shapes that were refined beside the clock absorb some of what it does not explain
+        effect = next(e for e in other.effects if e.name == name)
+        (score,) = score_terms(drop_term(other, effect), [LibraryTerm.of(effect, other.problem.motions)], decisions)
+        other = with_shape_refined(other, score, decisions)[0]
     return InPlaceOfClock(candidate, other, more_nats(other, clocked))
 
 
