@@ -10,7 +10,8 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.study.estimate.gauss_newton import carried, fit
+from odomcorrupt.study.estimate import gauss_newton
+from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.candidates import tried, with_shape_refined
@@ -45,24 +46,24 @@ class InPlaceOfClock(NamedTuple):
     more_nats: float
 
 
-def late_motors(clocked: Fit, decisions: Decisions) -> InPlaceOfClock | None:
+def late_motors(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     """Return a fit with a motor lag in place of the lead of the odometry's clock; None if not applicable.
 
     A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it.
     """
-    clocks = clocked.problem.clocks
+    clocks = fit.problem.clocks
     lead_s = min(-clock.offset_s for clock in clocks)
-    have = {effect.name for effect in clocked.effects}
-    recordings = clocked.problem.recordings
+    have = {effect.name for effect in fit.effects}
+    recordings = fit.problem.recordings
     # A laser's scans have a clock of their own, whose lead is no sign of late motors.
     tested = sees_travel(recordings) and not any(r.matched for r in recordings)
-    if not np.any(clocked.free_clocks) or lead_s < _LEAD_S or not tested:
+    if not np.any(fit.free_clocks) or lead_s < _LEAD_S or not tested:
         return None
     kind = next(k for k in registry().values() if k.in_place_of == "time_offset")
     if kind.name in have:
         return None
-    (term,) = LibraryTerm.family(kind, clocked.problem.motions)
-    without = clocked.refit(clocks=(Clock(),) * len(clocks), free_clocks=((False, False),) * len(clocks))
+    (term,) = LibraryTerm.family(kind, fit.problem.motions)
+    without = fit.refit(clocks=(Clock(),) * len(clocks), free_clocks=((False, False),) * len(clocks))
     (score,) = score_terms(without, [term], decisions, family=1)
     late = term.effect([min(lead_s, amplitudes(kind)[0].high)])
     with_it = without.refit([*without.effects, late], weights=without.noise.weights)
@@ -70,23 +71,23 @@ def late_motors(clocked: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     if candidate.refused:
         return None
     other = with_it.refit()
-    for name in (e.name for e in clocked.effects if e.name in registry()):
+    for name in (e.name for e in fit.effects if e.name in registry()):
         # shapes that were refined beside the clock absorb some of what it does not explain
         effect = next(e for e in other.effects if e.name == name)
         (score,) = score_terms(drop_term(other, effect), [LibraryTerm.of(effect, other.problem.motions)], decisions)
         other = with_shape_refined(other, score, decisions)[0]
-    return InPlaceOfClock(candidate, other, more_nats(other, clocked))
+    return InPlaceOfClock(candidate, other, more_nats(other, fit))
 
 
-def beside_lags(clocks: Clocks, final: Fit) -> Clocks:
+def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:
     """Return the clocks of a model; they get a rival if their offset may be the misfit of a lag in the model.
 
     No real lag is exactly of first order. The first-order model leaves a small delay, which resembles an offset.
     """
-    lags_s = [abs(getattr(e, p.name)) for e in final.effects if e.name in _LAGS for p in amplitudes(e)]
-    offset_s = max(abs(clock.offset_s) for clock in final.problem.clocks)
+    lags_s = [abs(getattr(e, p.name)) for e in fit.effects if e.name in _LAGS for p in amplitudes(e)]
+    offset_s = max(abs(clock.offset_s) for clock in fit.problem.clocks)
     misfit = (0.0,) if offset_s < _MISFIT * max(lags_s, default=0.0) else ()
-    return replace(clocks, clocks=final.problem.clocks, margins_nats=(*clocks.margins_nats, *misfit))
+    return replace(clocks, clocks=fit.problem.clocks, margins_nats=(*clocks.margins_nats, *misfit))
 
 
 def more_nats(here: Fit, there: Fit) -> float:
@@ -115,7 +116,7 @@ def _within(one: Fit, spans_s: list[tuple[float, float]]) -> Fit:
         known = truth.covariance[rows] if truth.covariance is not None else None
         part = Trajectory(truth.stamps_ns[rows], truth.xyt[rows], known, truth.relative)
         recordings.append(replace(recording, truth=part))
-    return fit(
+    return gauss_newton.fit(
         recordings,
         one.effects,
         clocks=one.problem.clocks,
