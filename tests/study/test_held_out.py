@@ -25,6 +25,7 @@ from odomcorrupt.study.select.clock_rivals import beside_lags
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.contribution import Contribution, Span
 from odomcorrupt.study.select.stepwise import Learned, Step, learn
+from odomcorrupt.study.validate import held_out
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.evaluation import Evaluation
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
@@ -111,8 +112,17 @@ def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_
     assert drop_unsupported_parts(learned, [replace(same, name="same")])[0].fit.effects
 
 
+@pytest.mark.parametrize(("nats", "needed"), [(58.0, True), (12.0, False)])
+def test_a_part_that_makes_held_out_data_likelier_is_needed_where_the_error_does_not_show_it(monkeypatch, nats, needed):
+    monkeypatch.setattr(held_out, "block_differences", lambda *_, **__: nats / 10.0 + 5.0 * np.resize([-1.0, 1.0], 10))
+    monkeypatch.setattr(held_out, "phased_misses", lambda _: np.full((5, 40), 1e-4))
+    pieces = [SimpleNamespace(left=None)]
+    found = held_out._verdict([effect_from_values("wheel_scale", {})], pieces, pieces)
+    assert (found.needed, found.failure) == (needed, "")
+
+
 @pytest.mark.slow
-def test_a_name_that_is_hardly_likely_stays_only_where_the_error_grows_without_it():
+def test_a_name_that_is_hardly_likely_stays_only_where_held_out_data_need_it():
     learned = learned_with(with_truth(drive(4, wide=1.05), 5), "wheelbase", "wheel_scale")
     doubted = replace(learned, margins={"wheelbase": -30.0, "wheel_scale": -30.0})
     assert [effect.name for effect in drop_unsupported_parts(learned)[0].fit.effects] == ["wheelbase", "wheel_scale"]

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import ClassVar
 
+from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select import model_comparison
+from odomcorrupt.study.select.candidates import Candidate
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.model_comparison import ModelComparison, best_dependence, best_replacement
+from odomcorrupt.study.select.model_comparison import (
+    ModelComparison,
+    best_dependence,
+    best_replacement,
+    with_final_rivals,
+)
+from odomcorrupt.study.select.result import Step
 
 
 class Unfit:
@@ -15,7 +24,7 @@ class Unfit:
 
     effects = ()
 
-    def refit(self, effects):
+    def refit(self, effects, **_):
         raise FitError(f"{effects}: the covariance of the residuals is not positive definite")
 
 
@@ -41,3 +50,36 @@ def test_a_basis_function_that_explains_nearly_as_much_is_a_rival_and_replaces_n
     assert ModelComparison(effects=(), bare=None, nats=30.0, penalty=3.0, scores=[near]).better(
         DECISIONS, DECISIONS.replacement_nats
     ) == [near]
+
+
+class Fitted:
+    """A fit whose log likelihood is the sum of its effects' gains, nats."""
+
+    GAINS: ClassVar = {"unequal_wheels": 80.0, "wheel_scale": 79.0, "speed_scale": 30.0}
+    noise = SimpleNamespace(weights=None)
+
+    def __init__(self, *effects):
+        self.effects = effects
+        self.log_likelihood = sum(self.GAINS[effect.name] for effect in effects)
+
+    def refit(self, effects, **_):
+        return Fitted(*effects)
+
+
+def test_rivals_are_those_of_the_final_model_and_an_effect_of_the_model_is_none():
+    unequal, scale, speed = (effect_from_values(name, {}) for name in Fitted.GAINS)
+
+    def candidate(effect, gain):
+        term = SimpleNamespace(name=effect.name)
+        return Candidate(score=SimpleNamespace(term=term, estimated=effect, penalty=5.0), gain=gain)
+
+    first = Step(
+        before=Fitted(), added="unequal_wheels",
+        candidates=(candidate(unequal, 75.0), candidate(scale, 74.5), candidate(speed, 74.0)),
+    )  # fmt: skip
+    last = Step(
+        before=Fitted(unequal), added="wheel_scale", candidates=(candidate(scale, 74.0), candidate(speed, 73.5))
+    )
+    again, unchanged = with_final_rivals([first, last], Fitted(unequal, scale), DECISIONS)
+    assert [(one.gain, bool(one.refused)) for one in again.candidates] == [(75.0, False), (74.5, True), (25.0, False)]
+    assert unchanged is last

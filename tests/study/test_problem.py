@@ -47,6 +47,17 @@ def test_a_problem_after_an_earlier_one_is_the_problem_by_itself(recording, side
     assert (after.smoothers == earlier.smoothers) == (clock == Clock())
 
 
+def test_nodes_are_the_same_samples_of_the_truth_for_every_clock(recording):
+    approach = choose_approach([recording])
+    plain, *others = (
+        pose_problem([recording], clocks=[Clock(offset_s)], approach=approach).nodes.start_s
+        for offset_s in (0.0, 0.003, -0.055, 0.21, -2.3)
+    )
+    for other in others:
+        assert np.isin(other, plain[1:-1]).sum() >= len(plain) - 8
+        assert np.isin(other, plain)[1:-1].all()
+
+
 def test_accelerations_are_those_of_what_effects_leave(recording):
     problem = pose_problem([recording], EFFECTS, approach=choose_approach([recording]))
     left = driving_motion(problem.left[0], "odometry")

@@ -53,11 +53,17 @@ LEAST_NODES = 20
 
 
 def pick_nodes(
-    truth_s: Array, first_s: float, last_s: float, spacing_s: float, among: NDArray[np.bool_] | None = None
+    truth_s: Array,
+    first_s: float,
+    last_s: float,
+    spacing_s: float,
+    among: NDArray[np.bool_] | None = None,
+    anchor_s: float | None = None,
 ) -> NDArray[np.int64]:
     """Return indices of truth samples in [first, last], each at least about `spacing_s` after the previous one.
 
     among : (n,) mask of the samples that may be picked; all by default
+    anchor_s : a time of the grid of the nodes; by default that of the first usable sample
     """
     usable = (truth_s >= first_s) & (truth_s <= last_s)
     inside = np.flatnonzero(usable if among is None else usable & among)
@@ -65,7 +71,10 @@ def pick_nodes(
         raise RecordingError(
             f"odometry and truth overlap in {len(inside)} truth samples; check that their stamps come from one clock"
         )
-    grid = np.arange(truth_s[inside[0]], last_s + spacing_s, spacing_s) - 1e-9
+    begin_s = truth_s[inside[0]]
+    if anchor_s is not None:
+        begin_s += (anchor_s - begin_s) % spacing_s
+    grid = np.arange(begin_s, last_s + spacing_s, spacing_s) - 1e-9
     picked: NDArray[np.int64] = np.unique(inside[np.minimum(np.searchsorted(truth_s[inside], grid), len(inside) - 1)])
     return picked
 
@@ -217,15 +226,18 @@ def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray
     """Return indices of the nodes, `spacing_s` apart; for a localisation, the path usually driven in that time apart.
 
     Errors of a localisation depend on its view and stay the same while the robot stands or creeps. The path length is
-    computed from the truth, so that nodes are the same for all models.
+    computed from the truth, and nodes are counted from where the odometry began as recorded, so that they are the same
+    samples of the truth for all models and clocks: the noise of other samples would change the likelihood by far more
+    than most effects do.
     """
-    ends = recording.odometry_s[[0, -1]]
+    ends, first = recording.odometry_s[[0, -1]], int(np.searchsorted(truth_s[:-1], 0.0))
     if not recording.localised:
-        return pick_nodes(truth_s, float(ends[0]), float(ends[1]), spacing_s)
+        return pick_nodes(truth_s, float(ends[0]), float(ends[1]), spacing_s, anchor_s=float(truth_s[first]))
     steps = np.diff(np.nan_to_num(recording.truth.xyt), axis=0)
     gone = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) + TURN_M * np.abs(steps[:, 2]))))
     pace = gone * (float(truth_s[-1] - truth_s[0]) / max(float(gone[-1]), 1e-9))
-    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, (truth_s >= ends[0]) & (truth_s <= ends[1]))
+    usable = (truth_s >= ends[0]) & (truth_s <= ends[1])
+    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, usable, float(pace[first]))
 
 
 def count_nodes(recording: Recording, spacing_s: float) -> int:

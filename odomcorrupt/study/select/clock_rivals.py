@@ -9,10 +9,13 @@ import numpy as np
 
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.study.estimate import gauss_newton
 from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.candidates import tried
+from odomcorrupt.study.select.candidates import tried, with_shape_refined
+from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.terms.term import LibraryTerm
 
@@ -70,6 +73,11 @@ def lag_in_place(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     if candidate.refused:
         return None
     other = with_it.refit()
+    for name in (e.name for e in fit.effects if e.name in registry()):
+        # shapes that were refined beside the clock absorb some of what it does not explain
+        effect = next(e for e in other.effects if e.name == name)
+        (score,) = score_terms(drop_term(other, effect), [LibraryTerm.of(effect, other.problem.motions)], decisions)
+        other = with_shape_refined(other, score, decisions)[0]
     return InPlaceOfClock(candidate, other, more_nats(other, fit))
 
 
@@ -85,7 +93,37 @@ def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:
 
 
 def more_nats(here: Fit, there: Fit) -> float:
-    """Return the log likelihood of `here` minus that of `there`, nats: the smaller one under either robust weights."""
+    """Return the log likelihood of `here` minus that of `there`, nats: the smaller one under either robust weights.
+
+    Both are of the samples of the truth at which the odometry of both clocks is known.
+    """
+    here, there = (_within(one, _common(here, there)) for one in (here, there))
     same = there.refit(weights=carried(here.noise.weights, here.problem, there.problem))
     turned = here.refit(weights=carried(there.noise.weights, there.problem, here.problem))
     return min(here.log_likelihood - same.log_likelihood, turned.log_likelihood - there.log_likelihood)
+
+
+def _common(here: Fit, there: Fit) -> list[tuple[float, float]]:
+    """Return for each recording the time, s, that its odometry covers by the clocks of both fits."""
+    ends = [[r.odometry_s[[0, -1]] for r in one.problem.left] for one in (here, there)]
+    return [(max(a[0], b[0]), min(a[1], b[1])) for a, b in zip(*ends, strict=True)]
+
+
+def _within(one: Fit, spans_s: list[tuple[float, float]]) -> Fit:
+    """Return a fit to the truth within a span of each recording."""
+    recordings = []
+    for recording, (first_s, last_s) in zip(one.problem.recordings, spans_s, strict=True):
+        truth, truth_s = recording.truth, recording.truth.seconds_since(recording.origin_ns)
+        rows = (truth_s >= first_s) & (truth_s <= last_s)
+        known = truth.covariance[rows] if truth.covariance is not None else None
+        part = Trajectory(truth.stamps_ns[rows], truth.xyt[rows], known, truth.relative)
+        recordings.append(replace(recording, truth=part))
+    return gauss_newton.fit(
+        recordings,
+        one.effects,
+        clocks=one.problem.clocks,
+        free_clocks=one.free_clocks,
+        approach=one.problem.approach,
+        start=one.noise.free,
+        random=one.random,
+    )

@@ -109,7 +109,7 @@ class Decisions:
         responds to the noise within an interval and bends such curves by 5 to 24 nats on data without an error
     exact_nats : screening gain minus penalty above which a basis function is scored exactly
 
-    least_confidence : an effect with a lower probability is removed, unless the held-out error grows without it
+    least_confidence : an effect with a lower probability is removed, unless held-out data support it
     heterogeneity_level : probability of reporting any difference between recordings of an unchanged robot
     prior : weights in the reported probabilities
     practical : limits of practical significance

@@ -32,13 +32,23 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.result import Step
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.select.screening import CoarseDesign
 
-__all__ = ["ModelComparison", "Proposal", "best_dependence", "best_replacement", "compare_with_basis", "name_for"]
+__all__ = [
+    "ModelComparison",
+    "Proposal",
+    "best_dependence",
+    "best_replacement",
+    "compare_with_basis",
+    "name_for",
+    "with_final_rivals",
+]
 
 
 _NEAR_FORM = 0.05
@@ -157,6 +167,36 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     return None
 
 
+def with_final_rivals(steps: Sequence[Step], fit: Fit, decisions: Decisions) -> list[Step]:
+    """Return the steps with the gains of close rivals of each included effect measured in the final model.
+
+    Beside few other terms, effects that are both real may explain about as much as each other. A rival that is in the
+    final model itself is none; any other one is refitted there in the place of the effect.
+    """
+    return [_with_final_rivals(step, fit, decisions) for step in steps]
+
+
+def _with_final_rivals(step: Step, fit: Fit, decisions: Decisions) -> Step:
+    own = next((effect for effect in fit.effects if effect.name == step.added), None)
+    have = {effect.name for effect in fit.effects}
+    if own is None or have <= {own.name, *(effect.name for effect in step.before.effects)}:
+        return step
+    others, heading = [effect for effect in fit.effects if effect is not own], getattr(own, "heading", "")
+    added, *rest = step.candidates
+    for i, rival in enumerate(rest):
+        if rival.refused or rival.gain < added.gain - decisions.replacement_nats:
+            continue
+        effect = rival.score.estimated
+        if heading and hasattr(effect, "heading"):
+            effect = replace(effect, heading=heading)  # type: ignore[type-var]  # a dataclass
+        if rival.name in have:
+            rest[i] = replace(rival, refused="in the model beside it")
+        elif instead := _with(fit, (*others, effect), fit.noise.weights):
+            more = instead.log_likelihood - fit.log_likelihood - rival.score.penalty + added.score.penalty
+            rest[i] = replace(rival, gain=added.gain + more)
+    return replace(step, candidates=(added, *rest))
+
+
 def best_dependence(
     fit: Fit,
     found: Sequence[Dependence],
@@ -194,10 +234,10 @@ def best_dependence(
     return best
 
 
-def _with(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
+def _with(fit: Fit, effects: Sequence[Effect], weights: Array | None = None) -> Fit | None:
     """Return the fit with other effects, or None if their first estimates are too far off as starting values."""
     try:
-        return fit.refit(effects)
+        return fit.refit(effects, weights=weights)
     except FitError:
         return None
 

@@ -49,6 +49,7 @@ from odomcorrupt.study.select.model_comparison import (
     best_replacement,
     compare_with_basis,
     name_for,
+    with_final_rivals,
 )
 from odomcorrupt.study.select.random_effects import (
     RandomCoefficient,
@@ -127,7 +128,7 @@ def learn(
     return Learned(
         clocks=replace(beside_lags(found.clocks, final), errors=errors, left_nats=late_nats),
         first_clocks=clocks if same_data else None,
-        rounds=tuple(found.steps),
+        rounds=tuple(with_final_rivals(found.steps, found.fit, decisions)),
         noise=tuple(found.noise),
         unknown=(*included, *found.open, *found.rivals()),
         laws=included,

@@ -1,6 +1,6 @@
 """Held-out tests of each part of a learned model; parts that make predictions clearly worse are dropped.
 
-Also dropped are parts of low confidence, unless the error grows without them, and a dependence on the time of a single
+Also dropped are parts of low confidence that held-out data do not support, and a dependence on the time of a single
 recording, which cannot apply to another drive. Each effect, dependence and random gain is removed in turn, the others
 are refitted, and both models are evaluated on the same windows and intervals of held-out data: other recordings of the
 robot, or the two halves of the fitted ones, each evaluated by a fit to the other. Differences are paired, so that
@@ -56,7 +56,7 @@ class HeldOut:
     ten_second_error_m : without the part, and with it
     drift_nats : gain of log likelihood of the errors over 10 s windows
     failure : reason why the part was dropped; "" if it was kept
-    needed : whether the 10 s error is clearly larger without it
+    needed : whether without it the 10 s error is clearly larger, or the likelihood significantly smaller
     """
 
     name: str
@@ -132,7 +132,10 @@ def _needs_support(one: HeldOut, *, supported: bool) -> HeldOut:
 def _least_confident(
     found: Sequence[tuple[tuple[Effect, ...], HeldOut]], learned: Learned
 ) -> tuple[tuple[Effect, ...], HeldOut] | None:
-    """Return the part of lowest confidence if that is below the threshold and the error does not grow without it."""
+    """Return the part of lowest confidence if that is below the threshold and held-out data do not need the part.
+
+    Confidence is that of a name. A part of doubtful name that predicts other data stays in the model.
+    """
     evidence = {step.added: evidence_of(step, learned) for step in learned.steps if step.added is not None}
     evidence |= {gain.effect.name: noise_evidence(gain, learned) for gain in learned.noise}
     sure = [
@@ -236,5 +239,5 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
         ten_second_error_m=(base.rmse, with_it.rmse),
         drift_nats=with_it.nats_over(base),
         failure=failure,
-        needed=closer,
+        needed=closer or nats > _SIGNIFICANT * error,
     )
