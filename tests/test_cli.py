@@ -361,3 +361,12 @@ def test_the_shell_completes_commands_options_and_files():
     assert set(completed("odomcorrupt preview in.bag --preset opti")) == optitrack
     gyro = {f"plain,{name}" for name in registry() if name.startswith("gyro")}
     assert set(completed("odomcorrupt in.bag out.bag --effect gyro")) == gyro
+
+
+def test_data_that_end_early_are_no_interruption(monkeypatch, capsys):
+    def ends(*_, **__):
+        raise EOFError("data too short")
+
+    monkeypatch.setattr("odomcorrupt.cli.cli.invoke", ends)
+    assert run(["in.mcap", "out.mcap"]) == 1
+    assert capsys.readouterr().err.strip() == "odomcorrupt: a file ended early: data too short"

@@ -38,7 +38,7 @@ def test_what_leads_back_to_an_earlier_model_is_passed_over(monkeypatch):
         "_propose": lambda *_, **__: None,
         "_finish": lambda _: None,
         "_swap_clock": lambda _: False,
-        "_replace_leading_clock": lambda _: False,
+        "_replace_clock_by_lag": lambda *_, **__: False,
     }.items():
         monkeypatch.setattr(stepwise._Selection, name, does)
     found = stepwise._Selection(NOTHING, [], set(), NO_CLOCK, DECISIONS).run()
@@ -63,8 +63,8 @@ def test_a_law_that_physics_contradicts_does_not_come_again_for_ever(monkeypatch
         "without_redundant": lambda fit, *_: fit,
     }.items():
         monkeypatch.setattr(stepwise, name, does)
-    for name in ("_correlated", "_finish", "_compare", "_swap_clock", "_replace_leading_clock"):
-        monkeypatch.setattr(stepwise._Selection, name, lambda *_: None)
+    for name in ("_correlated", "_finish", "_compare", "_swap_clock", "_replace_clock_by_lag"):
+        monkeypatch.setattr(stepwise._Selection, name, lambda *_, **__: None)
     bare.problem = law.problem = None
     found = stepwise._Selection(bare, [], set(), NO_CLOCK, DECISIONS).run()
     assert found.fit is bare

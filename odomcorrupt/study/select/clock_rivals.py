@@ -46,11 +46,13 @@ class InPlaceOfClock(NamedTuple):
     more_nats: float
 
 
-def lag_in_place(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
+def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool) -> InPlaceOfClock | None:
     """Return a fit with a lag in place of the offset of the odometry's clock; None if not applicable.
 
     A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it. Odometry that
-    leads is that of commands, which motors follow late; odometry that is late comes from a filter.
+    leads is that of commands, which motors follow late; odometry that is late comes from a filter. A filter of all
+    speeds is not tested `first`, before any effect, because two filters with unequal time constants look like it: a
+    clock and the lag of one speed explain them, and are found by then.
     """
     clocks = fit.problem.clocks
     late_s = [clock.offset_s for clock in clocks]
@@ -63,7 +65,7 @@ def lag_in_place(fit: Fit, decisions: Decisions) -> InPlaceOfClock | None:
     if not np.any(fit.free_clocks) or tau_s < _LEAST_S or not tested:
         return None
     late = registry()["motor_lag"]() if motors else effect_from_values("channel_lag", {"channel": "all"})
-    if late.name in have:
+    if late.name in have or (first and not motors):
         return None
     term = LibraryTerm.of(late, fit.problem.motions)
     without = fit.refit(clocks=(Clock(),) * len(clocks), free_clocks=((False, False),) * len(clocks))

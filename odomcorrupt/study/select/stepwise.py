@@ -179,7 +179,7 @@ class _Selection:
 
     def run(self) -> _Selection:
         """Take steps until the model no longer changes, then finish; return self."""
-        self._replace_clock_by_lag()
+        self._replace_clock_by_lag(first=True)
         while self._step() or self._name_laws() or self._swap_clock() or self._replace_clock_by_lag():
             pass
         self._finish()
@@ -335,10 +335,10 @@ class _Selection:
         found = {name: own.better(self.decisions, nearly)[:1] for name, own in self.compared.items()}
         return [replace(one, instead_of=name) for name, nearest in found.items() for one in nearest]
 
-    def _replace_clock_by_lag(self) -> bool:
+    def _replace_clock_by_lag(self, *, first: bool = False) -> bool:
         """Replace the offset of the odometry's clock by a lag if that gains more; return whether it did."""
         self.over_lag = None
-        found = lag_in_place(self.fit, self.decisions)
+        found = lag_in_place(self.fit, self.decisions, first=first)
         if found is None:
             return False
         better = found.more_nats > self.decisions.replacement_nats and not self._already_seen(found.fit)
@@ -349,7 +349,7 @@ class _Selection:
         left_nats = max(found.candidate.gain - found.more_nats, 0.0)
         self.clocks = replace(self.clocks, clocks=clocks, free=free, ambiguous_nats=left_nats)
         self._record([found.candidate], added=found.candidate.name)
-        self._continue_from(found.fit)
+        self._continue_from(without_redundant(found.fit, self.given, self.decisions))
         return True
 
     def _swap_clock(self) -> bool:
