@@ -122,7 +122,9 @@ def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> li
     if jumps:
         signs.append(f"it jumps towards the truth {jumps} times")
     if feedback.per_s:
-        signs.append(f"its errors fade by {1.0 - np.exp(-feedback.per_s):.0%} a second, as if it were given poses")
+        of, given = (" of heading", "a compass") if feedback.of_headings else ("", "poses")
+        faded = 1.0 - np.exp(-feedback.per_s)
+        signs.append(f"its errors{of} fade by {faded:.0%} a second, as if it were given {given}")
     if not signs:
         return []
     what = "a motion model describes what no other sensor has corrected"
