@@ -11,6 +11,7 @@ from test_held_out import QUIET, drive, with_truth
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
@@ -52,6 +53,14 @@ def test_a_sign_that_physics_forbids_is_an_alarm_about_the_data_and_no_name():
     assert [one.name for one in learned.contradictions] == ["side_slip"]
     assert learned.added == ()
     assert learned.unknown == ()
+
+
+@pytest.mark.parametrize(("k", "named"), [(-0.01, True), (-0.05, False)])
+def test_a_slip_of_minus_half_the_message_period_is_eulers_method(k, named):
+    run = inward(3, k)  # messages at 50 Hz
+    refused = {c.name: c.refused for c in library_candidates(fit([run], approach=choose_approach([run])), DECISIONS)}
+    assert "of a sign that it cannot have" in refused["side_slip"]
+    assert ("minus half the 0.02 s between messages" in refused["side_slip"]) == named
 
 
 def test_an_effect_that_others_explain_in_full_leaves_and_a_true_one_stays():
@@ -97,6 +106,15 @@ def test_a_gain_as_small_as_what_poses_make_of_late_odometry_is_no_name():
     assert not of_pulls(fitted, effect_from_values("wheel_scale", {"e": 0.05}))
     alone = fit([replace(run, pulled_per_s=0.0)], clocks=[Clock(0.06)], approach=choose_approach([run]))
     assert not library_candidates(alone, DECISIONS)[0].refused
+
+
+def test_a_wave_of_the_heading_is_no_artefact_of_poses():
+    # iron near a compass deflects it with the heading: as small as what poses make of late odometry, but no gain
+    fitted = fit([run := pulled(4)], clocks=[Clock(0.06)], approach=choose_approach([run]))
+    size = 0.012 * float(np.sqrt(np.mean(fitted.problem.motions[0].omega ** 2)))
+    wave, gain = (user_effect("own", f"yaw += {of}", {}) for of in (f"{size:.4g} * cos(theta)", "0.012 * omega"))
+    assert of_pulls(fitted, gain)
+    assert not of_pulls(fitted, wave)
 
 
 @pytest.mark.parametrize("e", [0.0, 0.002])

@@ -62,12 +62,14 @@ class Feedback(NamedTuple):
     free : the odometry without steps towards the poses; unchanged if there are no such steps
     corrections : number of steps removed
     per_s, left_per_s : decay rates of the errors, per second, before and after the removal
+    of_headings : whether errors of the heading decay and those of the position do not, as with a compass
     """
 
     free: Samples
     corrections: int
     per_s: float
     left_per_s: float
+    of_headings: bool = False
 
 
 class _Aligned(NamedTuple):
@@ -107,8 +109,8 @@ def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
         per_s = max(_pull_of_steps(odometry, free, truth))
         if per_s:
             return Feedback(free, found.steps, per_s, max(pull_of(free, truth)))
-    per_s = max(pull_of(calm, truth))
-    return Feedback(odometry, 0, per_s, per_s)
+    pull = pull_of(calm, truth)
+    return Feedback(odometry, 0, max(pull), max(pull), pull.position == 0.0 < pull.heading)
 
 
 def pull_of(odometry: Samples, truth: Samples) -> Pull:

@@ -122,7 +122,11 @@ def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> li
     if jumps:
         signs.append(f"it jumps towards the truth {jumps} times")
     if feedback.per_s:
-        signs.append(f"its errors fade by {1.0 - np.exp(-feedback.per_s):.0%} a second, as if it were given poses")
+        faded = f"fade by {1.0 - np.exp(-feedback.per_s):.0%} a second, as"
+        if feedback.of_headings:
+            signs.append(f"its errors of heading {faded} with a compass, or a yaw error that depends on the heading")
+        else:
+            signs.append(f"its errors {faded} if it were given poses")
     if not signs:
         return []
     what = "a motion model describes what no other sensor has corrected"

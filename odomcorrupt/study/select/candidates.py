@@ -32,6 +32,7 @@ from odomcorrupt.study.select.closed_loop import (
 )
 from odomcorrupt.study.select.decisions import error_shares
 from odomcorrupt.study.select.elimination import drift_grows, drop_term
+from odomcorrupt.study.select.integration import euler_clause
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.score import project_out
@@ -208,7 +209,7 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
         room = p.high if value > 0.0 else -p.low
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
             why = "beyond what is physically possible" if room > 0.0 else _IMPOSSIBLE_SIGN
-            return f"{p.name} would be {value:.3g}, {why}"
+            return f"{p.name} would be {value:.3g}, {why}{euler_clause(fit, score)}"
     if score.effect.name != "channel_lag" and (of_pulls(fit, score.estimated) or may_be_of_lags(fit, score)):
         return "no larger than the artefact of a filter with a delay or with pose updates"
     return _imitated_by_noise(fit, score, still=still)

@@ -138,7 +138,9 @@ def of_pulls(fit: Fit, effect: Effect) -> bool:
     """Tell whether an effect is no larger than the artefact of external pose updates in delayed odometry.
 
     A filter with pose updates reduces the error of its odometry by a fraction per second. The error of delayed odometry
-    is the motion during the delay, so the updates imitate a gain of travel and of turns.
+    is the motion during the delay, so the updates imitate a gain of travel and of turns. An effect that is mostly
+    something else (less than half of its square is a gain), such as a wave of the heading by iron near a compass, is no
+    such artefact.
     """
     problem = fit.problem
     filtered = sum(getattr(e, "tau", 0.0) for e in problem.effects if e.name == "channel_lag")
@@ -149,7 +151,8 @@ def of_pulls(fit: Fit, effect: Effect) -> bool:
     moved = np.concatenate([np.stack((m.v, m.omega), axis=1) for m in problem.motions])
     error = np.concatenate([error_of(effect, m)[:, [0, 2]] for m in problem.motions])
     size, usual = (np.sqrt(np.mean(part**2, axis=0)) for part in (error, moved))
-    return bool(np.all(size <= most * usual))
+    as_gains = np.mean(error * moved, axis=0) / np.maximum(usual, np.finfo(float).tiny)
+    return bool(np.all(size <= most * usual) and np.sum(as_gains**2) >= 0.5 * np.sum(size**2))
 
 
 def _turn_columns(fit: Fit) -> Array:

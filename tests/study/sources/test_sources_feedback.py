@@ -90,6 +90,21 @@ def test_errors_that_fade_are_and_what_can_be_learned_is_said(tmp_path, cause, p
     assert 0.3 * pull < pulled_per_s(recording) < 1.5 * pull
 
 
+def test_a_compass_corrects_headings_and_no_positions(tmp_path):
+    """With the deflection of iron on the robot, taken over with a time constant of two seconds."""
+    rng, error = np.random.default_rng(8), np.zeros(len(REAL))
+    deflection = 0.2 * np.sin(REAL[:, 2] + 0.8) + rng.normal(0.0, 0.004, len(REAL))
+    for i in range(1, len(REAL)):
+        error[i] = error[i - 1] + (deflection[i] - error[i - 1]) / (2.0 * RATE_HZ)
+    steps = between(REAL[:-1], REAL[1:]) + rng.normal(0.0, [0.001, 0.0002, 0.0], (len(REAL) - 1, 3))
+    steps[:, 2] += np.diff(error)
+    poses = np.array([now := REAL[0], *(now := compose(now, step) for step in steps)])
+    recording = run_of(tmp_path, poses)
+    assert "its errors of heading fade by" in (said := " ".join(recording.notes))
+    assert "as with a compass, or a yaw error that depends on the heading" in said
+    assert pulled_per_s(recording) > 0.1
+
+
 def test_steps_towards_poses_are_taken_out_of_odometry_whose_wheels_make_none(tmp_path):
     def wheels(steps, rng):
         return rng.normal(0.0, [1e-4, 0.0, 2e-4], steps.shape) + steps * [0.03, 0.0, 0.02]
