@@ -219,7 +219,9 @@ def test_what_happened_at_once_is_no_effect_that_a_model_lacks(sequence):
     assert said.endswith(
         "what happened at once remains (a push, a slip or a jump of the truth: within 0.5 s at 59.8 s)"
     )
-    assert rejection(replace(first, failures=())).endswith("an effect that is not in the model remains")
+    slowly = replace(push, kind="time", where="in the first minute", per="s", log_p=-900.0)
+    for less in ((), (slowly, push)):
+        assert rejection(replace(first, failures=less)).endswith("an effect that is not in the model remains")
 
 
 def test_a_model_that_holds_is_not_said_to_be_right_about_errors_that_only_its_uncertainty_allows(sequence):

@@ -21,6 +21,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate.intervals import Intervals, join, lay_nodes
 from odomcorrupt.study.estimate.regressors import MotionSmoother, drives_sideways
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders
+from odomcorrupt.study.io.headings import with_recomputed_headings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -157,7 +158,7 @@ def pose_problem(
     if approach.side == "truth":
         seen = [_robots(motion, [e for e in effects if _follows(e)]) for motion in seen]
     whole = [_undone(smoother, effects, approach.side) for smoother in smoothers]
-    left = _left(recordings, clocks, smoothers, whole)
+    left = [with_recomputed_headings(one) for one in _left(recordings, clocks, smoothers, whole)]
     nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
     if approach.side == "odometry" and effects:
         # speeds of the recorded odometry, accelerations of the corrected one

@@ -273,17 +273,22 @@ def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
 def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> list[Recording]:
     """Return the recordings of a run, separated at steps of a clock."""
     name = source.name or source.path.name
-    pairs = [(one, other) for one in between_steps(odometry) for other in between_steps(truth)]
+    parts, others = between_steps(odometry), between_steps(truth)
     found: list[Recording] = []
-    why: RecordingError | None = None
-    for one, other in pairs:
-        part = f"{name} clock {len(found) + 1}" if len(pairs) > 1 else name
-        try:
-            found += recordings_of(part, one, other, source.track_m, source.truth_shift_s)
-        except RecordingError as error:
-            why = error
-    if why is not None and not found:
+    left: list[str] = []
+    for one in parts:
+        before = len(found)
+        for other in others:
+            part = f"{name} clock {len(found) + 1}" if len(parts) * len(others) > 1 else name
+            try:
+                found += recordings_of(part, one, other, source.track_m, source.truth_shift_s)
+            except RecordingError as error:
+                why = error
+        if len(found) == before:
+            left.append(f"{len(one)} poses between steps of its clock left out: {why}")
+    if not found:
         raise why
+    found[0] = replace(found[0], notes=(*found[0].notes, *left))
     said = f"the map's lengths are taken as accurate to {MAP_SCALE_ACCURACY:.2%}, which limits all scales"
     return [
         replace(r, truth_scale_error=MAP_SCALE_ACCURACY, notes=(*r.notes, said)) if r.localised else r for r in found

@@ -16,10 +16,10 @@ from odomcorrupt.study.io.recording import Recording
 if TYPE_CHECKING:
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["independent_parts", "without_frozen", "without_gaps"]
+__all__ = ["GAP_S", "GAP_STEPS", "independent_parts", "without_frozen", "without_gaps"]
 
-_GAP_S = 0.5  # a gap of the odometry is longer than this
-_GAP_STEPS = 5.0  # and than this many median intervals
+GAP_S = 0.5  # a gap of the odometry is longer than this
+GAP_STEPS = 5.0  # and than this many median intervals
 _MIN_SPEED = np.array([0.02, 0.05])  # m/s and rad/s; a faster robot should change the truth
 _CLOCKS_S = 3.0
 """Largest clock offset that the study can find: truth and odometry are kept this long beyond a stretch."""
@@ -47,7 +47,7 @@ def without_frozen(odometry: Samples, truth: Samples) -> Samples:
 def without_gaps(odometry: Samples, truth: Samples) -> Samples:
     """Return the truth without poses inside gaps of the odometry, which cannot be compared."""
     steps = np.diff(odometry.seconds_since(int(odometry.stamps_ns[0])))
-    gaps = np.flatnonzero(steps > max(_GAP_S, _GAP_STEPS * float(np.median(steps))))
+    gaps = np.flatnonzero(steps > max(GAP_S, GAP_STEPS * float(np.median(steps))))
     if not len(gaps):
         return truth
     left = np.searchsorted(odometry.stamps_ns, truth.stamps_ns, side="right") - 1

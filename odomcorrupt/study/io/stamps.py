@@ -13,16 +13,23 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.geometry.rounded_stamps import evened, resolution_s
+from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.study.io.segments import GAP_S, GAP_STEPS
 
 if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
 __all__ = ["Step", "between_steps", "clock_steps", "even_stamps", "stamp_resolution_s"]
 
-_STEP_S = (0.02, 1.0)
-"""Smallest and largest clock step that is detected; a larger one backwards begins another run (`time_order`)."""
+_LEAST_S, _BACK_S, _FORWARD_S = 0.02, 1.0, 3600.0
+"""Smallest clock step that is detected, and the largest back and forward: what is larger is cut out by `time_order`."""
 _NEIGHBOURS, _MIN_NEIGHBOURS = 25, 10
 """Samples on each side of a step that are compared, and the fewest of them."""
+_TIMES = 2.0
+"""Samples for this many times the step are compared if more: messages that queued while a recorder was blocked, and
+then lost ones, look like a step for as long as they queued."""
+_BESIDE = 5  # intervals on each side of a gap in which the robot has to move steadily, if there are no log times
 _TOLERANCE = 0.3
 """Relative tolerance between a step of a single stamp and of the medians around it."""
 
@@ -52,27 +59,45 @@ def even_stamps(path: Samples) -> Samples:
 
 
 def clock_steps(path: Samples) -> list[Step]:
-    """Return the steps of the stamps' clock, from samples in order of arrival with their log times.
+    """Return the steps of the stamps' clock, from samples in order of arrival.
 
-    At a step the stamps jump permanently and the log times do not; late or lost messages are not steps.
+    At a step the stamps jump permanently and the log times do not; late or lost messages are not steps. Without log
+    times of their own, stamps step forward where a moving robot travels what it travels in one interval.
     """
-    if len(path.log_ns) != len(path) or len(path) < 2 * _MIN_NEIGHBOURS or not path.stamps_ns.all():
+    if len(path) < 2 * _MIN_NEIGHBOURS or not path.stamps_ns.all():
         return []
-    ahead = (path.stamps_ns - path.log_ns).astype(np.float64) * 1e-9
     interval = np.diff(path.stamps_ns) * 1e-9
     usual_s = float(np.median(interval))
+    if len(path.log_ns) != len(path) or np.array_equal(path.log_ns, path.stamps_ns):
+        return _steps_of_motion(path, interval, usual_s)
+    ahead = (path.stamps_ns - path.log_ns).astype(np.float64) * 1e-9
     jump = np.diff(ahead)
     found: list[Step] = []
-    for i in np.flatnonzero((np.abs(jump) > _STEP_S[0]) & (np.abs(jump) < _STEP_S[1])):
-        before, after = ahead[max(i + 1 - _NEIGHBOURS, 0) : i + 1], ahead[i + 1 : i + 1 + _NEIGHBOURS]
+    for i in np.flatnonzero((np.abs(jump) > _LEAST_S) & (jump > -_BACK_S) & (jump < _FORWARD_S)):
+        count = max(_NEIGHBOURS, round(_TIMES * abs(jump[i]) / max(usual_s, 1e-3)))
+        before, after = ahead[max(i + 1 - count, 0) : i + 1], ahead[i + 1 : i + 1 + count]
         if min(len(before), len(after)) < _MIN_NEIGHBOURS:
             continue
         by_s = float(np.median(after) - np.median(before))
-        lasts = abs(by_s) > _STEP_S[0] and abs(by_s - jump[i]) < _TOLERANCE * abs(by_s)
+        lasts = abs(by_s) > _LEAST_S and abs(by_s - jump[i]) < _TOLERANCE * abs(by_s)
         stamped = abs(interval[i] - usual_s - by_s) < _TOLERANCE * abs(by_s) + usual_s
         calm = float(np.median(np.abs(before - np.median(before))) + np.median(np.abs(after - np.median(after))))
         if lasts and stamped and calm < _TOLERANCE * abs(by_s):
             found.append(Step(int(i) + 1, by_s))
+    return found
+
+
+def _steps_of_motion(path: Samples, interval: Array, usual_s: float) -> list[Step]:
+    """Return the steps forward of a clock where a path goes on at its speed as if no time had passed."""
+    with np.errstate(all="ignore"):  # positions and headings are not checked yet
+        gone = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
+        motions = np.stack((gone, np.abs(wrap(np.diff(path.yaw_rad)))) if path.headed else (gone,), axis=1)
+    found: list[Step] = []
+    for i in np.flatnonzero((interval > max(GAP_S, GAP_STEPS * usual_s)) & (interval < _FORWARD_S)):
+        beside = motions[np.r_[max(i - _BESIDE, 0) : i, i + 1 : i + 1 + _BESIDE] % len(motions)]
+        steady = (beside.min(axis=0) > 0.5 * beside.max(axis=0)) & (motions[i] < 1.5 * beside.mean(axis=0))
+        if _BESIDE <= i < len(motions) - _BESIDE and steady.any():
+            found.append(Step(int(i) + 1, float(interval[i]) - usual_s))
     return found
 
 
@@ -86,4 +111,4 @@ def between_steps(path: Samples) -> list[Samples]:
     path = path.noted(f"its clock was set while recording ({where}): what lies between has a clock of its own")
     edges = [0, *(s.row for s in steps), len(path)]
     parts = [path.only(np.arange(a, b)) for a, b in pairwise(edges)]
-    return [part for part in parts if len(part) > _MIN_NEIGHBOURS]
+    return [part for part in parts if len(part) > _MIN_NEIGHBOURS] or [path]

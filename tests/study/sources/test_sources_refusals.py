@@ -112,6 +112,21 @@ def test_truth_identical_to_odometry(refused):
     assert "/truth: says what /odom says (599 of 599 steps are equal): it is the same odometry" in refused(moved, moved)
 
 
+def test_a_throttled_copy_of_the_odometry_is_no_truth(refused):
+    moved = odometry()
+    assert "it is the same odometry" in refused(moved, moved.only(np.arange(0, len(moved), 3)))
+
+
+def test_the_exact_poses_of_a_simulator_are_a_truth(tmp_path):
+    bag = write(
+        tmp_path / "run.mcap",
+        topic("/odom", "Odometry", odometry(60.0, rate_hz=30.0, scale=1.0, drift=0.0)),
+        topic("/truth", "PoseStamped", odometry(60.0, rate_hz=100.0, scale=1.0, drift=0.0)),
+    )
+    (run,) = read_runs(Source(bag))
+    assert any("/truth: equals /odom to within 2 mm over the whole drive" in note for note in run.notes)
+
+
 def test_a_copy_of_the_odometry_in_another_frame_is_no_truth_either(refused):
     moved = odometry()
     turned = moved.having(xyz=moved.xyz @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + 4.0)

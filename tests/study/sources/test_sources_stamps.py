@@ -23,6 +23,11 @@ def path(t_s, log_s=None):
     return Samples("run.bag: /odom", "/odom", "odom", stamps_ns, xyz, 0.0 * t_s, logs, np.zeros(0))
 
 
+def along(line, way_m):
+    """Return poses with other ways (n,) along the line."""
+    return replace(line, xyz=np.column_stack((way_m, 0.0 * way_m, 0.0 * way_m)))
+
+
 RATE_30 = 0.0123 + np.arange(3000) / 29.97
 RATE_50 = 0.0123 + np.arange(3000) / 50.0
 UNEVEN = np.cumsum(np.random.default_rng(4).uniform(0.01, 0.03, 3000))
@@ -79,7 +84,7 @@ def arrived(t_s, seed=2):
     return np.maximum.accumulate(t_s + np.random.default_rng(seed).exponential(0.004, len(t_s)))
 
 
-@pytest.mark.parametrize("by_s", [0.15, -0.08, 0.03])
+@pytest.mark.parametrize("by_s", [0.15, -0.08, 0.03, 2.0, 90.0])
 def test_a_clock_that_is_set_while_recording_is_found_to_the_sample(by_s):
     stamped = RATE_50 + by_s * (np.arange(3000) >= 1200)
     (step,) = clock_steps(path(stamped, arrived(RATE_50)))
@@ -87,7 +92,7 @@ def test_a_clock_that_is_set_while_recording_is_found_to_the_sample(by_s):
     assert step.by_s == pytest.approx(by_s, abs=0.01)
 
 
-@pytest.mark.parametrize("case", ["lost", "late", "slow network", "skewed", "both clocks"])
+@pytest.mark.parametrize("case", ["lost", "late", "slow network", "skewed", "both clocks", "blocked"])
 def test_what_is_lost_or_late_is_no_step_of_a_clock(case):
     kept = np.ones(3000, dtype=bool)
     log_s, stamped = arrived(RATE_50), RATE_50.copy()
@@ -102,23 +107,60 @@ def test_what_is_lost_or_late_is_no_step_of_a_clock(case):
     if case == "both clocks":
         log_s[1200:] += 0.15
         stamped[1200:] += 0.15
+    if case == "blocked":  # a recorder that stops for 5 s, keeps the first 70 to 150 messages and loses the others
+        for held in (70, 100, 150):
+            log_s[1200:1450] = log_s[1450]
+            kept[1200 + held : 1450] = False
+            assert clock_steps(path(stamped[kept], log_s[kept])) == []
+            kept[:] = True
+        return
     assert clock_steps(path(stamped[kept], log_s[kept])) == []
 
 
-def test_what_lies_before_and_after_a_step_is_recorded_by_clocks_of_its_own(tmp_path):
+@pytest.mark.parametrize("logged", [False, True], ids=["no log times", "log times are the stamps"])
+def test_without_log_times_a_clock_steps_where_a_moving_robot_goes_on_as_if_no_time_had_passed(logged):
+    stepped = along(path(RATE_50 + 2.0 * (np.arange(3000) >= 1200)), RATE_50)
+    (step,) = clock_steps(replace(stepped, log_ns=stepped.stamps_ns) if logged else stepped)
+    assert (step.row, step.by_s) == (1200, pytest.approx(2.0, abs=1e-6))
+
+
+@pytest.mark.parametrize("case", ["lost", "rest", "stops and starts"])
+def test_without_log_times_lost_messages_and_a_robot_at_rest_are_no_step_of_a_clock(case):
+    t_s = RATE_50 + 2.0 * (np.arange(3000) >= 1200)
+    slows = np.cumsum(np.minimum(np.abs(RATE_50 - RATE_50[1200]), 1.0)) / 50.0
+    way = {"lost": t_s, "rest": 0.0 * t_s, "stops and starts": slows}[case]
+    assert clock_steps(along(path(t_s), way)) == []
+
+
+@pytest.mark.parametrize(("stepping", "by_s"), [("/odom", 0.18), ("/odom", 2.0), ("/truth", 2.0), ("/truth", -0.5)])
+def test_what_lies_before_and_after_a_step_is_recorded_by_clocks_of_its_own(tmp_path, stepping, by_s):
+    rows = {"/odom": odometry(60.0), "/truth": truth(60.0)}
+    steady = rows[stepping]
+    row = round(len(steady) / 2.4)
+    rows[stepping] = replace(steady, stamps_ns=steady.stamps_ns + round(by_s * 1e9) * (np.arange(len(steady)) >= row))
+    logs = {name: rows[name].stamps_ns if name != stepping else steady.stamps_ns + 1_000_000 for name in rows}
+    kinds = {"/odom": "Odometry", "/truth": "PoseStamped"}
+    bag = write(tmp_path / "run.mcap", *(topic(n, kinds[n], rows[n], log_ns=logs[n]) for n in rows))
+    before, after = read_runs(Source(bag))
+    assert (before.name, after.name) == ("run.mcap clock 1", "run.mcap clock 2")
+    assert before.clock == after.clock == ""
+    parts = [len(r.odometry if stepping == "/odom" else r.truth) for r in (before, after)]
+    assert parts == [row, len(steady) - row]
+    (step,) = [note for note in before.notes if "its clock was set while recording" in note]
+    assert float(re.search(r"\((\S+) s at 2[45]\.\d s\)", step)[1]) == pytest.approx(by_s, abs=0.01)
+
+
+def test_what_a_clock_that_is_far_off_has_stamped_is_left_out_with_a_note(tmp_path):
     moved, real = odometry(60.0), truth(60.0)
-    stepped = replace(moved, stamps_ns=moved.stamps_ns + 180_000_000 * (np.arange(len(moved)) >= 500))
+    stepped = replace(moved, stamps_ns=moved.stamps_ns + 600 * 10**9 * (np.arange(len(moved)) >= 700))
     bag = write(
         tmp_path / "run.mcap",
         topic("/odom", "Odometry", stepped, log_ns=moved.stamps_ns + 1_000_000),
         topic("/truth", "PoseStamped", real),
     )
-    before, after = read_runs(Source(bag))
-    assert (before.name, after.name) == ("run.mcap clock 1", "run.mcap clock 2")
-    assert before.clock == after.clock == ""
-    assert (len(before.odometry), len(after.odometry)) == (500, 700)
-    (step,) = [note for note in before.notes if "its clock was set while recording" in note]
-    assert re.search(r"\(\+0\.1[78]\d s at 2[45]\.\d s\)", step)
+    (run,) = read_runs(Source(bag))
+    assert len(run.odometry) == 700
+    assert any("500 poses between steps of its clock left out" in n and "no time in common" in n for n in run.notes)
 
 
 def test_an_offset_that_rounding_hides_is_in_the_error_of_a_clock(tmp_path):
