@@ -44,7 +44,7 @@ def call(*words, preexec_fn=None):
     done = subprocess.run(
         [*OURS, *map(str, words)],
         stdin=subprocess.DEVNULL, capture_output=True, timeout=60, check=False, preexec_fn=preexec_fn,
-        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},  # Python would leave bytecode cut at the limit of a file's size
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},  # Python cuts bytecode at the limit, and reads it later
     )  # fmt: skip
     return done.returncode, done.stderr.decode()
 

@@ -13,7 +13,7 @@ from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mount
 from odomcorrupt.study.estimate.gauss_newton import carried, fit
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
-from odomcorrupt.study.io.clock import MAX_RATE, Clock, aligned, clock_leaders, coarse_clock
+from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -186,7 +186,7 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
             last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
             if not free[1] and _of_stamps(runs, clock, errors[0]) and _harmless(runs, clock):
                 return _Found(clock, free, errors, best)
-            if not abs(last) > _CLOCK_LIMIT * error > 0.0 or abs(clock.rate) > MAX_RATE:
+            if not abs(last) > _CLOCK_LIMIT * error > 0.0:
                 break
             if not beside and not free[1]:
                 alone = _Found(clock, free, errors, best)

@@ -21,10 +21,8 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["MAX_RATE", "Clock", "aligned", "clock_leaders", "coarse_clock", "led"]
+__all__ = ["Clock", "aligned", "clock_leaders", "coarse_clock", "led"]
 
-MAX_RATE = 1e-3
-"""Largest rate of a clock: a crystal is within 2e-4, and time daemons slew by 5e-4 more (ntpd; RFC 5905)."""
 _GRID_S = 0.05  # step of the lags
 _SMOOTHING_S = 0.4
 _REACH_S = 3.0  # largest lag
@@ -89,8 +87,6 @@ def coarse_clock(recording: Recording) -> Clock:
     if len(times) < 4:
         return Clock(float(np.median(lags)))
     line = theilslopes(lags, times)
-    if abs(line.slope) > MAX_RATE:
-        return Clock(float(np.median(lags)))
     return Clock(float(line.intercept), float(line.slope))
 
 

@@ -83,7 +83,6 @@ def test_4_an_offset_is_estimated_without_the_bias_of_a_smoothed_derivative():
     assert np.mean(offsets) == pytest.approx(0.03, rel=0.03)
 
 
-
 def test_4_an_offset_that_rounded_or_late_stamps_hide_needs_no_evidence():
     # breaks if the offset is left at zero and the slip or play that resembles it is named
     run = as_recording(simulate(26, None, duration_s=120.0))
