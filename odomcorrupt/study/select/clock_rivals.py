@@ -46,7 +46,7 @@ class InPlaceOfClock(NamedTuple):
     more_nats: float
 
 
-def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool) -> InPlaceOfClock | None:
+def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> InPlaceOfClock | None:
     """Return a fit with a lag in place of the offset of the odometry's clock; None if not applicable.
 
     A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it. Odometry that
