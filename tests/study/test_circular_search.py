@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 from odomcorrupt.study.estimate.clocks import Clocks
@@ -23,9 +24,11 @@ NEXT = {(): ("accel_slip", SLIP), ("accel_slip",): ("channel_lag", LAG), ("chann
 """Of each model what is best beside it, and what the two end in: either makes the other redundant."""
 
 
-def test_what_leads_back_to_an_earlier_model_is_passed_over(monkeypatch):
+def search(monkeypatch, following, decisions=DECISIONS):
+    """Return a finished selection in which `following` gives for each model the best candidate and what it leads to."""
+
     def candidates(fit, _, circular):
-        name, then = NEXT[tuple(e.name for e in fit.effects)]
+        name, then = following[tuple(e.name for e in fit.effects)]
         return [
             SimpleNamespace(name=name, fit=then, gain=20.0, score=None, refused="circular" if name in circular else "")
         ]
@@ -41,9 +44,21 @@ def test_what_leads_back_to_an_earlier_model_is_passed_over(monkeypatch):
         "_replace_clock_by_lag": lambda *_, **__: False,
     }.items():
         monkeypatch.setattr(stepwise._Selection, name, does)
-    found = stepwise._Selection(NOTHING, [], set(), NO_CLOCK, DECISIONS).run()
+    return stepwise._Selection(NOTHING, [], set(), NO_CLOCK, decisions).run()
+
+
+def test_what_leads_back_to_an_earlier_model_is_passed_over(monkeypatch):
+    found = search(monkeypatch, NEXT)
     assert found.fit is LAG
     assert [step.added for step in found.steps] == ["accel_slip", "channel_lag", None]
+
+
+def test_effects_that_were_dropped_again_do_not_count_as_effects_of_the_model(monkeypatch):
+    both = model("channel_lag", "wheel_scale")
+    following = {**NEXT, ("channel_lag",): ("wheel_scale", both), ("channel_lag", "wheel_scale"): ("backlash", model())}
+    found = search(monkeypatch, following, replace(DECISIONS, max_effects=2))
+    assert found.fit is both
+    assert [step.added for step in found.steps] == ["accel_slip", "channel_lag", "wheel_scale", None]
 
 
 def test_a_law_that_physics_contradicts_does_not_come_again_for_ever(monkeypatch):

@@ -72,10 +72,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Learned", "Step", "learn"]
 
-_AMBIGUOUS_CLOCK_S = 0.02
-"""Largest clock offset, seconds, that wheel effects at changes of speed can imitate."""
-_CLOCK_LIKE_EFFECTS = ("accel_slip", "backlash")
-"""Wheel effects at changes of speed."""
+_CLOCK_LIKE_EFFECTS = ("accel_slip", "backlash")  # wheel effects at changes of speed
+_AMBIGUOUS_CLOCK_S = 0.02  # largest clock offset that these can imitate, seconds
 
 
 def learn(
@@ -238,8 +236,7 @@ class _Selection:
         if proposal is not None and (best is None or proposal.candidate.gain > best.gain + decisions.replacement_nats):
             self._include(proposal, candidates)
             return True
-        full = len([step for step in self.steps if step.added is not None]) >= decisions.max_effects
-        if best is None or best.fit is None or full:
+        if best is None or best.fit is None or len(self._selected()) >= decisions.max_effects:
             self._record(candidates)
             return False
         self.work.within_step("refits")
@@ -256,10 +253,9 @@ class _Selection:
     def _record(
         self, candidates: Sequence[Candidate], *, added: str | None = None, dependence: Dependence | None = None
     ) -> None:
-        self.steps.append(Step(
-            before=self.fit, candidates=tuple(candidates), added=added, dependence=dependence,
-            alternative_nats=self.decisions.alternative_nats,
-        ))  # fmt: skip
+        near, tried = self.decisions.alternative_nats, tuple(candidates)
+        step = Step(before=self.fit, candidates=tried, added=added, dependence=dependence, alternative_nats=near)
+        self.steps.append(step)
 
     def _correlated(self, gain: float) -> RandomCoefficient | None:
         """Return the random coefficient with a clearly larger gain than the best effect, if another one is allowed."""
@@ -296,10 +292,13 @@ class _Selection:
         """Return whether a model has the terms of an earlier one: to return to it would be an endless loop."""
         return fit is not None and terms_of(fit) in self.seen
 
-    def _compare(self, design: CoarseDesign) -> None:
+    def _selected(self) -> list[Effect]:
+        """Return the library effects of the model that were not given."""
         added = {step.added for step in self.steps}
-        effects = [e for e in self.fit.effects if e.name in added]
-        self.compared = {e.name: compare_with_basis(self.fit, [e], self.decisions, design) for e in effects}
+        return [e for e in self.fit.effects if e.name in added]
+
+    def _compare(self, design: CoarseDesign) -> None:
+        self.compared = {e.name: compare_with_basis(self.fit, [e], self.decisions, design) for e in self._selected()}
         self.compared_at = self.fit
 
     def _include_correlated(self, one: RandomCoefficient, explained: float) -> bool:
