@@ -217,7 +217,7 @@ def test_what_happened_at_once_is_no_effect_that_a_model_lacks(sequence):
     )  # fmt: skip
     said = rejection(replace(first, failures=(*first.failures, push)))
     assert said.endswith(
-        "what happened at once remains (a push, a slip or a jump of the truth: within 0.5 s at 59.8 s)"
+        "a single event remains (a push, a slip or a jump of the truth: within 0.5 s at 59.8 s)"
     )
     slowly = replace(push, kind="time", where="in the first minute", per="s", log_p=-900.0)
     for less in ((), (slowly, push)):

@@ -114,7 +114,7 @@ class MotionSmoother:
 
     @cached_property
     def _reported(self) -> Array | None:
-        """Travel, m, and turn, rad, (n, 2) of the odometry so far, if speeds are the truth's: sums of these lose phase."""
+        """Travel, m, and turn, rad, so far (n, 2) of the odometry, if speeds are the truth's, whose sums lose phase."""
         if self._side == "odometry":
             return None
         steps = increments(self.recording.odometry.xyt)

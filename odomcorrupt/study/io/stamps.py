@@ -111,7 +111,7 @@ def between_steps(path: Samples) -> list[Samples]:
         return [path]
     start = int(path.stamps_ns[0])
     where = ", ".join(f"{s.by_s:+.3f} s at {(path.stamps_ns[s.row - 1] - start) * 1e-9:.1f} s" for s in steps)
-    path = path.noted(f"its clock was set while recording ({where}): what lies between has a clock of its own")
+    path = path.noted(f"its clock was set while recording ({where}): each part has its own clock")
     edges = [0, *(s.row for s in steps), len(path)]
     parts = [path.only(np.arange(a, b)) for a, b in pairwise(edges)]
     return [part for part in parts if len(part) > _MIN_NEIGHBOURS] or [path]
