@@ -30,6 +30,6 @@ def euler_clause(fit: Fit, score: Score) -> str:
     if abs(2.0 * float(score.estimate[0]) + period_s) > allowed_s:
         return ""
     return (
-        f": minus half the {period_s:.3g} s between messages, as in odometry that is integrated with the heading at the "
+        f": minus half the {period_s:.3g} s between messages, as in odometry integrated with the heading at the "
         "start of each step (Euler's method) instead of at its middle"
     )
