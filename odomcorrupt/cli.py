@@ -133,7 +133,7 @@ def _report_error(error: BaseException, args: Sequence[str]) -> int:
     elif isinstance(error, click.ClickException):
         _say(f"{error.format_message()} (see {_path(args)} --help)")
         code = error.exit_code
-    elif isinstance(error.__cause__, EOFError):  # click takes every one for an interruption
+    elif isinstance(error.__cause__, EOFError):  # click would report every EOFError as an interruption
         _say(f"a file ended early: {error.__cause__}")
     elif isinstance(error, click.Abort | KeyboardInterrupt):
         code = 128 + signal.SIGINT

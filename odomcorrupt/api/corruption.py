@@ -216,7 +216,7 @@ def corrupt(
 
 
 def _kept_pipe(kept: ExitStack) -> Path:
-    """Return a temporary file with the contents of stdin: drawing a path within a map needs the whole drive first."""
+    """Return a temporary file with the contents of stdin: a path within a map is drawn for the whole drive at once."""
     import tempfile
 
     try:

@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 __all__ = ["Original", "Output", "OutputContext"]
 
 _PIECE_BYTES = 1 << 16
-"""What the system takes at once: for more it looks for larger pages, and these cost it ten times as much."""
-
+"""Bytes of one write: for more the system allocates larger pages, which cost ten times as much."""
 
 _KEPT_BYTES = 16 << 20
-"""Most bytes that wait for the end of a copy."""
+"""Largest number of changed bytes held in memory until the kernel's copy ends."""
 
 
 @dataclass(slots=True, eq=False, repr=False)
@@ -63,7 +62,7 @@ class Output:
         self._partial: Path | None = None
         self._stream = stream
         self._copy: FileCopy | None = None
-        self._kept: list[tuple[int, bytes]] | None = None  # pieces to write over the copy, None outside of it
+        self._kept: list[tuple[int, bytes]] | None = None  # to write over the copy; None without a copy
         self._kept_bytes = 0
 
     def open(self) -> None:
@@ -133,7 +132,7 @@ class Output:
         return False
 
     def _write_over(self, position: int, piece: memoryview) -> None:
-        """Write bytes over the copy, when it has ended: before that, each write would wait for the file's lock."""
+        """Write bytes over the copy after its end: an earlier write would wait for the lock of the file."""
         if self._kept is None or self._copy is None:
             return
         self._kept.append((position, bytes(piece)))
@@ -142,7 +141,7 @@ class Output:
             self._write_kept()
 
     def _write_kept(self) -> None:
-        """Write the bytes kept for the end of the copy."""
+        """Write the bytes that waited for the end of the copy."""
         if self._kept is None or self._stream is None:
             return
         for position, piece in self._kept:
@@ -153,7 +152,7 @@ class Output:
         self._kept_bytes = 0
 
     def _leave_copy(self) -> None:
-        """Write through the stream from here on, no longer over a copy."""
+        """End writing over the copy: all later writes go through the stream."""
         if self._kept is not None and self._stream is not None:
             self._write_kept()
             self._kept = None

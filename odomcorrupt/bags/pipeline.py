@@ -23,28 +23,28 @@ if TYPE_CHECKING:
 __all__ = ["MOST_THREADS", "OrderedResults", "Workers", "default_threads", "read_ahead"]
 
 MOST_THREADS = 4
-"""More are of use to slow codecs only, and each holds memory."""
+"""Largest default number of threads: more help slow codecs only, and each uses memory."""
 
 AHEAD_BYTES = 8 << 20
-"""What is read before it is asked for: more would find no place in a processor's cache."""
+"""Bytes read ahead: more would not fit into the processor's cache."""
 
 _BATCH_BYTES = 1 << 20
-"""What is handed over at once: less would have threads wait for each other."""
+"""Bytes passed to a thread at once: with less, threads would wait for each other."""
 
 WAITING_BYTES = 12 << 20
-"""What may wait for being compressed and written."""
+"""Largest number of bytes waiting for compression and writing."""
 
 _WORTH_BYTES = 1 << 20
-"""An input file below this is done before threads have started to help."""
+"""Size of an input file below which one thread is used: a run ends before more threads could help."""
 
 _SWITCH_S = 1e-5
-"""How long a thread that is back from a codec or a file waits for Python: the usual 5 ms cost a tenth of the time."""
+"""Switch interval of Python threads, seconds; the default of 5 ms would cost a tenth of the wall time."""
 
 T = TypeVar("T")
 
 
 def default_threads(source: Path | None = None) -> int:
-    """Return the default number of threads: that of the cores, at most four; one for a small input file."""
+    """Return the default number of threads: one for each core, at most four; one for a small file."""
     if source is not None and source.is_file() and source.stat().st_size < _WORTH_BYTES:
         return 1
     try:

@@ -174,7 +174,7 @@ def _terminated(number: int, _frame: object) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker once the batch is dead: it would wait for more work for ever, and hold the batch's lock."""
+    """End this worker when the batch process dies; otherwise it would wait for ever and hold the batch's lock."""
     import multiprocessing  # noqa: PLC0415 - as above
 
     parent = multiprocessing.parent_process()

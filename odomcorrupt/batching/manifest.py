@@ -52,7 +52,7 @@ PARTS = ".parts"
 ROBOTS = "robots"
 
 _LARGEST_BYTES = 1 << 30
-"""More than a manifest of a million runs has."""
+"""Largest manifest that is read; one of a million runs is smaller."""
 _PIECE_BYTES = 1 << 18
 _TEXTS = (("input", "path"), ("input", "hash"), ("model", "text"), ("model", "hash"))
 

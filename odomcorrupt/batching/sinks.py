@@ -201,7 +201,7 @@ class BagSink(ABC):
 
     @abstractmethod
     def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
-        """Write a portion, as `Sink` has it."""
+        """Write a portion, see `Sink.put`."""
 
     def __enter__(self) -> Self:
         self._writer.__enter__()

@@ -52,7 +52,7 @@ def acts(effect: Effect) -> bool:
 
 
 class Drive(NamedTuple):
-    """n clean increments and where they were made.
+    """n clean increments, with the poses and times at which they were made.
 
     steps : the increments
     dt_s : (n,) their lengths in time, seconds

@@ -48,7 +48,7 @@ Side = Literal["left", "right"]
 
 
 class Frames(NamedTuple):
-    """The odom and base frames, without leading slashes; base is None where it is unknown."""
+    """The odom and base frames, without leading slashes; base is None if unknown."""
 
     odom: str
     base: str | None

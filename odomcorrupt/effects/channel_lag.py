@@ -1,4 +1,4 @@
-"""Lag of the odometry's travel, of its turn or of all its speeds: a first-order filter or servo, or a pure delay."""
+"""Lag of the odometry's forward speed, yaw rate or all speeds: a first-order filter or servo, or a pure delay."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def lag_remainder(tau_s: float, seconds: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ChannelLag(Effect):
-    """f_yaw = tau d omega / dt, f_along = tau d v / dt, or all three, of the odometry's speeds: filtered true ones.
+    """f_yaw = tau d omega / dt, f_along = tau d v / dt, or all three; odometry reports low-pass filtered true speeds.
 
-    A delay of one channel by tau has the same f to first order, for motion slow against tau; exactly, the true speed
-    at a time is the speed that odometry reports tau later. A lag of all channels equals a late clock to first order.
+    A delay by tau has the same f to first order, for motion that changes little within tau; exactly, the true speed at
+    time t is the speed that odometry reports at t + tau. A lag of all channels equals a late clock to first order.
     Corruption applies the filter or the delay itself, which is stable for any tau.
     """
 
@@ -84,7 +84,7 @@ class ChannelLag(Effect):
         return replace(motion, **true)
 
     def _earlier(self, speed: Array, dt_s: Array) -> Array:
-        """Return the mean speeds (n,) over intervals of lengths dt_s (n,) that are reported tau later."""
+        """Return the true mean speeds (n,) in n intervals of length dt_s (n,), from speeds reported tau later."""
         time_s = np.concatenate(([0.0], np.cumsum(dt_s)))
         path = np.concatenate(([0.0], np.cumsum(speed * dt_s)))
         last = speed[dt_s > 0.0][-1] if (dt_s > 0.0).any() else 0.0  # last speed, extrapolated

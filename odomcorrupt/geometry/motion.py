@@ -71,7 +71,7 @@ class Motion:
     reported: Array | None = None
 
     def rolled(self, arm_m: float, before_m: float = 0.0) -> Array:
-        """Return the reported travel (n + 1,), m, of a wheel `arm_m` to the right of the middle, from `before_m` on."""
+        """Return the reported travel (n + 1,), m, of a wheel `arm_m` to the right of the centre, from `before_m` on."""
         if self.reported is not None:
             return before_m + np.concatenate(([0.0], self.reported @ (1.0, arm_m)))
         return np.cumsum(np.concatenate(([before_m], (self.v + arm_m * self.omega) * self.dt_s)))

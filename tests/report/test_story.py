@@ -216,9 +216,7 @@ def test_what_happened_at_once_is_no_effect_that_a_model_lacks(sequence):
         amount=1.0, log_p=-90.0,
     )  # fmt: skip
     said = rejection(replace(first, failures=(*first.failures, push)))
-    assert said.endswith(
-        "what happened at once remains (a push, a slip or a jump of the truth: within 0.5 s at 59.8 s)"
-    )
+    assert said.endswith("a single event remains (a push, a slip or a jump of the truth: within 0.5 s at 59.8 s)")
     slowly = replace(push, kind="time", where="in the first minute", per="s", log_p=-900.0)
     for less in ((), (slowly, push)):
         assert rejection(replace(first, failures=less)).endswith("an effect that is not in the model remains")

@@ -29,7 +29,7 @@ _INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 
 class Record(NamedTuple):
-    """A record other than a message, in a chunk: its content lies at data[start:end]."""
+    """A record other than a message, in a chunk; its content is data[start:end]."""
 
     opcode: int
     start: int

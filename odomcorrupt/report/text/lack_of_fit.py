@@ -107,7 +107,7 @@ def _remaining(judgement: Judgement) -> str:
     """Return possible reasons for errors larger than predicted: the most significant failure decides."""
     worst = min(judgement.failures, key=lambda failure: failure.log_p, default=None)
     if worst is not None and worst.kind == "moment":
-        return f"what happened at once remains (a push, a slip or a jump of the truth: {worst.where})"
+        return f"a single event remains (a push, a slip or a jump of the truth: {worst.where})"
     localised = any(piece.recording.localised for piece in judgement.pieces)
     return f"{'errors of the localisation, or ' if localised else ''}an effect that is not in the model remains"
 

@@ -63,7 +63,7 @@ def pick_nodes(
     """Return indices of truth samples in [first, last], each at least about `spacing_s` after the previous one.
 
     among : (n,) mask of the samples that may be picked; all by default
-    anchor_s : a time of the grid of the nodes; by default that of the first usable sample
+    anchor_s : time of one grid point of the nodes; by default that of the first usable sample
     """
     usable = (truth_s >= first_s) & (truth_s <= last_s)
     inside = np.flatnonzero(usable if among is None else usable & among)
@@ -226,9 +226,8 @@ def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray
     """Return indices of the nodes, `spacing_s` apart; for a localisation, the path usually driven in that time apart.
 
     Errors of a localisation depend on its view and stay the same while the robot stands or creeps. The path length is
-    computed from the truth, and nodes are counted from where the odometry began as recorded, so that they are the same
-    samples of the truth for all models and clocks: the noise of other samples would change the likelihood by far more
-    than most effects do.
+    that of the truth, and the grid of nodes starts at the recorded start of the odometry. So nodes are the same samples
+    of the truth for all models and clocks: noise of other samples would change the likelihood more than most effects.
     """
     ends, first = recording.odometry_s[[0, -1]], int(np.searchsorted(truth_s[:-1], 0.0))
     if not recording.localised:

@@ -114,7 +114,7 @@ class MotionSmoother:
 
     @cached_property
     def _reported(self) -> Array | None:
-        """Travel and turn (n, 2) of the odometry so far, if speeds are the truth's: these lose a wheel's phase."""
+        """Travel, m, and turn, rad, so far (n, 2) of the odometry, if speeds are the truth's, whose sums lose phase."""
         if self._side == "odometry":
             return None
         steps = increments(self.recording.odometry.xyt)
@@ -219,7 +219,7 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     noisy &= shared.part + _ERRORS * shared.error < _SHARED
     only_odometry = shared.odometry_noise > _NOISE_RATIO * np.maximum(shared.noise_of_truth, 0.0)
     only_odometry &= shared.odometry_noise > _ERRORS * shared.noise_error
-    if not recording.matched:  # sweeps are too far apart: between them their motion is smooth, and not the odometry's
+    if not recording.matched:  # motion interpolated between laser sweeps is too smooth to show the odometry's noise
         noisy |= only_odometry & (shared.odometry_noise * per_noise > _LEAST_BIAS)
     return "truth" if noisy.any() else "odometry"
 

@@ -62,7 +62,7 @@ class Feedback(NamedTuple):
     free : the odometry without steps towards the poses; unchanged if there are no such steps
     corrections : number of steps removed
     per_s, left_per_s : decay rates of the errors, per second, before and after the removal
-    of_headings : whether errors of the heading decay and those of the position do not, as with a compass
+    of_headings : whether only heading errors decay, as with a compass
     """
 
     free: Samples

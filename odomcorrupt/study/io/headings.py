@@ -25,7 +25,7 @@ __all__ = ["UNKNOWN_RAD", "with_headings", "with_recomputed_headings"]
 UNKNOWN_RAD = 0.5
 _REACH_M = 4.0  # travel before and after a sample that is aligned
 _POOR = 10.0
-"""Ratio to the usual standard error of a heading from which it is taken from the samples beside it instead."""
+"""Ratio of a heading's standard error to the usual one above which the heading is interpolated from other samples."""
 
 
 def with_headings(recording: Recording) -> Recording:
@@ -58,7 +58,7 @@ def _headed(recording: Recording) -> Recording:
     cross = window_sum(np.conj(q) * p) - count * np.conj(mean_q) * mean_p
     spread_q = window_sum(np.abs(q) ** 2) - count * np.abs(mean_q) ** 2
     spread_p = window_sum(np.abs(p) ** 2) - count * np.abs(mean_p) ** 2
-    # after an outage, or cut off by one, too few positions lie in the window: there the rotation is the nearest known
+    # beside outages a window may have too few positions: there the rotation is interpolated between known ones
     known = spread_q >= np.median(spread_q[inside]) / _POOR**2 if inside.any() else np.ones(len(q), dtype=bool)
     heading = odometry[:, 2] + np.interp(truth_s, truth_s[known], np.unwrap(np.angle(cross[known])))
     left_over = np.maximum(spread_p + spread_q - 2.0 * np.abs(cross), 0.0)

@@ -57,9 +57,9 @@ def stamp_jitter_s(path: Samples, other: Samples) -> float:
 
 
 def _steps(xy: Array) -> tuple[Array, Array]:
-    """Return the mean step (n,) of a path around each step, and how much longer the step itself is, m.
+    """Return the length (n,), m, of the running mean step of a path, and the excess of each step over it, m.
 
-    Steps are projected on the mean direction: noise makes every step longer, but not its projection.
+    Steps are projected on the mean direction, because noise makes every step longer, but not its projection.
     """
     step = np.diff(xy, axis=0)
     mean = np.stack([_running_mean(part) for part in step.T], axis=1)

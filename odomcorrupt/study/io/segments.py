@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["GAP_S", "GAP_STEPS", "independent_parts", "without_frozen", "without_gaps"]
 
-GAP_S = 0.5  # a gap of the odometry is longer than this
-GAP_STEPS = 5.0  # and than this many median intervals
+GAP_S = 0.5  # s; shortest gap of the odometry
+GAP_STEPS = 5.0  # shortest gap in median intervals; both have to be exceeded
 _MIN_SPEED = np.array([0.02, 0.05])  # m/s and rad/s; a faster robot should change the truth
 _CLOCKS_S = 3.0
 """Largest clock offset that the study can find: truth and odometry are kept this long beyond a stretch."""

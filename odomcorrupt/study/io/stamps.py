@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 __all__ = ["Step", "between_steps", "clock_steps", "even_stamps", "stamp_resolution_s"]
 
 _LEAST_S, _BACK_S, _FORWARD_S = 0.02, 1.0, 3600.0
-"""Smallest clock step that is detected, and the largest back and forward: what is larger is cut out by `time_order`."""
+"""Smallest detected clock step and largest backward and forward ones, s; `time_order` handles larger ones."""
 _NEIGHBOURS, _MIN_NEIGHBOURS = 25, 10
 """Samples on each side of a step that are compared, and the fewest of them."""
 _TIMES = 2.0
-"""Samples for this many times the step are compared if more: messages that queued while a recorder was blocked, and
-then lost ones, look like a step for as long as they queued."""
+"""Least time span compared on each side, as a multiple of the step: messages that queued in a blocked recorder,
+followed by lost ones, look like a step for as long as they queued."""
 _BESIDE = 5
-"""Intervals on each side of a gap in which the robot has to move steadily at a regular rate, if there are no log times:
-localisation has no such rate, because it waits for motion."""
+"""Intervals of steady motion at a regular rate required on each side of a gap, if there are no log times; localisation
+has no regular rate, because it waits for motion."""
 _TOLERANCE = 0.3
 """Relative tolerance between a step of a single stamp and of the medians around it."""
 
@@ -63,8 +63,8 @@ def even_stamps(path: Samples) -> Samples:
 def clock_steps(path: Samples) -> list[Step]:
     """Return the steps of the stamps' clock, from samples in order of arrival.
 
-    At a step the stamps jump permanently and the log times do not; late or lost messages are not steps. Without log
-    times of their own, stamps step forward where a moving robot travels what it travels in one interval.
+    At a step the stamps jump permanently and the log times do not; late or lost messages are not steps. Without
+    separate log times, a forward step is a gap in which a moving robot travels only as far as in one interval.
     """
     if len(path) < 2 * _MIN_NEIGHBOURS or not path.stamps_ns.all():
         return []
@@ -90,7 +90,7 @@ def clock_steps(path: Samples) -> list[Step]:
 
 
 def _steps_of_motion(path: Samples, interval: Array, usual_s: float) -> list[Step]:
-    """Return the steps forward of a clock where a path goes on at its speed as if no time had passed."""
+    """Return forward clock steps: gaps of the stamps in which a robot in steady motion travels one usual interval."""
     with np.errstate(all="ignore"):  # positions and headings are not checked yet
         gone = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
         motions = np.stack((gone, np.abs(wrap(np.diff(path.yaw_rad)))) if path.headed else (gone,), axis=1)
@@ -111,7 +111,7 @@ def between_steps(path: Samples) -> list[Samples]:
         return [path]
     start = int(path.stamps_ns[0])
     where = ", ".join(f"{s.by_s:+.3f} s at {(path.stamps_ns[s.row - 1] - start) * 1e-9:.1f} s" for s in steps)
-    path = path.noted(f"its clock was set while recording ({where}): what lies between has a clock of its own")
+    path = path.noted(f"its clock was set while recording ({where}): each part has its own clock")
     edges = [0, *(s.row for s in steps), len(path)]
     parts = [path.only(np.arange(a, b)) for a, b in pairwise(edges)]
     return [part for part in parts if len(part) > _MIN_NEIGHBOURS] or [path]

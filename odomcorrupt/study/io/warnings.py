@@ -32,10 +32,9 @@ _MOSTLY, _NEARLY_ALL = 0.6, 0.9
 
 
 def check_identity(odometry: Samples, truth: Samples) -> list[str]:
-    """Refuse a truth that is the odometry itself, and warn of one that mostly repeats it or equals it.
+    """Refuse a copy of the odometry as truth, and warn of a truth that mostly repeats or equals the odometry.
 
-    A copy has the odometry's stamps or its number of messages; the exact poses of a simulator come at a rate of their
-    own.
+    A copy has the odometry's stamps or number of messages; exact poses of a simulator have another rate.
 
     Raises
     ------
@@ -193,7 +192,7 @@ def _apart(odometry: Samples, truth: Samples) -> float:
 
 
 def _copied(odometry: Samples, truth: Samples) -> bool:
-    """Return whether most poses of the truth have stamps of the odometry, or both have as many in the same time."""
+    """Return whether most truth stamps are odometry stamps, or both have equally many poses in the common time."""
     first, last = max(odometry.stamps_ns[0], truth.stamps_ns[0]), min(odometry.stamps_ns[-1], truth.stamps_ns[-1])
     own, real = (p.stamps_ns[(p.stamps_ns >= first) & (p.stamps_ns <= last)] for p in (odometry, truth))
     return bool(np.isin(real, own).mean() > 0.5 or abs(len(real) - len(own)) < 0.01 * len(own) + 2)

@@ -49,10 +49,10 @@ class InPlaceOfClock(NamedTuple):
 def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> InPlaceOfClock | None:
     """Return a fit with a lag in place of the offset of the odometry's clock; None if not applicable.
 
-    A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it. Odometry that
-    leads is that of commands, which motors follow late; odometry that is late comes from a filter. A filter of all
-    speeds is not tested `first`, before any effect, because two filters with unequal time constants look like it: a
-    clock and the lag of one speed explain them, and are found by then.
+    A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it. If the
+    odometry leads, it may integrate commands, which motors follow with a lag; if it is late, it may be filtered. A
+    filter of all speeds is not tested before all effects (`first`), because filters with two time constants resemble
+    it; by the later test these are explained by a clock and the lag of one speed.
     """
     clocks = fit.problem.clocks
     late_s = [clock.offset_s for clock in clocks]
@@ -60,7 +60,7 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> InPl
     tau_s = min(map(abs, late_s)) if motors or min(late_s) > 0.0 else 0.0
     have = {effect.name for effect in fit.effects}
     recordings = fit.problem.recordings
-    # A laser's scans have a clock of their own, whose lead is no sign of late motors.
+    # A laser has a separate clock, so an offset is no sign of a lag.
     tested = sees_travel(recordings) and not any(r.matched for r in recordings)
     if not np.any(fit.free_clocks) or tau_s < _LEAST_S or not tested:
         return None
@@ -76,7 +76,7 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> InPl
         return None
     other = with_it.refit()
     for name in (e.name for e in fit.effects if e.name in registry()):
-        # shapes that were refined beside the clock absorb some of what it does not explain
+        # shapes refined with the clock offset have absorbed a part of its misfit
         effect = next(e for e in other.effects if e.name == name)
         (score,) = score_terms(drop_term(other, effect), [LibraryTerm.of(effect, other.problem.motions)], decisions)
         other = with_shape_refined(other, score, decisions)[0]
@@ -95,9 +95,9 @@ def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:
 
 
 def more_nats(here: Fit, there: Fit) -> float:
-    """Return the log likelihood of `here` minus that of `there`, nats: the smaller one under either robust weights.
+    """Return the log likelihood of `here` minus that of `there`, nats: the smaller difference of both robust weights.
 
-    Both are of the samples of the truth at which the odometry of both clocks is known.
+    Both are evaluated on the truth samples covered by the odometry under the clocks of both fits.
     """
     here, there = (_within(one, _common(here, there)) for one in (here, there))
     same = there.refit(weights=carried(here.noise.weights, here.problem, there.problem))
@@ -106,13 +106,13 @@ def more_nats(here: Fit, there: Fit) -> float:
 
 
 def _common(here: Fit, there: Fit) -> list[tuple[float, float]]:
-    """Return for each recording the time, s, that its odometry covers by the clocks of both fits."""
+    """Return the time span, s, of each recording that the odometry covers under the clocks of both fits."""
     ends = [[r.odometry_s[[0, -1]] for r in one.problem.left] for one in (here, there)]
     return [(max(a[0], b[0]), min(a[1], b[1])) for a, b in zip(*ends, strict=True)]
 
 
 def _within(one: Fit, spans_s: list[tuple[float, float]]) -> Fit:
-    """Return a fit to the truth within a span of each recording."""
+    """Return the fit repeated on the truth samples within the span of each recording."""
     recordings = []
     for recording, (first_s, last_s) in zip(one.problem.recordings, spans_s, strict=True):
         truth, truth_s = recording.truth, recording.truth.seconds_since(recording.origin_ns)

@@ -138,9 +138,8 @@ def of_pulls(fit: Fit, effect: Effect) -> bool:
     """Tell whether an effect is no larger than the artefact of external pose updates in delayed odometry.
 
     A filter with pose updates reduces the error of its odometry by a fraction per second. The error of delayed odometry
-    is the motion during the delay, so the updates imitate a gain of travel and of turns. An effect that is mostly
-    something else (less than half of its square is a gain), such as a wave of the heading by iron near a compass, is no
-    such artefact.
+    is the motion during the delay, so the updates imitate a gain of travel and of turns. An effect less
+    than half of whose mean square is a gain is no such artefact, for example a heading wave from iron near a compass.
     """
     problem = fit.problem
     filtered = sum(getattr(e, "tau", 0.0) for e in problem.effects if e.name == "channel_lag")

@@ -111,7 +111,7 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     # overfitting raised the gains of the rivals as much as that of the effect
     rivals = tuple(c.gain - (gain - own) for c in step.candidates[1:] if not c.refused)
     if step.added in _LIKE_CLOCK and learned.clocks.ambiguous_nats > 0.0:
-        # the clock offset that was set to zero is a rival; its gain is at most that of the effect
+        # the clock offset that was set to zero is a rival, with at most the gain of the effect
         rivals = (*rivals, min(own, learned.clocks.ambiguous_nats - (gain - own)))
     if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
         # the pose updates of a filter imitate gains and biases of any kind

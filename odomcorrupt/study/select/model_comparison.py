@@ -168,10 +168,10 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
 
 
 def with_final_rivals(steps: Sequence[Step], fit: Fit, decisions: Decisions) -> list[Step]:
-    """Return the steps with the gains of close rivals of each included effect measured in the final model.
+    """Return the steps, with gains of close rivals of each included effect measured in the final model.
 
-    Beside few other terms, effects that are both real may explain about as much as each other. A rival that is in the
-    final model itself is none; any other one is refitted there in the place of the effect.
+    In an early, small model two real effects may explain nearly the same. A rival that is also in the final model is
+    refused as a rival; any other one is refitted in the final model in place of the effect.
     """
     return [_with_final_rivals(step, fit, decisions) for step in steps]
 
@@ -258,7 +258,7 @@ def _reshaped(one: Dependence, score: Score) -> Dependence:
 def best_replacement(
     fit: Fit, compared: Iterable[ModelComparison], decisions: Decisions, contradicted: Container[str] = ()
 ) -> Proposal | None:
-    """Return the dependence that explains most beyond the included effects that it replaces, and the fit with it.
+    """Return the dependence with the largest gain over the included effects that it replaces, and the fit with it.
 
     contradicted : channels on which no dependence is admitted
     """

@@ -335,7 +335,7 @@ class _Selection:
         return [replace(one, instead_of=name) for name, nearest in found.items() for one in nearest]
 
     def _replace_clock_by_lag(self, *, first: bool = False) -> bool:
-        """Replace the offset of the odometry's clock by a lag if that gains more; return whether it did."""
+        """Replace the offset of the odometry's clock by a lag with a larger gain; return whether it was replaced."""
         self.over_lag = None
         found = lag_in_place(self.fit, self.decisions, first=first)
         if found is None:

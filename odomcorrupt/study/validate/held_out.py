@@ -56,7 +56,7 @@ class HeldOut:
     ten_second_error_m : without the part, and with it
     drift_nats : gain of log likelihood of the errors over 10 s windows
     failure : reason why the part was dropped; "" if it was kept
-    needed : whether without it the 10 s error is clearly larger, or the likelihood significantly smaller
+    needed : whether the 10 s error is clearly larger without the part, or the likelihood significantly smaller
     """
 
     name: str
@@ -132,9 +132,9 @@ def _needs_support(one: HeldOut, *, supported: bool) -> HeldOut:
 def _least_confident(
     found: Sequence[tuple[tuple[Effect, ...], HeldOut]], learned: Learned
 ) -> tuple[tuple[Effect, ...], HeldOut] | None:
-    """Return the part of lowest confidence if that is below the threshold and held-out data do not need the part.
+    """Return the part of lowest confidence, if below the threshold and not supported by held-out data.
 
-    Confidence is that of a name. A part of doubtful name that predicts other data stays in the model.
+    A confidence refers to the name of a cause; a part that improves predictions stays even if its name is doubtful.
     """
     evidence = {step.added: evidence_of(step, learned) for step in learned.steps if step.added is not None}
     evidence |= {gain.effect.name: noise_evidence(gain, learned) for gain in learned.noise}

@@ -24,7 +24,7 @@ def path(t_s, log_s=None):
 
 
 def along(line, way_m):
-    """Return poses with other ways (n,) along the line."""
+    """Return a line's poses with other positions (n,), m, along the x axis."""
     return replace(line, xyz=np.column_stack((way_m, 0.0 * way_m, 0.0 * way_m)))
 
 

@@ -34,15 +34,15 @@ _OF_WHEELS = ("speed", "acceleration", "time")
 _OF_A_BIAS = ("speed", "yaw_rate", "time")
 """Regressors of a heading rate that also acts at rest, as a gyro bias does."""
 _LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
-"""Least thresholds, m/s^2 and rad/s^2: noise (of ticks) crosses smaller ones, and a correction has no smooth truth."""
+"""Smallest thresholds, m/s^2 and rad/s^2: noise (of ticks) exceeds smaller ones, and `correct` has no smooth truth."""
 _LEAST_S, _WITHIN = 2.0, 0.9
-"""Least time, s, that a robot spends beyond a threshold or in reverse; and the largest threshold of a speed, as a
-fraction of the speed exceeded for that time: what exceeds a cruising speed is odometry noise, part of the error too."""
+"""Minimum time, s, beyond a threshold or in reverse; and the largest threshold of a speed, as a fraction of the speed
+exceeded for that time: above a cruising speed is only odometry noise, which is also part of the error."""
 _HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")  # regressors with hinges
 _STILL = 0.02
 """Rates below which a robot is at rest, m/s and rad/s."""
 _CUTS, _TAIL = np.linspace(0.05, 0.95, 19), 0.05 * 2.0 ** (-0.5 * np.arange(1.0, 9.0))
-"""Quantiles at which thresholds are tried, and fractions of the data beyond further ones: hard braking is rare."""
+"""Quantiles at which thresholds are tried, and further ones as fractions of the data beyond: hard braking is rare."""
 
 
 def functions_of_motion(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
