@@ -12,7 +12,7 @@ from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
-from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.motion import is_rough, motion_of
 from odomcorrupt.geometry.se2 import compose, rotate
 
 if TYPE_CHECKING:
@@ -140,8 +140,9 @@ def undo_effects(
     place = (
         compose(frame_xyt, measured_xyt[:-1]) if jump.any() and any(effect.reads_truth for effect in effects) else None
     )
+    rough = is_rough(motion)
     for _ in range(MAX_ROUNDS):
-        after = corrected_increments(effects, motion, place)
+        after = corrected_increments(effects, motion, place, rough=rough)
         added = np.stack((after.ds_m, after.dl_m, after.dtheta_rad), axis=1) - before
         error = _error(raw, added, world, measured_xyt)
         found = compose(frame_xyt, (measured_xyt + error)[:-1])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.geometry.increments import increments
+from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,12 +16,15 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = [
+    "ROUGH",
     "SMOOTHING_S",
     "TRAIL_S",
     "LineFits",
+    "LocalSlopes",
     "Motion",
     "SpeedMemory",
     "accelerations",
+    "is_rough",
     "motion_of",
     "slopes",
 ]
@@ -30,6 +34,9 @@ SMOOTHING_S = 0.2
 
 TRAIL_S = 0.05
 """Averaging time of speeds before differentiation, because stamps may be bunched and poses come in ticks."""
+
+ROUGH = (0.1, 0.2)
+"""Noise of forward, m/s^2, and yaw acceleration, rad/s^2, above which odometry is rough: noise crosses thresholds."""
 
 _BLOCK = 1024
 
@@ -172,6 +179,30 @@ class LineFits:
         return summed
 
 
+class LocalSlopes:
+    """Smooth twists and accelerations of paths with the same stamps, from line fits in windows around given times.
+
+    Parameters
+    ----------
+    t_s : (n,) stamps of the poses, seconds
+    at_s : (m,) centres of the windows, seconds
+    width_s : width of the windows
+
+    """
+
+    def __init__(self, t_s: Array, at_s: Array, width_s: float) -> None:
+        self._poses, self._twists = LineFits(t_s, at_s, width_s), LineFits(at_s, at_s, width_s)
+
+    def twist(self, xyt: Array, heading: Array) -> Array:
+        """Return the twists (m, 3) of poses (n, 3) with headings (m,) at the centres."""
+        world = self._poses.slopes(xyt)
+        return np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
+
+    def accelerations(self, twist: Array) -> Array:
+        """Return the accelerations (m, 3), the slopes of twists (m, 3)."""
+        return self._twists.slopes(twist)
+
+
 def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
     """Return time derivatives (m, c) of values (n, c) at times at_s (m,): slopes of `LineFits`."""
     return LineFits(t_s, at_s, width_s).slopes(values)
@@ -234,6 +265,21 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
     trail[:first] = 0.0
     both = np.concatenate((memory.latest[None], np.stack((rate, trail), axis=1)))
     return Accelerations(rate, trail, both[:-1], SpeedMemory(clock_s[kept:].copy(), way[kept:].copy(), both[-1].copy()))
+
+
+def is_rough(motion: Motion) -> bool:
+    """Tell whether noise of the odometry (ticks, jitter) exceeds `ROUGH` in the accelerations of a motion.
+
+    Second differences of successive accelerations cancel smooth driving; their median while the robot moves ignores
+    the few steps of speed that an effect with a threshold causes.
+    """
+    moving = ((motion.v != 0.0) | (motion.omega != 0.0)) & (motion.dt_s > 0.0)
+    rough = np.diff(motion.acceleration[moving][:, [0, 2]], n=2, axis=0)
+    if not len(rough):
+        return False
+    # a median of magnitudes is 0.6745 standard deviations, and a second difference has six variances
+    noise = np.median(np.abs(rough), axis=0) / (0.6745 * np.sqrt(6.0))
+    return bool((noise > ROUGH).any())
 
 
 def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion:
