@@ -35,8 +35,9 @@ SMOOTHING_S = 0.2
 TRAIL_S = 0.05
 """Averaging time of speeds before differentiation, because stamps may be bunched and poses come in ticks."""
 
-ROUGH = (0.1, 0.2)
-"""Noise of forward, m/s^2, and yaw acceleration, rad/s^2, above which odometry is rough: noise crosses thresholds."""
+ROUGH = (0.01, 0.02)
+"""Noise of forward, m/s^2, and yaw acceleration, rad/s^2, above which odometry is rough: a tenth of the least
+thresholds that the study tries, and more than any smooth simulation has."""
 
 _BLOCK = 1024
 
@@ -267,18 +268,18 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
     return Accelerations(rate, trail, both[:-1], SpeedMemory(clock_s[kept:].copy(), way[kept:].copy(), both[-1].copy()))
 
 
-def is_rough(motion: Motion) -> bool:
-    """Tell whether noise of the odometry (ticks, jitter) exceeds `ROUGH` in the accelerations of a motion.
+def is_rough(twist: Array, dt_s: Array) -> bool:
+    """Tell whether noise (ticks, jitter) exceeds `ROUGH` in the accelerations of n twists (n, 3) over dt_s (n,), s.
 
-    Second differences of successive accelerations cancel smooth driving; their median while the robot moves ignores
+    Fourth differences of successive accelerations cancel smooth driving; their median while the robot moves ignores
     the few steps of speed that an effect with a threshold causes.
     """
-    moving = ((motion.v != 0.0) | (motion.omega != 0.0)) & (motion.dt_s > 0.0)
-    rough = np.diff(motion.acceleration[moving][:, [0, 2]], n=2, axis=0)
+    moving = twist.any(axis=1) & (dt_s > 0.0)
+    rough = np.diff(accelerations(twist, dt_s).rate[moving][:, [0, 2]], n=4, axis=0)
     if not len(rough):
         return False
-    # a median of magnitudes is 0.6745 standard deviations, and a second difference has six variances
-    noise = np.median(np.abs(rough), axis=0) / (0.6745 * np.sqrt(6.0))
+    # a median of magnitudes is 0.6745 standard deviations, and a fourth difference has 70 variances
+    noise = np.median(np.abs(rough), axis=0) / (0.6745 * np.sqrt(70.0))
     return bool((noise > ROUGH).any())
 
 

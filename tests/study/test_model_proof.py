@@ -104,7 +104,7 @@ def test_of_rough_odometry_a_correction_takes_what_the_fit_took(drive, monkeypat
     fitted_m = _fitted_error(model, runs)
     assert fitted_m > 2.0 * _fitted_error(replace(model, effects=()), runs)
     assert _corrected_error((brakes,), model, runs) == pytest.approx(fitted_m, rel=0.01)
-    monkeypatch.setattr(undo, "is_rough", lambda _: False)
+    monkeypatch.setattr(undo, "is_rough", lambda *_: False)
     assert _corrected_error((brakes,), model, runs) > 1.5 * fitted_m
 
 
@@ -136,7 +136,7 @@ def test_all_runs_but_the_first_are_of_minutes_and_together_reach_both_ends():
 
 
 def test_a_law_that_flickers_with_jittering_stamps_is_replaced_by_its_mean(drive, monkeypatch):
-    monkeypatch.setattr(undo, "is_rough", lambda _: False)  # a jitter that is just not rough
+    monkeypatch.setattr(undo, "is_rough", lambda *_: False)  # a jitter that is just not rough
     silent = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
     soft = user_effect("soft", "left += v * (k * 1)", {"k": -0.02})
     wrong = drive.odometry.xyt + corrupted(MotionModel(silent, (soft,), track_m=0.4), drive)
