@@ -34,7 +34,7 @@ _OF_WHEELS = ("speed", "acceleration", "time")
 _OF_A_BIAS = ("speed", "yaw_rate", "time")
 """Regressors of a heading rate that also acts at rest, as a gyro bias does."""
 _LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
-"""Least thresholds, m/s^2 and rad/s^2: noise (of ticks) crosses smaller ones, and a correction has no smooth truth."""
+"""Least thresholds, m/s^2 and rad/s^2: noise (of ticks) crosses smaller ones."""
 _LEAST_S, _WITHIN = 2.0, 0.9
 """Least time, s, that a robot spends beyond a threshold or in reverse; and the largest threshold of a speed, as a
 fraction of the speed exceeded for that time: what exceeds a cruising speed is odometry noise, part of the error too."""
