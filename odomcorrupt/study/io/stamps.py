@@ -29,7 +29,9 @@ _NEIGHBOURS, _MIN_NEIGHBOURS = 25, 10
 _TIMES = 2.0
 """Samples for this many times the step are compared if more: messages that queued while a recorder was blocked, and
 then lost ones, look like a step for as long as they queued."""
-_BESIDE = 5  # intervals on each side of a gap in which the robot has to move steadily, if there are no log times
+_BESIDE = 5
+"""Intervals on each side of a gap in which the robot has to move steadily at a regular rate, if there are no log times:
+localisation has no such rate, because it waits for motion."""
 _TOLERANCE = 0.3
 """Relative tolerance between a step of a single stamp and of the medians around it."""
 
@@ -69,7 +71,7 @@ def clock_steps(path: Samples) -> list[Step]:
     interval = np.diff(path.stamps_ns) * 1e-9
     usual_s = float(np.median(interval))
     if len(path.log_ns) != len(path) or np.array_equal(path.log_ns, path.stamps_ns):
-        return _steps_of_motion(path, interval, usual_s)
+        return [] if path.localised else _steps_of_motion(path, interval, usual_s)
     ahead = (path.stamps_ns - path.log_ns).astype(np.float64) * 1e-9
     jump = np.diff(ahead)
     found: list[Step] = []
@@ -94,9 +96,10 @@ def _steps_of_motion(path: Samples, interval: Array, usual_s: float) -> list[Ste
         motions = np.stack((gone, np.abs(wrap(np.diff(path.yaw_rad)))) if path.headed else (gone,), axis=1)
     found: list[Step] = []
     for i in np.flatnonzero((interval > max(GAP_S, GAP_STEPS * usual_s)) & (interval < _FORWARD_S)):
-        beside = motions[np.r_[max(i - _BESIDE, 0) : i, i + 1 : i + 1 + _BESIDE] % len(motions)]
+        rows = np.r_[max(i - _BESIDE, 0) : i, i + 1 : i + 1 + _BESIDE] % len(motions)
+        beside, regular = motions[rows], np.all(np.abs(interval[rows] - usual_s) < _TOLERANCE * usual_s)
         steady = (beside.min(axis=0) > 0.5 * beside.max(axis=0)) & (motions[i] < 1.5 * beside.mean(axis=0))
-        if _BESIDE <= i < len(motions) - _BESIDE and steady.any():
+        if regular and _BESIDE <= i < len(motions) - _BESIDE and steady.any():
             found.append(Step(int(i) + 1, float(interval[i]) - usual_s))
     return found
 
