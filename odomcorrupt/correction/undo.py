@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
-from odomcorrupt.effects.compensation import corrected_increments
+from odomcorrupt.effects.compensation import corrected_increments, corrected_twist
 from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
-from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.motion import is_rough, motion_of
 from odomcorrupt.geometry.se2 import compose, rotate
 
 if TYPE_CHECKING:
@@ -140,8 +140,9 @@ def undo_effects(
     place = (
         compose(frame_xyt, measured_xyt[:-1]) if jump.any() and any(effect.reads_truth for effect in effects) else None
     )
+    rough = _stays_rough(effects, motion, place)
     for _ in range(MAX_ROUNDS):
-        after = corrected_increments(effects, motion, place)
+        after = corrected_increments(effects, motion, place, rough=rough)
         added = np.stack((after.ds_m, after.dl_m, after.dtheta_rad), axis=1) - before
         error = _error(raw, added, world, measured_xyt)
         found = compose(frame_xyt, (measured_xyt + error)[:-1])
@@ -149,6 +150,17 @@ def undo_effects(
             return Undone(error, _increments(raw + added), driven_s, jump)
         place = found
     raise EffectError("effects that read places: cannot be taken out of this odometry, its positions do not converge")
+
+
+def _stays_rough(effects: Sequence[Effect], motion: Motion, place: Array | None) -> bool:
+    """Tell whether odometry is rough, and rough still after the exact inversion: a real robot's, not a simulation's."""
+    twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+    if not (any(effect.rectifies for effect in effects) and is_rough(twist, motion.dt_s)):
+        return False
+    try:
+        return is_rough(corrected_twist(effects, motion, place), motion.dt_s)
+    except EffectError:
+        return True
 
 
 def _error(raw: Array, added: Array, world: Array, measured_xyt: Array) -> Array:

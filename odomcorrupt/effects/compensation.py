@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.effects.effect import Effect, Motion
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.motion import TRAIL_S, accelerations
+from odomcorrupt.geometry.motion import SMOOTHING_S, TRAIL_S, LocalSlopes, accelerations
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
@@ -40,19 +40,25 @@ def error_of(effect: Effect, motion: Motion) -> Array:
     return effect.twist_error(motion, state).f
 
 
-def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Increments:
+def corrected_increments(
+    effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None, *, rough: bool = False
+) -> Increments:
     """Return the true increments from the odometry's motion, as of `corrected_twist`."""
-    twist = corrected_twist(effects, motion, place_xyt)
+    twist = corrected_twist(effects, motion, place_xyt, rough=rough)
     return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
 
 
-def corrected_twist(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Array:
+def corrected_twist(
+    effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None, *, rough: bool = False
+) -> Array:
     """Return the true twist u = u' + f(u'), (n, 3) in m/s and rad/s, from the odometry's motion u'.
 
     Encoder effects are inverted first, since the others are functions of the motion that encoders should have reported;
     effects of the tracked point come last. Acceleration, pose and distance are the true ones, found by fixed-point
-    iteration together with the twist. The draws of random effects are unknown and contribute nothing, except where
-    the odometry itself shows them; clock effects are not corrected.
+    iteration together with the twist, which inverts corruption exactly. On rough odometry, effects that rectify noise
+    take their accelerations from smoothed poses, first the odometry's and then the corrected ones, as in the study. The
+    draws of random effects are unknown and contribute nothing, except where the odometry itself shows them; clock
+    effects are not corrected.
 
     Parameters
     ----------
@@ -61,6 +67,8 @@ def corrected_twist(effects: Sequence[Effect], motion: Motion, place_xyt: Array 
     place_xyt : (n, 3)
         True poses at the starts of the intervals, where known; otherwise the corrected poses, from the odometry's
         start.
+    rough
+        Whether the odometry is rough, see `is_rough`.
 
     Raises
     ------
@@ -79,9 +87,15 @@ def corrected_twist(effects: Sequence[Effect], motion: Motion, place_xyt: Array 
         if not effect.reads_truth:
             twist += error_of(effect, motion)
     seeking, setup = [e for e in robots if e.reads_truth], [e for e in moving if e.kind == "setup"]
-    if seeking:
-        twist = _settled(seeking, setup, motion, twist, place_xyt)
-    return followed(setup, motion, twist)
+    rectifying = [e for e in seeking if rough and e.rectifies]
+    exact = [e for e in seeking if e not in rectifying]
+    truth = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+    for _ in range(2 if rectifying else 1):
+        known = twist
+        if rectifying:
+            known = twist + _sum_of(rectifying, _seen(motion, truth, place_xyt, smooth=True))
+        truth = followed(setup, motion, _settled(exact, setup, motion, known, place_xyt) if exact else known)
+    return truth
 
 
 def followed(setup: Sequence[Effect], motion: Motion, twist: Array) -> Array:
@@ -106,24 +120,10 @@ def _settled(
     strength. Discontinuous effects use the interval before, so that a solution always exists.
     """
     dt = motion.dt_s[:, None]
-    start = np.array([motion.x[0], motion.y[0], motion.theta[0]]) if len(motion) else np.zeros(3)
     stiff = np.ones((len(known), 1))
     truth = known
     for number in range(MAX_ROUNDS):
-        shown = followed(setup, motion, truth)
-        steps = shown * dt
-        path = accumulate(start, Increments(*np.ascontiguousarray(steps.T)))[:-1] if place_xyt is None else place_xyt
-        faster = accelerations(shown, motion.dt_s)
-        seen = replace(
-            motion,
-            acceleration=faster.rate,
-            trail=faster.trail,
-            before=faster.before,
-            x=np.ascontiguousarray(path[:, 0]),
-            y=np.ascontiguousarray(path[:, 1]),
-            theta=np.ascontiguousarray(path[:, 2]),
-            distance=np.cumsum(np.hypot(steps[:, 0], steps[:, 1])),
-        )
+        seen = _seen(motion, followed(setup, motion, truth), place_xyt)
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is reported below
             if number & (number - 1) == 0:  # at powers of two: less often as the estimate of the truth improves
                 # never decreased: too large a stiffness converges late, too small a one never
@@ -140,6 +140,23 @@ def _settled(
         f"effects ({names}): cannot be taken out of this odometry, u = u' + f(u) does not settle; make them "
         "weaker, or delete them from the model"
     )
+
+
+def _seen(motion: Motion, twist: Array, place_xyt: Array | None, *, smooth: bool = False) -> Motion:
+    """Return the odometry's motion with the accelerations, smooth or not, places and distance of a twist (n, 3)."""
+    steps = twist * motion.dt_s[:, None]
+    start = np.array([motion.x[0], motion.y[0], motion.theta[0]]) if len(motion) else np.zeros(3)
+    path = accumulate(start, Increments(*np.ascontiguousarray(steps.T)))
+    if smooth:
+        ends_s = np.concatenate(([0.0], np.cumsum(motion.dt_s)))
+        slopes = LocalSlopes(ends_s, (ends_s[:-1] + ends_s[1:]) / 2.0, SMOOTHING_S)
+        smoothed = slopes.twist(path, path[:-1, 2] + steps[:, 2] / 2.0)
+        motion = replace(motion, acceleration=slopes.accelerations(smoothed))
+    else:
+        faster = accelerations(twist, motion.dt_s)
+        motion = replace(motion, acceleration=faster.rate, trail=faster.trail, before=faster.before)
+    x, y, theta = np.ascontiguousarray((path[:-1] if place_xyt is None else place_xyt).T)
+    return replace(motion, x=x, y=y, theta=theta, distance=np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
 
 
 def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:

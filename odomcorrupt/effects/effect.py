@@ -126,6 +126,7 @@ class Effect:
     drives : drive types that can have the effect; None: all
     restorable : the odometry itself shows the effect, so that it can be undone although it is random
     reads_truth : f depends on true acceleration, pose or distance, which a correction has to estimate
+    rectifies : f depends on accelerations, and not linearly, so that the effects of their noise do not cancel
     reads_places : f depends on position or heading in the world frame, which may differ from the odometry's
     odd : near the identity f is exactly odd in the amplitudes, so that one evaluation gives its slope there
     twin_of : name of an effect with the same f (an alias: no recording can separate the two)
@@ -145,6 +146,7 @@ class Effect:
     drives: ClassVar[frozenset[str] | None] = None
     restorable: ClassVar[bool] = False
     reads_truth: ClassVar[bool] = False
+    rectifies: ClassVar[bool] = False
     reads_places: ClassVar[bool] = False
     odd: ClassVar[bool] = False
     twin_of: ClassVar[str | None] = None

@@ -116,6 +116,7 @@ class Expression(NamedTuple):
     names : all variables and parameters in it
     linear : parameters that f is affine in
     vanishes : whether f is zero if all parameters in `linear` are zero
+    rectifies : whether it is not affine in accelerations, so that the effects of their noise do not cancel
     units : units of the parameters in `linear`, derived from their factors; "" if not derivable
     """
 
@@ -124,6 +125,7 @@ class Expression(NamedTuple):
     names: frozenset[str]
     linear: frozenset[str]
     vanishes: bool
+    rectifies: bool
     units: Mapping[str, str]
 
     @property
@@ -182,9 +184,10 @@ def parse_expression(text: str, parameters: tuple[str, ...]) -> Expression:
     for name in parameters:
         if all(affine(node.value, linear | {name}) for node in reader.statements):
             linear |= {name}
+    rectifies = not all(affine(node.value, frozenset(ACCELERATIONS)) for node in reader.statements)
     zero = all(vanishes(node.value, linear) for node in reader.statements)
     units = {name: amplitude_unit(reader.statements, name) for name in linear}
-    return Expression(text, terms, frozenset(reader.names), linear, zero, units)
+    return Expression(text, terms, frozenset(reader.names), linear, zero, rectifies, units)
 
 
 class _Reader:

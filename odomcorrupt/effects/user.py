@@ -165,6 +165,7 @@ def _class_of(name: str, text: str, facts: tuple[tuple[str, str, bool, float, fl
         "summary": "an effect of the user's own",
         "about": About(text, "", "the model file", (), ""),
         "reads_truth": not expression.names.isdisjoint(TRUTH_VARIABLES),
+        "rectifies": expression.rectifies,
         "reads_places": not expression.names.isdisjoint(PLACES),
         "needs_track": expression.by_wheel,
         "expression": expression,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.geometry.increments import increments
+from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,12 +16,15 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = [
+    "ROUGH",
     "SMOOTHING_S",
     "TRAIL_S",
     "LineFits",
+    "LocalSlopes",
     "Motion",
     "SpeedMemory",
     "accelerations",
+    "is_rough",
     "motion_of",
     "slopes",
 ]
@@ -30,6 +34,10 @@ SMOOTHING_S = 0.2
 
 TRAIL_S = 0.05
 """Averaging time of speeds before differentiation, because stamps may be bunched and poses come in ticks."""
+
+ROUGH = (0.01, 0.02)
+"""Noise of forward, m/s^2, and yaw acceleration, rad/s^2, above which odometry is rough: a tenth of the least
+thresholds that the study tries, and more than any smooth simulation has."""
 
 _BLOCK = 1024
 
@@ -172,6 +180,30 @@ class LineFits:
         return summed
 
 
+class LocalSlopes:
+    """Smooth twists and accelerations of paths with the same stamps, from line fits in windows around given times.
+
+    Parameters
+    ----------
+    t_s : (n,) stamps of the poses, seconds
+    at_s : (m,) centres of the windows, seconds
+    width_s : width of the windows
+
+    """
+
+    def __init__(self, t_s: Array, at_s: Array, width_s: float) -> None:
+        self._poses, self._twists = LineFits(t_s, at_s, width_s), LineFits(at_s, at_s, width_s)
+
+    def twist(self, xyt: Array, heading: Array) -> Array:
+        """Return the twists (m, 3) of poses (n, 3) with headings (m,) at the centres."""
+        world = self._poses.slopes(xyt)
+        return np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
+
+    def accelerations(self, twist: Array) -> Array:
+        """Return the accelerations (m, 3), the slopes of twists (m, 3)."""
+        return self._twists.slopes(twist)
+
+
 def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
     """Return time derivatives (m, c) of values (n, c) at times at_s (m,): slopes of `LineFits`."""
     return LineFits(t_s, at_s, width_s).slopes(values)
@@ -234,6 +266,21 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
     trail[:first] = 0.0
     both = np.concatenate((memory.latest[None], np.stack((rate, trail), axis=1)))
     return Accelerations(rate, trail, both[:-1], SpeedMemory(clock_s[kept:].copy(), way[kept:].copy(), both[-1].copy()))
+
+
+def is_rough(twist: Array, dt_s: Array) -> bool:
+    """Tell whether noise (ticks, jitter) exceeds `ROUGH` in the accelerations of n twists (n, 3) over dt_s (n,), s.
+
+    Fourth differences of successive accelerations cancel smooth driving; their median while the robot moves ignores
+    the few steps of speed that an effect with a threshold causes.
+    """
+    moving = twist.any(axis=1) & (dt_s > 0.0)
+    rough = np.diff(accelerations(twist, dt_s).rate[moving][:, [0, 2]], n=4, axis=0)
+    if not len(rough):
+        return False
+    # a median of magnitudes is 0.6745 standard deviations, and a fourth difference has 70 variances
+    noise = np.median(np.abs(rough), axis=0) / (0.6745 * np.sqrt(70.0))
+    return bool((noise > ROUGH).any())
 
 
 def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion:

@@ -68,6 +68,17 @@ def test_rounded_stamps_do_not_make_a_law_of_the_acceleration_flicker():
     assert np.abs(rounded - exact).max() < 0.02 * np.abs(exact).max()
 
 
+@pytest.mark.parametrize("when", ["abs(a) > 0.3", "-a * sign(v) > 0.3"])
+def test_noise_of_the_odometry_does_not_switch_an_effect_with_a_threshold(when):
+    stamps_ns, clean = drive()
+    slips = model(user_effect("slips", f"right += v * (k * where({when}, 1, 0))", {"k": -0.06}))
+    wrong = clean + NoisyPath(slips, 1).feed(stamps_ns, clean).error_xyt
+    noisy = wrong + np.random.default_rng(2).uniform(-2.5e-4, 2.5e-4, wrong.shape)
+    back = noisy + corrected_samples(slips, stamps_ns, noisy, first_ns=int(stamps_ns[0])).error_xyt
+    assert np.abs(wrong - clean).max() > 0.1
+    assert np.abs(back - clean).max() < 0.1 * np.abs(wrong - clean).max()
+
+
 @pytest.mark.parametrize("name", SYSTEMATIC)
 def test_every_systematic_effect_is_taken_out_exactly(name):
     moved, left = there_and_back(model(usual(name)), *drive(sideways=registry()[name].needs_sideways))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from odomcorrupt.geometry.motion import slopes
+from odomcorrupt.geometry.motion import is_rough, slopes
 
 
 def test_a_robot_at_rest_far_from_where_it_started_and_long_after_has_no_speed_at_all():
@@ -26,3 +27,14 @@ def test_slopes_are_those_of_least_squares_lines():
     for at, found in zip(at_s, slopes(t_s, values, at_s, 1.0), strict=True):
         inside = np.abs(t_s - at) <= 0.5
         np.testing.assert_allclose(found, np.polyfit(t_s[inside], values[inside], 1)[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 30.0, 100.0])
+def test_ticks_make_odometry_rough_and_neither_driving_nor_steps_of_speed_do(rate_hz):
+    t_s = np.arange(0.0, 60.0, 1.0 / rate_hz)
+    way = t_s - np.sin(t_s)
+    stepped = np.cumsum((1.0 - np.cos(t_s)) * np.where(np.sin(t_s) > 0.8, 0.94, 1.0)) / rate_hz
+    ticked = np.floor(way / 2e-3) * 2e-3
+    dt_s = np.diff(t_s)
+    speeds = [np.outer(np.diff(x) / dt_s, (1.0, 0.0, 0.0)) for x in (way, stepped, ticked, 0.0 * way)]
+    assert [is_rough(speed, dt_s) for speed in speeds] == [False, False, True, False]

@@ -16,8 +16,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.geometry.increments import increments
-from odomcorrupt.geometry.motion import SMOOTHING_S, LineFits
-from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.motion import SMOOTHING_S, LocalSlopes
 from odomcorrupt.study.io.clock import aligned, coarse_clock
 
 if TYPE_CHECKING:
@@ -84,8 +83,6 @@ class MotionSmoother:
             _Slopes.of(stretch.odometry if side == "odometry" else stretch.truth, part, whole.origin_ns, width_s)
             for (stretch, part), width_s in zip(shared, widths_s, strict=True)
         ]
-        parts = zip((part for _, part in shared), widths_s, strict=True)
-        self._speeds = [LineFits(part, part, width_s) for part, width_s in parts]
         self._cuts = np.cumsum([len(part) for _, part in shared])[:-1]
 
     @cached_property
@@ -125,8 +122,8 @@ class MotionSmoother:
         return self._accelerations(self._twist(recording))
 
     def _accelerations(self, twist: Array) -> Array:
-        parts = np.split(twist, self._cuts)
-        return np.concatenate([fits.slopes(part) for fits, part in zip(self._speeds, parts, strict=True)])
+        parts = zip(self._slopes, np.split(twist, self._cuts), strict=True)
+        return np.concatenate([slopes.lines.accelerations(part) for slopes, part in parts])
 
     def _twist(self, recording: Recording) -> Array:
         if self._side == "odometry":
@@ -139,7 +136,7 @@ class _Slopes:
     """Line fits to the poses of a path at given times, and the position of these times among its stamps."""
 
     path: Trajectory
-    lines: LineFits
+    lines: LocalSlopes
     left: NDArray[np.int64]
     fraction: Array
 
@@ -148,13 +145,11 @@ class _Slopes:
         """Return the fits to a path at times (m,), s, in windows of a given width, s."""
         own = path.seconds_since(origin_ns)
         left, fraction = path.place_of(np.clip(at_s, own[0], own[-1]), origin_ns)
-        return cls(path, LineFits(own, at_s, width_s), left, fraction)
+        return cls(path, LocalSlopes(own, at_s, width_s), left, fraction)
 
     def twist(self, path: Trajectory) -> Array:
         """Return the twist (m, 3) of a path with the same stamps."""
-        world = self.lines.slopes(path.xyt)
-        heading = path.headings_between(self.left, self.fraction)
-        return np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
+        return self.lines.twist(path.xyt, path.headings_between(self.left, self.fraction))
 
 
 def _by_truth(stretches: Sequence[Recording], at_s: Array) -> list[tuple[Recording, Array]]:

@@ -244,8 +244,8 @@ def _worse(model: MotionModel, drives: Sequence[_Drive]) -> str:
 def _correctable(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tuple[MotionModel, list[str]]:
     """Return the model with the least error after `correct` if that clearly exceeds the fit's error, and a sentence.
 
-    The fit uses accelerations of smoothed motion, the correction those between successive poses. If stamps jitter, a
-    dependence that switches with the acceleration flickers and corrects less than its mean would.
+    The fit uses accelerations of smoothed motion, the correction those between successive poses unless the odometry is
+    rough. A dependence that switches with the acceleration may then correct less than its mean would.
     """
     reading = [effect for effect in model.effects if effect.reads_truth and effect.kind != "noise"]
     if not reading:

@@ -34,7 +34,7 @@ _OF_WHEELS = ("speed", "acceleration", "time")
 _OF_A_BIAS = ("speed", "yaw_rate", "time")
 """Regressors of a heading rate that also acts at rest, as a gyro bias does."""
 _LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
-"""Smallest thresholds, m/s^2 and rad/s^2: noise (of ticks) exceeds smaller ones, and `correct` has no smooth truth."""
+"""Smallest thresholds, m/s^2 and rad/s^2: noise (of ticks) exceeds smaller ones."""
 _LEAST_S, _WITHIN = 2.0, 0.9
 """Minimum time, s, beyond a threshold or in reverse; and the largest threshold of a speed, as a fraction of the speed
 exceeded for that time: above a cruising speed is only odometry noise, which is also part of the error."""
