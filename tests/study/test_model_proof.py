@@ -51,21 +51,6 @@ def test_a_law_that_would_take_all_of_a_motion_away_is_held_within_half_of_it(dr
     assert all(np.isfinite(corrupted(again, drive, run)).all() for run in range(20))
 
 
-def test_a_law_is_held_if_a_faster_robot_would_leave_no_motion(drive):
-    # at most 1.1 m/s are driven; the greatest true speed that the odometry can have is 1.16 m/s
-    model = MotionModel(NOISE, (user_effect("slips", "along += v * (k * max(abs(v) - 0.9, 0))", {"k": -0.4}),))
-    found = verified_model(model, [drive])
-    (change,) = found.changes
-    assert change.startswith("slips held within")
-    assert change.endswith("no odometry satisfies it at 1.25 times the speed of the fitted drive")
-    stamps_ns = drive.odometry.stamps_ns
-    faster = stamps_ns[0] + (stamps_ns - stamps_ns[0]) * 4 // 5
-    with pytest.raises(EffectError):
-        NoisyPath(model, 5, 0).feed(faster, drive.odometry.xyt)
-    assert np.isfinite(NoisyPath(found.model, 5, 0).feed(faster, drive.odometry.xyt).error_xyt).all()
-    np.testing.assert_allclose(corrupted(found.model, drive), corrupted(model, drive))
-
-
 def test_what_no_form_of_makes_usable_is_left_out_and_said(drive):
     stuck = user_effect("stuck", "along += -3 * v * k * max(abs(v) - 0.1, 0)", {"k": 1.0})
     scale = effect_from_values("wheel_scale", {"e": 0.02})

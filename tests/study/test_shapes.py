@@ -131,12 +131,12 @@ def test_no_hinge_and_no_step_hangs_on_the_last_of_a_range():
 
 
 def test_thresholds_reach_braking_that_is_rare():
-    # ten minutes at 0.5 m/s with 3 s of hard braking in all: 0.5 % of the time, below the lowest of even quantiles
+    # ten minutes at 0.5 m/s with 9 s of hard braking in all: 1.5 % of the time, below the lowest of even quantiles
     t_s = np.arange(30_001) * 0.02
     late = t_s % 60.0
-    v = np.interp(late, [0.0, 4.0, 59.7, 60.0], [0.35, 0.5, 0.5, 0.35])
+    v = np.interp(late, [0.0, 4.0, 59.1, 60.0], [0.05, 0.5, 0.5, 0.05])
     x = np.concatenate(([0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * 0.02)))
     motion = motion_of(t_s, np.column_stack((x, *np.zeros((2, len(x))))))
     steps = [f for f in functions_of_motion([motion]) if f.regressor == "acceleration" and "< -" in f.text]
     hard = [np.mean(f.parts[0](motion)) for f in steps if f.form == "step" and f.shape[0] < -0.3]
-    assert any(0.003 < part < 0.008 for part in hard)
+    assert any(0.01 < part < 0.025 for part in hard)

@@ -49,8 +49,6 @@ distance shows in the first run, over all data."""
 _SHORT_S = 1.0
 _LIMITS = (0.5, 0.3, 0.15)
 """Fractions of a motion to which a dependence is limited; the first one with an inverse is used."""
-_FASTER = 1.25
-"""How much faster than the recorded robot a simulated one may drive: dependences are tested at that speed, too."""
 _PART = re.compile(r"^(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* \((.*)\)$")
 """A dependence as the selection writes it: a fraction of a motion, added to a channel."""
 _MAX_WORSE = 1.03
@@ -108,12 +106,6 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording], *, runs:
         # If no single change helps, drop the weakest effect and try again.
         model, change = repair or _without(model, _weakest(model))
         changes.append(f"{change}: {failure}")
-    if _fails_faster(model, drives):
-        forms = (one for one in _limited_forms(model) if not _fails_faster(one[0], drives))
-        usable = next((m for m in forms if not (_failure(m[0], drives, runs) or _worse(m[0], drives))), None)
-        if usable:
-            model, change = usable
-            changes.append(f"{change}: no odometry satisfies it at {_FASTER:g} times the speed of the fitted drive")
     model, notes = _correctable(model, drives, runs)
     said = (*changes, *notes, *bound_notes(model), *_setup_note(model, recordings))
     if said:
@@ -221,19 +213,6 @@ def _failure(model: MotionModel, drives: Sequence[_Drive], runs: int) -> str:
     return ""
 
 
-def _fails_faster(model: MotionModel, drives: Sequence[_Drive]) -> bool:
-    """Tell whether the dependences of a model have no inverse on the fitted paths driven faster."""
-    laws = replace(model, effects=tuple(e for e in model.effects if isinstance(e, UserEffect)))
-    for drive in drives if laws.effects else ():
-        first_ns = int(drive.stamps_ns[0])
-        stamps_ns = first_ns + np.rint((drive.stamps_ns - first_ns) / _FASTER).astype(np.int64)
-        try:
-            NoisyPath(laws, 0, 0).feed(stamps_ns, drive.true_xyt)
-        except OdomCorruptError:
-            return True
-    return False
-
-
 def _driven(drives: Sequence[_Drive], run: int, runs: int) -> Iterator[tuple[_Drive, slice]]:
     """Yield drives with row ranges for a run: everything in the first run, `_STRETCH_S` in turn in the others."""
     if run == 0:
@@ -338,14 +317,6 @@ def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequ
 
 def _repairs(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
     """Yield models with one kind of change, the slightest first, and a description of the change."""
-    yield from _limited_forms(model)
-    laws = [effect for effect in model.effects if isinstance(effect, UserEffect)]
-    for effect in (*_random(model), *reversed(laws), *(e for e in model.effects if e.reads_truth)):
-        yield _without(model, effect)
-
-
-def _limited_forms(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
-    """Yield models with dependences limited to a fraction of the motion, the largest first, and a description."""
     laws = [effect for effect in model.effects if isinstance(effect, UserEffect)]
     for limit in _LIMITS:
         limited = {law.name: _limited(law, limit) for law in laws}
@@ -354,6 +325,8 @@ def _limited_forms(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
             effects = tuple(limited.get(e.name) or e for e in model.effects)
             said = f"{' and '.join(changed)} held within {limit:g} of the motion"
             yield replace(model, effects=effects), said
+    for effect in (*_random(model), *reversed(laws), *(e for e in model.effects if e.reads_truth)):
+        yield _without(model, effect)
 
 
 def _limited(law: UserEffect, limit: float) -> UserEffect | None:

@@ -35,9 +35,10 @@ _OF_A_BIAS = ("speed", "yaw_rate", "time")
 """Regressors of a heading rate that also acts at rest, as a gyro bias does."""
 _LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
 """Smallest thresholds, m/s^2 and rad/s^2: noise (of ticks) exceeds smaller ones."""
-_LEAST_S, _WITHIN = 2.0, 0.9
-"""Minimum time, s, beyond a threshold or in reverse; and the largest threshold of a speed, as a fraction of the speed
-exceeded for that time: above a cruising speed is only odometry noise, which is also part of the error."""
+_LEAST_S, _LEAST_SLIP_S, _WITHIN = 2.0, 6.0, 0.9
+"""Minimum time, s, beyond a threshold of a speed or in reverse; beyond one of an acceleration, because a few slips of
+some tenths of a second would fill less; and the largest threshold of a speed, as a fraction of the speed exceeded for
+the first of these: above a cruising speed is only odometry noise, which is also part of the error."""
 _HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")  # regressors with hinges
 _STILL = 0.02
 """Rates below which a robot is at rest, m/s and rad/s."""
@@ -85,7 +86,8 @@ def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
     """Return quantiles of a regressor while the robot moved; for a speed also the limit of rest."""
     value = VALUES[regressor][1]
     seen = np.concatenate([value(m)[(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL)] for m in motions])
-    rare = _TAIL[_least_part(motions) < _TAIL] if regressor != "time" else _TAIL[:0]
+    least_s = _LEAST_S if regressor in ("speed", "yaw_rate") else _LEAST_SLIP_S
+    rare = _TAIL[_least_part(motions, least_s) < _TAIL] if regressor != "time" else _TAIL[:0]
     levels = np.concatenate((rare if regressor in _SIGNED else rare[:0], _CUTS, 1.0 - rare))
     cuts = np.quantile(seen, np.sort(levels)) if len(seen) else np.zeros(0)
     return np.unique(np.append(cuts, _STILL) if regressor in ("speed", "yaw_rate") else cuts)
@@ -141,9 +143,9 @@ def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> flo
     return _WITHIN * max(float(np.quantile(seen, 1.0 - _least_part(motions))), 0.0) if len(seen) else 0.0
 
 
-def _least_part(motions: Sequence[Motion]) -> float:
-    """Return `_LEAST_S` as a fraction of the recorded time, at most one."""
-    return min(_LEAST_S / max(sum(float(m.dt_s.sum()) for m in motions), 1e-9), 1.0)
+def _least_part(motions: Sequence[Motion], least_s: float = _LEAST_S) -> float:
+    """Return a time, s, as a fraction of the recorded time, at most one."""
+    return min(least_s / max(sum(float(m.dt_s.sum()) for m in motions), 1e-9), 1.0)
 
 
 def _hinge(
