@@ -19,7 +19,8 @@ from laboratory.drives import noiseless_pair, quiet_run
 from odomcorrupt.effects import registry
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.intervals import GAP_S, intervals, pick_nodes
+from odomcorrupt.study.estimate.intervals import intervals
+from odomcorrupt.study.estimate.nodes import GAP_S, pick_nodes
 
 if TYPE_CHECKING:
     from laboratory.cases import Case

@@ -11,7 +11,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.estimate.intervals import lay_nodes
+from odomcorrupt.study.estimate.nodes import lay_nodes
 from odomcorrupt.study.estimate.pose_steps import with_pose_steps
 
 PUSHED_S = 200.0

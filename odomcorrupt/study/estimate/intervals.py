@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, rotate, wrap
 from odomcorrupt.geometry.trajectory import UNKNOWN_M2
 from odomcorrupt.model.noise_laws import variances
@@ -30,53 +29,19 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording, TruthField
 
 __all__ = [
-    "LEAST_NODES",
+    "TURN_M",
     "Cut",
     "Intervals",
-    "count_nodes",
     "cut_at",
     "intervals",
     "join",
-    "lay_nodes",
     "memory_over",
-    "pick_nodes",
 ]
 
-GAP_S = 3.0
-"""Multiple of the node spacing above which an interval is a gap in the truth and is not used."""
 TURN_M = 0.3
 """Travel, metres, that changes a localisation's view as much as a turn by 1 rad does."""
 _MOST_MEMORY = 0.97
 """Upper limit of the correlation of the truth's errors at two nodes; it would be 1 at the same place."""
-LEAST_NODES = 20
-"""Minimum number of intervals for a fit."""
-
-
-def pick_nodes(
-    truth_s: Array,
-    first_s: float,
-    last_s: float,
-    spacing_s: float,
-    among: NDArray[np.bool_] | None = None,
-    anchor_s: float | None = None,
-) -> NDArray[np.int64]:
-    """Return indices of truth samples in [first, last], each at least about `spacing_s` after the previous one.
-
-    among : (n,) mask of the samples that may be picked; all by default
-    anchor_s : time of one grid point of the nodes; by default that of the first usable sample
-    """
-    usable = (truth_s >= first_s) & (truth_s <= last_s)
-    inside = np.flatnonzero(usable if among is None else usable & among)
-    if len(inside) < 2:
-        raise RecordingError(
-            f"odometry and truth overlap in {len(inside)} truth samples; check that their stamps come from one clock"
-        )
-    begin_s = truth_s[inside[0]]
-    if anchor_s is not None:
-        begin_s += (anchor_s - begin_s) % spacing_s
-    grid = np.arange(begin_s, last_s + spacing_s, spacing_s) - 1e-9
-    picked: NDArray[np.int64] = np.unique(inside[np.minimum(np.searchsorted(truth_s[inside], grid), len(inside) - 1)])
-    return picked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,56 +161,6 @@ class Intervals:
 def _added(row: Array | None, more: Array) -> Array:
     """Return the sum of both arrays, computed in place in the first."""
     return more if row is None else np.add(row, more, out=row)
-
-
-def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
-    """Return the intervals between truth samples `spacing_s` apart, with the odometry between them.
-
-    Raises
-    ------
-    RecordingError
-        If odometry and truth overlap too little.
-    """
-    truth_s = recording.truth.seconds_since(recording.origin_ns)
-    try:
-        picked = _nodes_of(recording, truth_s, spacing_s)
-    except RecordingError as error:
-        raise RecordingError(f"{recording.name}: {error}") from error
-    start, end = truth_s[picked[:-1]], truth_s[picked[1:]]
-    beside = [(end <= step.start_s) | (start >= step.end_s) for step in recording.pose_steps]
-    kept = np.flatnonzero(np.all([end - start < GAP_S * spacing_s, *beside], axis=0))
-    if len(kept) < LEAST_NODES:
-        raise RecordingError(
-            f"{recording.name}: only {len(kept)} stretches of {spacing_s:g} s have both odometry and truth; "
-            f"{LEAST_NODES} are needed: record longer, or check both clocks"
-        )
-    return intervals(recording, picked, kept)
-
-
-def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray[np.int64]:
-    """Return indices of the nodes, `spacing_s` apart; for a localisation, the path usually driven in that time apart.
-
-    Errors of a localisation depend on its view and stay the same while the robot stands or creeps. The path length is
-    that of the truth, and the grid of nodes starts at the recorded start of the odometry. So nodes are the same samples
-    of the truth for all models and clocks: noise of other samples would change the likelihood more than most effects.
-    """
-    ends, first = recording.odometry_s[[0, -1]], int(np.searchsorted(truth_s[:-1], 0.0))
-    if not recording.localised:
-        return pick_nodes(truth_s, float(ends[0]), float(ends[1]), spacing_s, anchor_s=float(truth_s[first]))
-    steps = np.diff(np.nan_to_num(recording.truth.xyt), axis=0)
-    gone = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) + TURN_M * np.abs(steps[:, 2]))))
-    pace = gone * (float(truth_s[-1] - truth_s[0]) / max(float(gone[-1]), 1e-9))
-    usable = (truth_s >= ends[0]) & (truth_s <= ends[1])
-    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, usable, float(pace[first]))
-
-
-def count_nodes(recording: Recording, spacing_s: float) -> int:
-    """Return the number of intervals that `lay_nodes` would find."""
-    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
-    if np.count_nonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])) < 2:
-        return 0
-    between_them = np.diff(truth_s[_nodes_of(recording, truth_s, spacing_s)])
-    return int(np.count_nonzero(between_them < GAP_S * spacing_s))
 
 
 def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> Intervals:

@@ -18,7 +18,8 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.study.estimate.intervals import Intervals, join, lay_nodes
+from odomcorrupt.study.estimate.intervals import Intervals, join
+from odomcorrupt.study.estimate.nodes import lay_nodes
 from odomcorrupt.study.estimate.regressors import MotionSmoother, drives_sideways
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders
 from odomcorrupt.study.io.headings import with_recomputed_headings

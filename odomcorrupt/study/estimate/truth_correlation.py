@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.estimate.intervals import TURN_M, intervals, pick_nodes
+from odomcorrupt.study.estimate.intervals import TURN_M, intervals
+from odomcorrupt.study.estimate.nodes import pick_nodes
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array

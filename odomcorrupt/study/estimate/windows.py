@@ -9,7 +9,8 @@ import numpy as np
 from scipy.stats import norm
 
 from odomcorrupt.geometry.se2 import between
-from odomcorrupt.study.estimate.intervals import intervals, pick_nodes
+from odomcorrupt.study.estimate.intervals import intervals
+from odomcorrupt.study.estimate.nodes import pick_nodes
 from odomcorrupt.study.estimate.whitener import interval_covariance
 
 if TYPE_CHECKING:

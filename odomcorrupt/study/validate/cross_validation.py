@@ -12,7 +12,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.study.estimate.intervals import LEAST_NODES, count_nodes
+from odomcorrupt.study.estimate.nodes import LEAST_NODES, count_nodes
 from odomcorrupt.study.io.clock import clock_leaders
 
 if TYPE_CHECKING:
