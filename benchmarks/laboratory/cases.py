@@ -20,7 +20,7 @@ RANDOM = ("gauss_markov", "gyro_bias_walk", "heavy_tails", "lost_increments", "q
 CLOCKS = ("clock_skew", "time_offset")
 SYSTEMATIC = tuple(sorted(set(CAUSES) - set(RANDOM)))
 """Causes in the library that are always active: geometry, sensors, contact and clocks."""
-KNOWN_AS = {"wet_patch": "region_slip", "eccentric_wheel": "flat_spot"}
+KNOWN_AS = {"wet_patch": "region_slip", "eccentric_wheel": "flat_spot", "magnetic_heading": "hard_iron"}
 """Causes that are separate in the simulator, and their name in the library."""
 SINGLE = (*SYSTEMATIC, *KNOWN_AS)
 UNKNOWN = tuple(sorted(set(OUTSIDE) - set(KNOWN_AS)))

@@ -92,7 +92,7 @@ def _used(folder: Path, judged: Drive, learned: Drive, options: list[str]) -> tu
 def _start(model: Path, judged: Drive, learned: Drive) -> list[str]:
     """Return options with the start of the judged drive in the frame of the learned truth, if the model has a place."""
     text = model.read_text()
-    places = any(word in text for word in ("region_slip", "slope")) or any(
+    places = any(word in text for word in ("region_slip", "slope", "hard_iron")) or any(
         f" {letter} " in line or f"({letter}" in line
         for line in text.splitlines() if line.startswith("expression") for letter in ("x", "y", "theta")
     )  # fmt: skip

@@ -146,7 +146,6 @@ def test_a_compass_that_iron_turns_shows_as_an_error_per_radian_over_the_heading
     ("seed", "cause", "channel", "driver"),
     [
         (71, "turn_scrub", "yaw", "yaw_rate"),
-        (81, "magnetic_heading", "yaw", "heading"),
         (82, "floor_grain", "across", "heading"),
     ],
 )

@@ -43,6 +43,8 @@ _LIKE_CLOCK = (*RIVALS, "motor_lag")
 """Effects that a clock offset resembles."""
 _LATE = (*_LIKE_CLOCK, "steering_lag", "steering_play")
 """Effects of delay or slip at changes of speed; their models are approximate."""
+_DECAYING = ("hard_iron",)
+"""Effects whose heading errors decay by themselves, as those of a filter with external poses do."""
 _MISFIT_DISPLACEMENT = 0.03
 """Fraction of the largest effect's displacement in 10 s up to which another effect may be a misfit of its model."""
 HELD_OUT_ERRORS = 2.0
@@ -113,7 +115,7 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     if step.added in _LIKE_CLOCK and learned.clocks.ambiguous_nats > 0.0:
         # the clock offset that was set to zero is a rival, with at most the gain of the effect
         rivals = (*rivals, min(own, learned.clocks.ambiguous_nats - (gain - own)))
-    if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
+    if step.added not in (*RIVALS, *_DECAYING) and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
         # the pose updates of a filter imitate gains and biases of any kind
         rivals = (*rivals, own)
     if _may_be_of_wheels(step.added or "", learned):
