@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden import ten_second_error
 from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments
@@ -39,3 +40,24 @@ def test_slip_has_its_name_size_and_contact_and_leaves_no_clock(own, contact):
     assert effect.k == pytest.approx(K, rel=0.1)
     assert not any(any(free) for free in learned.clocks.free)
     assert not learned.unknown
+
+
+def belted(seed):
+    """Return a recording of a robot whose right wheel slips on its belt, both when it speeds up and when it brakes."""
+    told = wander(seed, 200.0)
+    half = TRACK_M / 2.0 * told.dtheta_rad
+    right, left = told.ds_m + half, told.ds_m - half
+    right = right * np.where(np.abs(np.gradient(right) * RATE_HZ**2) > 0.5, 0.9, 1.0)
+    driven = Increments((right + left) / 2.0, told.dl_m, (right - left) / TRACK_M)
+    run = recording(driven, noisy_path(told, QUIET, seed), truth_mm=1.0, truth_rad=0.002, seed=seed)
+    return replace(run, track_m=TRACK_M)
+
+
+def test_a_belt_of_one_wheel_that_slips_under_acceleration_of_either_sign_is_corrected_on_another_drive():
+    learned = learn([belted(401)])
+    (law,) = learned.laws
+    assert law.wheels == "right"
+    assert law.best.score.estimate[0] == pytest.approx(-0.1, rel=0.1)
+    assert "abs(a) >" in law.expression
+    assert law.best.term.shape[0] == pytest.approx(0.5, abs=0.05)
+    assert ten_second_error([belted(402)], learned.fit.effects) < 0.4 * ten_second_error([belted(402)])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects.wheels import wheel_motions
 from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def functions_of_motion(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
             yield from _thresholds(regressor, motions)
         if regressor in _HINGED:
             yield from _hinges(regressor, motions)
+    yield from _either_signs(motions)
     yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # g-sensitive gyro
     yield from _saturations(motions)
     yield from _one_way(motions)
@@ -80,6 +82,38 @@ def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunc
     for above, (i, cut) in product(ways, enumerate(cuts)):
         gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
         yield _threshold(regressor, len(cuts) * len(ways), (float(cut),), (0.5 * gap,), above=above, within=within)
+
+
+def _either_signs(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield steps of one wheel at thresholds of its acceleration's magnitude, as of a belt or a hub that slips.
+
+    They are a family of their own, so that one-sided thresholds do not pay for them.
+    """
+    wheels = [wheel for m in motions if m.track_m is not None for wheel in wheel_motions(m, m.track_m)]
+    if not wheels:
+        return
+    seen = np.concatenate([np.abs(m.a[np.abs(m.v) > _STILL]) for m in wheels])
+    levels = np.concatenate((_CUTS, 1.0 - _TAIL[_least_part(motions, _LEAST_SLIP_S) < _TAIL]))
+    cuts = np.quantile(seen, np.sort(levels)) if len(seen) else np.zeros(0)
+    cuts = np.unique(np.maximum(cuts, _LEAST["acceleration"]))
+    for i, cut in enumerate(cuts):
+        gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
+        yield _either_sign(len(cuts), (float(cut),), (0.5 * gap,))
+
+
+def _either_sign(trials: int, shape: tuple[float, ...], steps: tuple[float, ...]) -> BasisFunction:
+    cut = max(shape[0], _LEAST["acceleration"])
+    return BasisFunction(
+        "acceleration",
+        f"k * where(abs(a) > {cut:.4g}, 1, 0)",
+        (_above(lambda m: np.abs(m.a), cut),),
+        trials * REFINING,
+        form="step",
+        reaches=("one",),
+        shape=shape,
+        steps=steps,
+        with_shape=lambda moved: _either_sign(trials, moved, steps),
+    )
 
 
 def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
