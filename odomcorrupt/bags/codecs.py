@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import lz4.frame
+import numpy as np
 import xxhash
 import zstandard
 
@@ -17,7 +18,6 @@ from odomcorrupt.bags.codec_streams import DAMAGE, PackedInMemory, end_of_frame,
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.buffer_pool import BufferPool
@@ -143,7 +143,7 @@ def _unlz4(data: memoryview, size: int, shelf: BufferPool) -> tuple[NDArray[np.u
         raise ValueError(f"{len(data)} bytes cannot become {size}")
     out = unpack(data, size)
     placed = shelf.place(len(out))
-    placed.data[:] = out
+    placed[:] = np.frombuffer(out, dtype=np.uint8)  # without Python's lock, unlike the copy of a memoryview
     return placed, len(out)
 
 
