@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import lz4.frame
+import numpy as np
 import xxhash
 import zstandard
 
@@ -17,7 +18,6 @@ from odomcorrupt.bags.codec_streams import DAMAGE, PackedInMemory, end_of_frame,
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.buffer_pool import BufferPool
@@ -29,11 +29,15 @@ _SUMMED, _SIZED, _HAS_DICTIONARY = 0x04, 0x08, 0x01
 """Flags of a frame: a checksum at its end; the size, or a dictionary's id, in its head."""
 
 
-def pack_summed(data: NDArray[np.uint8], level: int) -> bytes:
+def pack_summed(data: NDArray[np.uint8], level: int) -> memoryview:
     """Return a frame of independent blocks with a content checksum and no content size."""
-    frame: bytes = lz4.frame.compress(data.data, compression_level=level, block_linked=False, store_size=False)
-    fields = bytes([frame[4] | _SUMMED, frame[5]])
-    return b"".join((_MAGIC, fields, _sum_of_head(fields), memoryview(frame)[7:], _sum_of_content(data.data)))
+    frame: bytearray = lz4.frame.compress(
+        data.data, compression_level=level, block_linked=False, store_size=False, return_bytearray=True
+    )
+    frame[4] |= _SUMMED
+    frame[6:7] = _sum_of_head(frame[4:6])
+    frame += _sum_of_content(data.data)
+    return memoryview(frame)
 
 
 def unpack(data: memoryview, size: int) -> bytearray:
@@ -71,7 +75,7 @@ def _head_without_sum(data: memoryview) -> tuple[bytes, bool]:
     return _MAGIC + fields + _sum_of_head(fields), bool(flags & _SUMMED)
 
 
-def _sum_of_head(fields: bytes | memoryview) -> bytes:
+def _sum_of_head(fields: bytes | bytearray | memoryview) -> bytes:
     return bytes([xxhash.xxh32_intdigest(fields) >> 8 & 0xFF])
 
 
@@ -139,7 +143,7 @@ def _unlz4(data: memoryview, size: int, shelf: BufferPool) -> tuple[NDArray[np.u
         raise ValueError(f"{len(data)} bytes cannot become {size}")
     out = unpack(data, size)
     placed = shelf.place(len(out))
-    placed.data[:] = out
+    placed[:] = np.frombuffer(out, dtype=np.uint8)  # without Python's lock, unlike the copy of a memoryview
     return placed, len(out)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Self
 
-from odomcorrupt.bags.checksum import crc32, crc_of_both
+from odomcorrupt.bags.checksum import combined, crc32, crc_of_both
 from odomcorrupt.bags.file_copy import FileCopy
 from odomcorrupt.bags.placement import beside, is_stream, place, sweep
 from odomcorrupt.errors import BagError
@@ -49,7 +49,7 @@ class Output:
     overwrite : whether it may replace a file
     position : bytes written so far
     summing : whether the CRC is computed
-    crc : CRC-32 of the bytes since it was last set to 0
+    crc : CRC-32 of the bytes since the last call of `restart_crc`
     """
 
     def __init__(self, path: Path | None, stream: BinaryIO | None = None, *, overwrite: bool = False) -> None:
@@ -58,6 +58,7 @@ class Output:
         self.position = 0
         self.summing = True
         self.crc = 0
+        self._earlier_crc = self._crc_begin = 0
         self._path = path
         self._partial: Path | None = None
         self._stream = stream
@@ -83,6 +84,17 @@ class Output:
             self._stream = self._partial.open("xb", buffering=_PIECE_BYTES)
         except OSError as error:
             raise BagError(f"{self.name}: cannot be written: {error.strerror}") from error
+
+    @property
+    def crc_of_all(self) -> int | None:
+        """CRC-32 of all bytes written; None if it was not computed."""
+        if not self.summing or not self._crc_begin:
+            return self.crc if self.summing else None
+        return combined(self._earlier_crc, self.crc, self.position - self._crc_begin)
+
+    def restart_crc(self) -> None:
+        """Begin a CRC of the bytes that follow."""
+        self._earlier_crc, self._crc_begin, self.crc = self.crc_of_all or 0, self.position, 0
 
     def write_summed(self, piece: bytes | memoryview, crc: int) -> None:
         """Write bytes whose CRC-32 is known."""
@@ -241,6 +253,11 @@ class OutputContext:
 
     def __init__(self, output: Output) -> None:
         self._output = output
+
+    @property
+    def crc(self) -> int | None:
+        """CRC-32 of the whole output after the context's end; None if it was not computed."""
+        return self._output.crc_of_all
 
     def _begin(self) -> None:
         """Write what the output begins with."""

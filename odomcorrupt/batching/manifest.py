@@ -214,8 +214,10 @@ class Content(NamedTuple):
     crc: int
 
 
-def content_of(path: Path) -> Content:
-    """Return size and CRC-32 of a run's file, or of a directory's file names and contents."""
+def content_of(path: Path, known_crc: int | None = None) -> Content:
+    """Return size and CRC-32 of a run's file, or of a directory's file names and contents; a known CRC saves a read."""
+    if known_crc is not None:
+        return Content(_size(path), known_crc)
     crc, buffer = 0, memoryview(bytearray(_PIECE_BYTES))
     for file in _files(path):
         crc = crc32(file.name.encode(), crc) if file != path else crc

@@ -135,10 +135,12 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
             workers = stack.enter_context(Workers(threads))
             raw = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
             output = job.container.target(job.path_of(0), raw) if job.output == "full" else Target(raw, _OVERLAY)
-            records = _make(task, room, whole, stack, output, part(output.reader), workers)
-        contents = [content_of(room / record["file"]) for record in records]
-        note(job, [{**one, "size": it.size, "crc32": it.crc} for one, it in zip(records, contents, strict=True)])
-        for record in records:
+            made = _make(task, room, whole, stack, output, part(output.reader), workers)
+        for record, sink in made:
+            content = content_of(room / record["file"], None if sink is None else sink.crc)
+            record |= {"size": content.size, "crc32": content.crc}
+        note(job, [record for record, _ in made])
+        for record, _ in made:
             place(room / record["file"], job.directory / record["file"], overwrite=True)
     finally:
         remove(room)
@@ -152,8 +154,8 @@ def _make(
     output: Target,
     part: BagReader,
     workers: Workers,
-) -> list[dict[str, Any]]:
-    """Make the runs in a folder; return their records."""
+) -> list[tuple[dict[str, Any], Sink | None]]:
+    """Make the runs in a folder; return the record of each, and its output, None where the bag is copied unchanged."""
     job = replace(task.job, directory=room)
     home = task.job.directory
     # which topic is the odometry may follow from the one that the model was learned from
@@ -181,7 +183,7 @@ def _make(
     shared.require_frame()
     for one in runs:
         _put_beside(job, home, one)
-    return [_record(job, one.strand, part.losses) for one in runs]
+    return [(_record(job, one.strand, part.losses), one.sink) for one in runs]
 
 
 def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:

@@ -166,6 +166,10 @@ Added = list[list[Message]] | None
 class Sink(Protocol):
     """The output of one run; it appears when its context ends without an error."""
 
+    @property
+    def crc(self) -> int | None:
+        """CRC-32 of its file after the context's end; None if it was not computed while it was written."""
+
     def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
         """Write a portion, given its data (size,) as patched by the run.
 
@@ -198,6 +202,11 @@ class BagSink(ABC):
         """Writer of the bag."""
         writer: BagWriter = self._writer
         return writer
+
+    @property
+    def crc(self) -> int | None:
+        """CRC-32 of the bag's file, see `Sink.crc`; None for a directory, sqlite3 and ROS 1."""
+        return self._writer.crc if isinstance(self._writer, OutputContext) else None
 
     @abstractmethod
     def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:

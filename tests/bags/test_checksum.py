@@ -45,3 +45,19 @@ def test_what_is_written_with_its_sum_is_summed_the_same(tmp_path):
     output.commit()
     assert output.crc == zlib.crc32((tmp_path / "file").read_bytes())
     assert output.position == 504
+
+
+def test_the_sum_of_a_file_counts_what_came_before_a_new_sum(tmp_path):
+    output = Output(tmp_path / "file")
+    output.open()
+    output.write(b"data section")
+    assert output.crc_of_all == zlib.crc32(b"data section")
+    output.restart_crc()
+    output.write(b"summary")
+    output.restart_crc()
+    output.write_summed(b"end", zlib.crc32(b"end"))
+    output.commit()
+    assert output.crc == zlib.crc32(b"end")
+    assert output.crc_of_all == zlib.crc32((tmp_path / "file").read_bytes())
+    output.summing = False
+    assert output.crc_of_all is None

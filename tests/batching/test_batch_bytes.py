@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -146,3 +147,23 @@ def test_a_model_that_does_nothing_copies_the_bag(here):
     still, moved = (here / "runs" / f"alpha-scale={k}" / "run_000000.mcap" for k in (0, 1))
     assert still.read_bytes() == (here / "office.mcap").read_bytes()
     assert moved.read_bytes() != still.read_bytes()
+
+
+@pytest.mark.parametrize("bag", ["office.bag", "office.mcap"])
+@pytest.mark.parametrize(
+    "output",
+    [["full"], ["full", "--layout", "split"], ["full", "--compression", "none"], ["overlay"], ["trajectories"]],
+    ids=" ".join,
+)
+def test_recorded_checksums_are_those_of_the_files_which_are_read_again_only_in_ros1(here, monkeypatch, bag, output):
+    read = []
+    monkeypatch.setattr(
+        "odomcorrupt.batching.manifest.crc32", lambda data, crc=0: read.append(len(data)) or zlib.crc32(data, crc)
+    )
+    assert run(["batch", bag, "runs", "--runs", "2", "--seed", "7", *MODEL, "--output", *output]) == 0
+    lines = (here / "runs/manifest.jsonl").read_text().splitlines()
+    records = [json.loads(line) for line in lines]
+    files = [here / "runs" / record["file"] for record in records]
+    assert [record["crc32"] for record in records] == [zlib.crc32(file.read_bytes()) for file in files]
+    again = bag == "office.bag" and output[0] == "full"
+    assert sum(read) == (sum(file.stat().st_size for file in files) if again else 0)

@@ -216,7 +216,8 @@ class McapWriter(OutputContext):
         if self._whole:
             require_all(output.name, self._reader, sum(self._index.counts.values()), self._added_count)
         output.write(record(DATA_END, struct.pack("<I", output.crc)))
-        begin, output.crc = output.position, 0
+        begin = output.position
+        output.restart_crc()
         private: list[bytes] = self._reader.summary.private if isinstance(self._reader, McapReader) else []
         section, offsets = self._index.summary(*self._directory.packed(), private, begin)
         footer = record(FOOTER, struct.pack("<QQI", begin, offsets, 0))[:-4]
