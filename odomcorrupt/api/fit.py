@@ -50,7 +50,7 @@ class Fit(Result):
 
     def details(self) -> str:
         """Return all coefficients with their intervals, effects, clocks, and downweighted segments."""
-        from odomcorrupt.report.text.fit import fit_text, laws_table
+        from odomcorrupt.report.text.diagnosis import fit_text, laws_table
 
         return "\n\n".join(
             [*([laws_table(self.laws)] if self.laws else []), fit_text(self.result), *self.proof.changes]

@@ -106,14 +106,14 @@ class Recordings(Sequence["Recording"]):
 
         Parameters
         ----------
-        origin : odomcorrupt.study.io.geodesy.Origin or None
+        origin : odomcorrupt.study.io.fixes.Origin or None
             Origin of an east-north frame; None leaves them in the frame of their first fix.
 
         Returns
         -------
         Recordings
         """
-        from odomcorrupt.study.io.geodesy import in_frame
+        from odomcorrupt.study.io.fixes import in_frame
 
         return replace(self, runs=tuple(in_frame(run, origin) for run in self.runs))
 

@@ -15,10 +15,9 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.stepwise import learn
-from odomcorrupt.study.validate.compare import Comparison, compare
+from odomcorrupt.study.validate.compare import Comparison, compare, sequence_comparison
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
-from odomcorrupt.study.validate.model_sequence import sequence_comparison
-from odomcorrupt.study.validate.reproduction import Reproduction, reproduction_of
+from odomcorrupt.study.validate.predictive_check import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
 from odomcorrupt.study.work import Watch, Work, silent
 

@@ -13,9 +13,9 @@ from odomcorrupt.report.html.page import page, picture, prose, table
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.model_sequence import draw_errors
 from odomcorrupt.report.plots.residuals import draw_residuals
+from odomcorrupt.report.text.comparison import SIGNS, rejection, size
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.text.diagnosis import NOTHING, evidence_words, unnamed
-from odomcorrupt.report.text.lack_of_fit import SIGNS, rejection, size
 from odomcorrupt.report.text.numbers import (
     clock_lines,
     effects_with_errors,

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.report.text.lack_of_fit import SIGNS, judgement_sentence, sentence
+from odomcorrupt.report.text.comparison import SIGNS, judgement_sentence, sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

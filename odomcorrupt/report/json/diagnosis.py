@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.text.comparison import rejection, reproduction_sentence
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
-from odomcorrupt.report.text.lack_of_fit import rejection, reproduction_sentence
 from odomcorrupt.report.text.numbers import (
     clocks_found,
     effects_with_errors,
@@ -19,7 +19,7 @@ from odomcorrupt.report.text.numbers import (
     step_confidence,
 )
 from odomcorrupt.study.estimate.outliers import single_events
-from odomcorrupt.study.validate.clock_gain import clock_gain
+from odomcorrupt.study.validate.trajectory_error import clock_gain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
-    from odomcorrupt.study.validate.reproduction import Reproduction
+    from odomcorrupt.study.validate.predictive_check import Reproduction
 
 __all__ = ["fit_json", "learned_json", "recordings_json", "reproduction_json"]
 

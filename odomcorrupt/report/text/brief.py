@@ -6,10 +6,9 @@ from dataclasses import replace
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.text.comparison import HELD, measures_words
+from odomcorrupt.report.text.comparison import HELD, measures_words, reproduction_sentence, sentence, size, within
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
-from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, sentence, size, within
 from odomcorrupt.report.text.numbers import (
     clocks_found,
     confidence_words,
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Comparison
-    from odomcorrupt.study.validate.reproduction import Reproduction
+    from odomcorrupt.study.validate.predictive_check import Reproduction
 
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
 

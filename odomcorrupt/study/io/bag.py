@@ -13,8 +13,7 @@ from odomcorrupt.study.io.address import plain
 from odomcorrupt.study.io.fixes import Fixes, resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import headings
-from odomcorrupt.study.io.tf import EdgeReader
-from odomcorrupt.study.io.tf_tree import read_tree
+from odomcorrupt.study.io.tf import EdgeReader, read_tree
 from odomcorrupt.study.io.topic_selection import EDGES, TRANSFORM, choose, named
 
 if TYPE_CHECKING:

@@ -17,7 +17,6 @@ from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
-from odomcorrupt.study.io.jitter import jitter_warnings, stamp_jitter_s
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import NO_SCAN, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import MAP_SCALE_ACCURACY, corrections_alone, is_of_base
@@ -25,7 +24,7 @@ from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
-from odomcorrupt.study.io.stamps import between_steps, even_stamps, stamp_resolution_s
+from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s, stamp_resolution_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth

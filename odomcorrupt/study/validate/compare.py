@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from math import degrees
 from typing import TYPE_CHECKING, Literal
 
+from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
@@ -37,10 +38,11 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.cross_validation import Pieces
     from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
 
-__all__ = ["Comparison", "JudgedOn", "Judgement", "clocks_beside", "compare"]
+__all__ = ["Comparison", "JudgedOn", "Judgement", "clocks_beside", "compare", "sequence_comparison"]
 
 JudgedOn = Literal["recordings", "halves", "fitted data"]
 
@@ -272,3 +274,19 @@ def _ten_seconds(recordings: Sequence[Recording]) -> float:
     windows = [time_windows(recording) for recording in recordings]
     whole = [w for w in windows if len(w)]
     return rmse(join(whole, [0] * len(whole))) if whole else float("nan")
+
+
+def sequence_comparison(
+    learned: Learned, recordings: Sequence[Recording], first: str = "without effects"
+) -> Comparison:
+    """Return the comparison of the model before each inclusion and of the final one, named by the added term.
+
+    recordings : evaluation data; recordings used in the selection are split in halves, one fitted and one evaluated
+    first : name of the initial model
+    """
+    steps = learned.steps
+    # Terms that were included and dropped again are not steps.
+    before = [step.before for step in (*learned.rounds[:1], *steps[1:])] if steps else []
+    fits = [*before, learned.fit]
+    names = [first, *(f"+ {step.name}" for step in steps)]
+    return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})

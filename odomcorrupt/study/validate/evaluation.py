@@ -1,4 +1,4 @@
-"""Evaluation of a model on a stretch of a recording: residuals, their predicted covariance, and their likelihood."""
+"""Evaluation of a model on a stretch of a recording: residuals, their predicted covariance and likelihood."""
 
 from __future__ import annotations
 
@@ -20,19 +20,18 @@ from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, w
 from odomcorrupt.study.io.headings import UNKNOWN_RAD, with_recomputed_headings
 from odomcorrupt.study.validate.calibration import Horizon, horizon_of
 from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty, uncertainty_of
-from odomcorrupt.study.validate.random_covariance import random_covariance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.effects.effect import Effect, Gain, Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Evaluation", "evaluate_stretch", "horizons_of"]
+__all__ = ["Evaluation", "evaluate_stretch", "horizons_of", "random_covariance"]
 
 _MIN_NATS_PER_NODE = 0.3
 """A recording's truth gets its own noise if that explains this much more per interval; noise half as large again does
@@ -250,3 +249,44 @@ def _most_likely_truth(nodes: Intervals, q: Array, start: Array, *, headed: bool
 def _unpacked(free: Array, *, headed: bool) -> TruthNoise:
     xy, yaw, random_walk = np.exp(free)
     return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(random_walk))
+
+
+def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Motion) -> Array:
+    """Return the covariance (K, 3, 3) from random gains on each window of one run.
+
+    A gain g is a Markov process: Cov(g_i, g_j) is Var(g_i) times the product of the factors kept from i to j. With c_i
+    the effect of step i at the window's end, the sum over all pairs therefore takes one backward pass.
+    """
+    total = np.zeros((len(windows), 3, 3))
+    for effect in random:
+        for gain in effect.gains(motion):
+            total += _of_gain(gain, windows, motion)
+    return total
+
+
+def _of_gain(gain: Gain, windows: Intervals, motion: Motion) -> Array:
+    moved = windows.carried(gain.f * motion.dt_s[:, None])
+    keep = gain.keep[windows.source] ** windows.share
+    variance = _variances(gain)[windows.source]
+    last = np.zeros(len(keep), dtype=bool)
+    last[np.concatenate((windows.first[1:] - 1, [len(keep) - 1]))] = True
+    later = np.zeros_like(moved)
+    sums = [0.0, 0.0, 0.0]
+    rows = zip(*moved.tolist(), keep.tolist(), last.tolist(), strict=True)
+    for place, (along, across, yaw, kept, ends) in reversed(list(enumerate(rows))):
+        if ends:
+            sums = [0.0, 0.0, 0.0]
+        later[:, place] = sums
+        sums = [kept * (s + c) for s, c in zip(sums, (along, across, yaw), strict=True)]
+    both = moved[:, None] * (later + 0.5 * moved)[None]
+    outer = variance * (both + np.swapaxes(both, 0, 1))
+    return np.ascontiguousarray(np.moveaxis(np.add.reduceat(outer, windows.first, axis=2), 2, 0))
+
+
+def _variances(gain: Gain) -> Array:
+    """Return the variance (n,) of the gain in each interval."""
+    variance, found = gain.start, []
+    for keep, kick in zip(gain.keep.tolist(), gain.kick.tolist(), strict=True):
+        variance = keep * keep * variance + kick
+        found.append(variance)
+    return np.array(found)

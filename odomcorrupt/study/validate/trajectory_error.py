@@ -1,4 +1,4 @@
-"""ATE and RPE, the usual measures for SLAM, between poses at the same stamps.
+"""ATE and RPE, the usual measures for SLAM, between poses at the same stamps; reduction of the drift by clocks.
 
 Definitions: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012; alignment: Umeyama, PAMI
 13(4), 1991, without scale. The values equal those of the tool evo (its defaults, in the plane). Alignment hides errors
@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose, wrap
+from odomcorrupt.study.estimate.intervals import join
+from odomcorrupt.study.estimate.windows import distance_windows, rmse, time_windows
+from odomcorrupt.study.io.clock import Clock, aligned
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,13 +23,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
 
 __all__ = [
+    "ClockGain",
     "TrajectoryError",
     "absolute_errors",
     "aligned_at_origin",
     "aligned_rigidly",
+    "clock_gain",
     "relative_errors",
     "trajectory_error",
 ]
@@ -123,3 +129,30 @@ def _at_truth(recording: Recording) -> tuple[Array, Array]:
 def _rms(parts: Sequence[Array]) -> float:
     values = np.concatenate(parts) if parts else np.zeros(0)
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class ClockGain:
+    """Position errors, metres, without and with clock correction; NaN if a drive is too short."""
+
+    after_10m: tuple[float, float]
+    after_50m: tuple[float, float]
+    after_10s: tuple[float, float]
+
+
+def clock_gain(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> ClockGain:
+    """Return the drift without and with clock correction, over non-overlapping windows that start at the truth."""
+    before = [aligned(r, Clock()) for r in recordings]
+    after = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
+
+    def both(windows: tuple[list[Intervals], list[Intervals]]) -> tuple[float, float]:
+        first, second = (rmse(join(w, [0] * len(w))) if w else float("nan") for w in windows)
+        return first, second
+
+    def over(length_m: float) -> tuple[float, float]:
+        first, second = ([w for r in side if len(w := distance_windows(r, length_m))] for side in (before, after))
+        return both((first, second))
+
+    timed = ([w for r in side if len(w := time_windows(r))] for side in (before, after))
+    first, second = timed
+    return ClockGain(over(10.0), over(50.0), both((first, second)))
