@@ -172,7 +172,7 @@ def simulate(
     """
     require("scipy", "the study needs it", "study")
     from odomcorrupt.simulation.bag import write_mcap
-    from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
+    from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
     from odomcorrupt.simulation.record import fingerprint, format_answer
     from odomcorrupt.simulation.routes import read_commands
     from odomcorrupt.simulation.run import Scenario

@@ -113,8 +113,8 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.laser.mapping import largest_part, laser_maps, tum_text
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.study.io.address import parse_address
     from odomcorrupt.study.io.laser_truth import laser_run
+    from odomcorrupt.study.io.topic_selection import parse_address
 
     if given["truth"] is not None or given["laser_pose"] is not None:
         raise click.UsageError("--method laser finds where the laser sits and takes no --truth; leave them out")

@@ -13,7 +13,7 @@ from odomcorrupt.bags.messages import locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS, OdometrySource
 from odomcorrupt.errors import MapError, TopicError
-from odomcorrupt.mapping.constrained_increments import without_effects
+from odomcorrupt.mapping.conditioned_runs import without_effects
 from odomcorrupt.mapping.constrained_path import FreePath, whole_path
 from odomcorrupt.mapping.frames import FrameTree
 from odomcorrupt.mapping.free_space import Check, Constraint, free_space

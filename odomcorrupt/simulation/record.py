@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from odomcorrupt.simulation.encoders import Odometry
-from odomcorrupt.simulation.fault_draws import EVERY
-from odomcorrupt.simulation.faults import CAUSES, Parameters
+from odomcorrupt.simulation.faults import CAUSES, EVERY, Parameters
 from odomcorrupt.simulation.planar import wrap
 from odomcorrupt.simulation.streams import stream
 from odomcorrupt.simulation.tracker import Track

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from odomcorrupt.simulation.drivetrain import wheel_angles
 from odomcorrupt.simulation.encoders import Rig, reckon
-from odomcorrupt.simulation.fault_draws import draw_fault, is_placed, names_of, source_of_turns, with_faults
-from odomcorrupt.simulation.kinematics import drive
+from odomcorrupt.simulation.faults import draw_fault, is_placed, names_of, source_of_turns, with_faults
+from odomcorrupt.simulation.kinematics import drive, wheel_angles
 from odomcorrupt.simulation.planar import add_up_steps
 from odomcorrupt.simulation.record import SimulatedRun, record
 from odomcorrupt.simulation.robot import build_robot

@@ -17,7 +17,7 @@ import numpy as np
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.report.html.page import resource
-from odomcorrupt.report.plots.model_sequence import rms_interval
+from odomcorrupt.report.plots.comparison import rms_interval
 from odomcorrupt.report.text.comparison import MOST, sentence
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.validate.calibration import HORIZONS_M

@@ -21,7 +21,7 @@ from odomcorrupt.report.text.numbers import (
     step_confidence,
 )
 from odomcorrupt.study.estimate.drive_type import DriveType, readings_of
-from odomcorrupt.study.validate.agreement import agreement_of
+from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.summary import Line, Summary, Tone, command_line
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.study.validate.agreement import agreement_of
+from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR
 
 if TYPE_CHECKING:

@@ -9,12 +9,11 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, gather_status, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import TopicError
-from odomcorrupt.study.io.address import plain
 from odomcorrupt.study.io.fixes import Fixes, resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import headings
 from odomcorrupt.study.io.tf import EdgeReader, read_tree
-from odomcorrupt.study.io.topic_selection import EDGES, TRANSFORM, choose, named
+from odomcorrupt.study.io.topic_selection import EDGES, TRANSFORM, choose, named, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,8 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
-    from odomcorrupt.study.io.address import Address
-    from odomcorrupt.study.io.topic_selection import Role
+    from odomcorrupt.study.io.topic_selection import Address, Role
 
 __all__ = ["read_bag"]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, wrap
-from odomcorrupt.study.io.address import plain
+from odomcorrupt.study.io.topic_selection import plain
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

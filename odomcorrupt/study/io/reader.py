@@ -11,7 +11,6 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import feedback_of
@@ -27,7 +26,7 @@ from odomcorrupt.study.io.self_consistency import check_itself
 from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s, stamp_resolution_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
-from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
+from odomcorrupt.study.io.topic_selection import FLAGS, has_truth, parse_address
 from odomcorrupt.study.io.warnings import (
     check_identity,
     filter_warnings,
@@ -42,11 +41,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.study.io.address import Address
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.io.source import Source
-    from odomcorrupt.study.io.topic_selection import Role
+    from odomcorrupt.study.io.topic_selection import Address, Role
 
 __all__ = ["read_odometry", "read_runs", "recordings_of"]
 

@@ -18,12 +18,11 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.study.io.address import plain
 from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, SPARSE_HZ, ahead_s
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import Transforms, composed, headings, interpolated, inverted, unit
 from odomcorrupt.study.io.time_order import order_of
-from odomcorrupt.study.io.topic_selection import near
+from odomcorrupt.study.io.topic_selection import near, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
-    from odomcorrupt.study.io.address import Address
+    from odomcorrupt.study.io.topic_selection import Address
 
 __all__ = ["Edge", "EdgeReader", "Tree", "read_tree"]
 

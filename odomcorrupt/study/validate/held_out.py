@@ -25,8 +25,7 @@ from odomcorrupt.study.io.clock import aligned, clock_leaders
 from odomcorrupt.study.select.confidence import confidence, evidence_of, noise_evidence
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.cross_validation import split_of
-from odomcorrupt.study.validate.evaluation import evaluate_stretch
-from odomcorrupt.study.validate.log_score import block_differences
+from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
