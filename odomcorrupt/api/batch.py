@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.summary import Summary
 
-__all__ = ["Batch", "batch"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Batch(Result):

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.round_trip import RoundTrip
     from odomcorrupt.summary import Summary
 
-__all__ = ["Fit", "fit", "require_effects"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Fit(Result):

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.work import Watch
     from odomcorrupt.summary import Summary
 
-__all__ = ["Learned", "learn"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Learned(Findings):

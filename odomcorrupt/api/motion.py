@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.sampling.samples import Move
     from odomcorrupt.sampling.text import Drawn
 
-__all__ = ["Density", "Samples", "density", "sample"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Samples(Result):

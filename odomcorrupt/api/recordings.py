@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io import Source
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["PathLikes", "Recordings", "as_paths", "as_recordings", "describe", "read_recordings", "require_travel"]
-
 PathLikes = str | PathLike[str] | Iterable[str | PathLike[str]]
 """One path or several."""
 

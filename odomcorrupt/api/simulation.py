@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.simulation.record import SimulatedRun
 
-__all__ = ["Simulation", "simulate"]
-
 _HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
 """Heading sources: the user's word, and the simulator's."""
 

@@ -22,20 +22,6 @@ from odomcorrupt.model.noise_laws import variances
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel, Noise
 
-__all__ = [
-    "WHEEL_EFFECTS",
-    "AmclAlphas",
-    "MessageNoise",
-    "Steady",
-    "Turn",
-    "TwistVariances",
-    "WheelMultipliers",
-    "amcl_alphas",
-    "message_noise",
-    "twist_variances",
-    "wheel_multipliers",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Steady:

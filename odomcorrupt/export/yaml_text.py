@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.export.parameters import AmclAlphas, Steady, TwistVariances
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["amcl_text", "condensed", "numbers_of", "twists_text", "unexpressed", "wheels_text"]
-
 _UNKNOWN = 1e6
 """Variance of quantities that a planar robot's odometry does not measure."""
 _WIDTH = 80

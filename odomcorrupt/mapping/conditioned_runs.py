@@ -26,21 +26,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import Constraint, FreeSpace
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = [
-    "FIRST_TRIES",
-    "FreePaths",
-    "FreeRuns",
-    "MotionReader",
-    "Motions",
-    "NoFreePoseError",
-    "free_paths",
-    "moved",
-    "require_free",
-    "rounds",
-    "swing_of",
-    "without_effects",
-]
-
 FIRST_TRIES = 12
 """Number of tries of the first round, usually sufficient; a stuck robot needs all rounds."""
 

@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["PARTICLES", "FreePath", "Plan", "plan_path", "whole_path"]
-
 PARTICLES = 64
 _BLOCK = 1024
 _MOST_SIGMAS = 6.0

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.preview.forecast import CleanDrive
 
-__all__ = ["MapCondition", "RecordedMap", "is_map_file", "read_condition", "read_map_from_odom", "read_odom_frame",
-           "read_recorded_map"]  # fmt: skip
-
 OCCUPIED_PERCENT, FREE_PERCENT = 65, 25
 """Values of an OccupancyGrid from which a cell is occupied, and up to which it is free: map_server's thresholds."""
 

@@ -28,20 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.scans import Rays
     from odomcorrupt.trajectories.reader import Drive
 
-
-__all__ = [
-    "WINDOW_M",
-    "Slow",
-    "Survey",
-    "View",
-    "added_thickness",
-    "distance_to_surface",
-    "place",
-    "slow_rays",
-    "survey",
-    "wall_thickness",
-]
-
 WINDOW_M = 1.0
 """Side of the square of neighbours, metres; walls more than half of it apart are separate walls."""
 

@@ -24,23 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.noise_laws import Variances
 
-__all__ = [
-    "DEFAULT_EXAMPLE",
-    "EXAMPLES",
-    "FreeSamples",
-    "Moments",
-    "Move",
-    "ellipse",
-    "example_named",
-    "linearised_moments",
-    "move_between",
-    "move_sampled",
-    "move_sampled_in_map",
-    "move_variances",
-    "sample_moments",
-    "with_noise",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Move:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["Estimate", "NoEstimateError", "find_estimate", "read_estimate"]
-
 _BAGS = (".mcap", ".bag", ".db3")
 _TEXTS = (".tum", ".txt", ".csv")
 _PLANAR = np.array([0, 1, 5])

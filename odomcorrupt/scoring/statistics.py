@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Breakdown", "Growth", "Quantile", "Section", "Summary", "breakdown", "growth", "sections", "summarise"]
-
 LOST_PART = 0.05
 """Fraction of lost runs that defines the break-down point."""
 

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.stepwise import Learned
 
-__all__ = ["LAW", "DiagnosedModel", "LearnedRobot", "diagnose_model", "learn_robot"]
-
 LAW = "diffusion"
 """Noise law of learned models: the only law whose drift does not depend on the message rate."""
 

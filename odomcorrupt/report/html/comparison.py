@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
     from odomcorrupt.study.validate.compare import Comparison, Judgement
 
-__all__ = ["report_html", "sequence_table"]
-
 
 def report_html(comparison: Comparison, *, version: str) -> str:
     """Return the HTML page."""

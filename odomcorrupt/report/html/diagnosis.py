@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison
 
-__all__ = ["SearchReport", "found_html"]
-
 
 class SearchReport(NamedTuple):
     """Input of a search's report.

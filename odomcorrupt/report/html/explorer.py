@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.evaluation import Evaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure
 
-__all__ = ["explorer", "failure_items", "script_hash"]
-
 _MOST_PIECES = 8
 """Number of segments that can be selected, the longest ones."""
 _POINTS = 7000

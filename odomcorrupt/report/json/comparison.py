@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.lack_of_fit import Failure
     from odomcorrupt.study.validate.trajectory_error import TrajectoryError
 
-__all__ = ["comparison_json"]
-
 SCHEMA = 2
 
 

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.validate.predictive_check import Reproduction
 
-__all__ = ["fit_json", "learned_json", "recordings_json", "reproduction_json"]
-
 SCHEMA = 2
 
 

@@ -39,9 +39,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.lack_of_fit import Failure
 
 
-__all__ = ["PICTURES", "Picture", "draw_errors", "draw_failure_map", "draw_nees", "draw_pit", "rms_interval"]
-
-
 def draw_errors(comparison: Comparison) -> Figure:
     """Draw measured errors against distance with each model's expectation, and the 10 s error of each step below.
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.mapping.scan_map import Survey
 
-__all__ = ["draw_free_space", "draw_grid", "draw_surveys"]
-
 PATHS = (BLUE, RED, GREEN)
 
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.sampling.density import DensityGrid
     from odomcorrupt.sampling.particles import ParticleSet
 
-__all__ = ["SIGMAS", "draw_banana", "draw_cloud", "draw_density", "draw_ellipse", "draw_spread"]
-
 SIGMAS = 2.0
 
 

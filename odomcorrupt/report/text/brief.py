@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison
     from odomcorrupt.study.validate.predictive_check import Reproduction
 
-__all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
-
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
 """Effects that resemble errors of single wheels: a larger wheel shifts turns as the y of a lever arm does."""
 _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}

@@ -17,22 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.predictive_check import Reproduction
     from odomcorrupt.study.validate.trajectory_error import TrajectoryError
 
-__all__ = [
-    "MOST",
-    "SIGNS",
-    "comparison_text",
-    "falls_sentence",
-    "judgement_sentence",
-    "measures_words",
-    "rejection",
-    "reproduction_sentence",
-    "sentence",
-    "sequence_steps",
-    "share_of_worst",
-    "size",
-    "within",
-]
-
 _BAR = 30
 _NAME = 24
 """Columns of a model's name; a longer one gets a separate line, so that bars are aligned."""

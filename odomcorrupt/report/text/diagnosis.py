@@ -43,20 +43,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Judgement
 
-__all__ = [
-    "NOTHING",
-    "candidates_table",
-    "contradiction",
-    "dependence",
-    "evidence_words",
-    "fit_text",
-    "found_text",
-    "laws_table",
-    "position_error",
-    "shares_text",
-    "unnamed",
-]
-
 NOTHING = "nothing is missing: no known effect explains more than chance"
 
 

@@ -27,17 +27,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.stepwise import Step
 
-
-__all__ = [
-    "CLOCKS",
-    "TOO_FEW_NATS",
-    "Ambiguity",
-    "UntestableClock",
-    "clock_ambiguities",
-    "open_ambiguities",
-    "undetermined_clocks",
-]
-
 TOO_FEW_NATS = 3.0
 """If ten minutes of the best drive yield less, nats, no drive is recommended."""
 

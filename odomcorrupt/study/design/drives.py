@@ -22,20 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.stepwise import Learned
 
-__all__ = [
-    "ENOUGH_NATS",
-    "EXCITATIONS",
-    "Drives",
-    "Excitation",
-    "Gain",
-    "MissingExcitation",
-    "best_plan",
-    "excitation",
-    "missing_excitations",
-    "missing_motion",
-    "most_useful",
-]
-
 _MOVING_MPS = 0.05
 _TURNING_RADPS = 0.1
 _SECTORS = 8

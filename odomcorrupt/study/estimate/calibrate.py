@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["RobotFit", "effects_to_fit", "fit_correlation", "fit_every_law", "fit_robot", "model_of"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotFit:

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.problem import Problem
 
-__all__ = ["PRIOR_DOF", "between_blocks", "block_of", "block_sums", "inflation", "shared_variance"]
-
 PRIOR_DOF = 20.0
 """Weight of the variance ratio shared by all columns, in degrees of freedom."""
 _LENGTH_S, _FEWEST, _MOST = 15.0, 20, 60

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.regressors import Side
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["NODE_S", "Approach", "choose_approach", "independent_spacing_s"]
-
 NODE_S = 0.5
 """Spacing of nodes for an accurate truth, seconds."""
 _COARSE_NODE_S = 1.0

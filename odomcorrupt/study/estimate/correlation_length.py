@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.recording import Recording
 
-
-__all__ = ["with_correlation_lengths", "with_pose_steps"]
-
 _SHORT_S, _LONG_S = 8.0, 12.0
 """Durations of the poses before and after a step, seconds. A step has to be significant for both: drift grows with the
 duration, and a short jump of the localisation disappears."""

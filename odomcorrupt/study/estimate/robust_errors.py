@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.problem import Problem
 
-__all__ = ["with_robust_errors"]
-
 _EDGE = 0.05
 """Step of the finite difference in a shape parameter, as a fraction of its typical size: below an interval's path."""
 

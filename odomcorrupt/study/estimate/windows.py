@@ -24,17 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = [
-    "WINDOW_S",
-    "WindowErrors",
-    "distance_windows",
-    "phased_misses",
-    "phased_rmse",
-    "rmse",
-    "time_windows",
-    "window_errors",
-]
-
 WINDOW_S = 10.0
 
 

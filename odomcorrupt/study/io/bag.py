@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block, Channel
     from odomcorrupt.study.io.topic_selection import Address, Role
 
-__all__ = ["read_bag"]
-
 _ENCODINGS = ("cdr", "ros1")
 _MAX_M2 = 1e12
 
@@ -43,7 +41,6 @@ def read_bag(path: Path, place: str, wanted: Mapping[Role, Address | None]) -> d
     ------
     TopicError
         If a topic or frame is missing, or if several topics fit; the message lists them.
-
     """
     with open_reader(path) as reader:
         channels = [c for c in reader.channels.values() if c.encoding in _ENCODINGS]

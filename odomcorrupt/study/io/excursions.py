@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.jumps import Reach
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["without_excursions"]
-
 _REACH_S = 20.0
 """Half the window of the running medians, seconds; departures that last longer are no excursions."""
 _MIN_POSES = 7
@@ -52,7 +50,6 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     Parameters
     ----------
     odometry, truth : sorted by stamp, with clocks that nearly agree
-
     """
     if not (truth.headed and odometry.headed):
         return truth

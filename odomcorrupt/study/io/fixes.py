@@ -29,17 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = [
-    "Fixes",
-    "Resolved",
-    "east_north_up",
-    "frame_of",
-    "in_frame",
-    "origin_of",
-    "resolved",
-    "without_float_episodes",
-]
-
 FLOAT_TIMES, _SETTLED_TIMES = 5.0, 2.5
 """Ratios to the best fixes' standard deviation: above the first a float episode begins; it ends below the second,
 which is smaller because the reported deviation of a float solution decreases while it settles."""

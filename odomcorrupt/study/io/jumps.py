@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-
-__all__ = ["Reach", "Stretches", "reach_of", "stretches", "without_outliers", "without_spikes"]
-
 OUTLIER_S = 3.0
 """Longest outlier: a longer piece between two jumps is a stretch."""
 _SPEED_S = 0.1  # time over which top speeds are measured
@@ -96,7 +93,6 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
     ------
     RecordingError
         If more than 20 % of the steps are jumps.
-
     """
     t_s = path.seconds_since(int(path.stamps_ns[0]))
     xy, yaw = path.xyz[:, :2], np.where(np.isnan(path.yaw_rad), 0.0, path.yaw_rad)
@@ -164,7 +160,6 @@ def without_spikes(t_s: Array, xyt: Array, top: Array, limit: Array) -> NDArray[
         Usual top speed and turn rate of the robot, m/s and rad/s.
     limit : (2,)
         Upper bound of the noise, m and rad.
-
     """
     kept = np.arange(len(t_s))
     for _ in range(_ROUNDS):

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["SHORTEST_S", "check_pair", "check_together"]
-
 SHORTEST_S = 10.0
 """Minimum overlap of odometry and truth, seconds."""
 _MIN_POSES = 20
@@ -41,7 +39,6 @@ def check_pair(odometry: Samples, truth: Samples) -> None:
     ------
     RecordingError
         With the value found and the remedy.
-
     """
     _check_time(odometry, truth)
     first, last = max(odometry.stamps_ns[0], truth.stamps_ns[0]), min(odometry.stamps_ns[-1], truth.stamps_ns[-1])
@@ -160,7 +157,6 @@ def check_together(here: Samples, there: Samples) -> None:
     ------
     RecordingError
         With the correlations found and the remedy.
-
     """
     reach_s = min(_MAX_LAG_S, here.span_s / 2.0)
     corr = cross_correlation(here.trajectory(), there.trajectory(), reach_s, smoothing_s=_WINDOW_S)

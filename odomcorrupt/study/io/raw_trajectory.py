@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Origin
 
-__all__ = ["Samples"]
-
 LEAST = 2
 
 

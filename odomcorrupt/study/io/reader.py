@@ -46,8 +46,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.source import Source
     from odomcorrupt.study.io.topic_selection import Address, Role
 
-__all__ = ["read_odometry", "read_runs", "recordings_of"]
-
 _OTHER_TRACK = 0.01
 """Relative difference from which a given track is reported as different from the odometry's."""
 
@@ -70,7 +68,6 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
         If a topic or frame is missing, or if several topics fit; the message lists them.
     RecordingError
         If the data cannot be odometry and truth of one run; the message gives the reason.
-
     """
     if source.relative is not None:
         return _by_motions(source, source.relative)
@@ -95,7 +92,6 @@ def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
     ------
     TopicError, RecordingError
         If there is no odometry, or if it is implausible.
-
     """
     place = _place(source)
     odom = parse_address(source.odom) if source.odom is not None else None
@@ -301,7 +297,6 @@ def recordings_of(
     ------
     RecordingError
         If they cannot be of one run; the message gives the reason.
-
     """
     odometry, truth = in_order(odometry), in_order(truth)
     rounded_s = math.hypot(stamp_resolution_s(odometry), stamp_resolution_s(truth))

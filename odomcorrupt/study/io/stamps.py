@@ -24,16 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = [
-    "Step",
-    "between_steps",
-    "clock_steps",
-    "even_stamps",
-    "jitter_warnings",
-    "stamp_jitter_s",
-    "stamp_resolution_s",
-]
-
 _LEAST_S, _BACK_S, _FORWARD_S = 0.02, 1.0, 3600.0
 """Smallest detected clock step and largest backward and forward ones, s; `time_order` handles larger ones."""
 _NEIGHBOURS, _MIN_NEIGHBOURS = 25, 10

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Row", "are_numbers", "is_text", "read_lines", "read_text", "split_line", "whole_rows"]
-
 _MAX_LINES = 50_000_000  # lines
 _AHEAD = 1000  # lines read to infer the unit of the stamps
 _BATCH = 16_384
@@ -61,7 +59,6 @@ def read_text(path: Path, place: str) -> Samples:
     ------
     RecordingError
         If the file is neither, or a line does not match its columns.
-
     """
     notes: list[str] = []
     with io.TextIOWrapper(open_input(path, RecordingError), "utf-8-sig", errors="replace", newline="") as stream:

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.study.io.topic_selection import Address
 
-__all__ = ["Edge", "EdgeReader", "Tree", "read_tree"]
-
 _MAX_EDGES = 100_000
 
 
@@ -63,7 +61,6 @@ class Tree:
         ------
         TopicError
             If a frame does not exist, or the two frames are not connected.
-
         """
         frames = {frame for edge in self.edges for frame in edge}
         if not frames:
@@ -178,7 +175,6 @@ class EdgeReader:
         ------
         RecordingError
             If no edge on the path moves, or the moving edges have no time in common.
-
         """
         edges = {edge: self._edge(edge) for edge, _ in self.way}
         moving = {edge: e for edge, e in edges.items() if edge in self.tree.moving and len(e.stamps_ns) > 1}

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["Order", "in_order", "order_of"]
-
 _BACK_NS = 1_000_000_000  # smallest step back that begins another run
 _FORWARD_NS = 3_600_000_000_000
 _NEIGHBOURS = 5
@@ -83,7 +81,6 @@ def in_order(samples: Samples) -> Samples:
     ------
     RecordingError
         If fewer than two remain.
-
     """
     found = len(samples)
     if not found:

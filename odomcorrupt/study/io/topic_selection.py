@@ -15,20 +15,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Channel
 
-__all__ = [
-    "EDGES",
-    "FLAGS",
-    "TRANSFORM",
-    "Address",
-    "Role",
-    "choose",
-    "has_truth",
-    "named",
-    "near",
-    "parse_address",
-    "plain",
-]
-
 
 def plain(name: str) -> str:
     """Return a frame or topic name without leading slashes, because ROS names are the same with and without them."""
@@ -60,7 +46,6 @@ def parse_address(text: str) -> Address:
     ------
     TopicError
         If an edge lacks one of its two frames.
-
     """
     topic, colon, rest = text.partition(":")
     frames, _, static = rest.partition(":")
@@ -102,7 +87,6 @@ def named(channels: Iterable[Channel], address: Address, place: str, role: Role)
     ------
     TopicError
         If there is no such topic, or its type does not fit the role.
-
     """
     all_channels = list(channels)
     same = [c for c in all_channels if plain(c.topic) == plain(address.topic)]
@@ -136,7 +120,6 @@ def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Itera
     ------
     TopicError
         If no topic fits, or several do; the message lists them.
-
     """
     taken = set(not_these)
     free = [c for c in channels if c.topic not in taken]

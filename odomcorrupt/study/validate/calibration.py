@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.problem import Problem
 
-__all__ = ["CURVE_M", "HORIZONS_M", "LOCALISED", "Horizon", "ParameterUncertainty", "horizon_of", "uncertainty_of"]
-
 LOCALISED = 0.25
 """Relative standard deviation of the variance of a localisation's errors over windows of one length, in addition to
 its fit: the NEES over 1 to 5 m of nine correct models beside simulated AMCLs scattered by 0.3; chance explains 0.15."""

@@ -45,18 +45,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.cross_validation import Pieces
     from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
 
-__all__ = [
-    "Agreement",
-    "Comparison",
-    "JudgedOn",
-    "Judgement",
-    "Measure",
-    "agreement_of",
-    "clocks_beside",
-    "compare",
-    "sequence_comparison",
-]
-
 JudgedOn = Literal["recordings", "halves", "fitted data"]
 
 _MAX_ERROR_RATIO = 0.97
@@ -341,7 +329,6 @@ def agreement_of(comparison: Comparison) -> Agreement:
     -------
     Agreement
         Position error after 10 s (m), log likelihood (nats per metre) and absolute trajectory error (m).
-
     """
     first, last = comparison.judgements[0], comparison.judgements[-1]
     found = [

@@ -30,17 +30,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
 
-
-__all__ = [
-    "Evaluation",
-    "LogScore",
-    "block_differences",
-    "evaluate_stretch",
-    "horizons_of",
-    "log_score_of",
-    "random_covariance",
-]
-
 _MIN_NATS_PER_NODE = 0.3
 """A recording's truth gets its own noise if that explains this much more per interval; noise half as large again does
 so if it is most of the residual."""

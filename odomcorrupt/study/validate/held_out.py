@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.evaluation import Evaluation
 
-__all__ = ["HeldOut", "drop_unsupported_parts"]
-
 _SIGNIFICANT = 2.0
 """Standard errors beyond which a paired difference counts as significant."""
 _WORSE = {"factor": 1.02, "plain": 1.15, "errors": _SIGNIFICANT}
@@ -79,7 +77,6 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     ----------
     learned : result of the selection
     others : recordings of the same robot not used in the selection, if any
-
     """
     fitted, said = learned.fit, list[HeldOut]()
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
     from odomcorrupt.study.validate.error_rates import NodeMotion
 
-__all__ = ["Failure", "Pattern", "all_patterns", "drift_failures", "failures", "sudden_failures"]
-
 _SHARES = (4, 8, 16)
 """Divisors of a run's duration for stretches of time, and of the width of the place for radii of discs."""
 _MIN_SHARE, _MAX_SHARE = 0.02, 0.6
@@ -188,7 +186,6 @@ def failures(
     problem, whitener : of a single recording under a model
     innovations : (3 K,) standardised
     name : name of the recording
-
     """
     motion = node_motion(problem)
     patterns = all_patterns(motion)

@@ -46,8 +46,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.outliers import Event
     from odomcorrupt.study.validate.evaluation import Evaluation
 
-__all__ = ["LongDrift", "Replay", "Reproduction", "overlapping", "replay", "reproduction_of", "smooth_truth"]
-
 _MAX_POSES = 1500
 """Poses kept of each path, for plots and statistics."""
 _MIN_RUNS = 20
@@ -204,7 +202,6 @@ def reproduction_of(fit: Fit, model: MotionModel, *, runs: int = _RUNS) -> Repro
     fit : to the recordings, with its outliers
     model : the model for corruption, as written to a file
     runs : number of corrupted runs of each drive
-
     """
     problem, left_out = fit.problem, events(fit)
     measured, calm = list[Recording](), list[Recording]()

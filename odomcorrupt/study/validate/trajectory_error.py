@@ -26,17 +26,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = [
-    "ClockGain",
-    "TrajectoryError",
-    "absolute_errors",
-    "aligned_at_origin",
-    "aligned_rigidly",
-    "clock_gain",
-    "relative_errors",
-    "trajectory_error",
-]
-
 RPE_M = 1.0
 """Distance between the poses that RPE compares, metres."""
 
