@@ -13,8 +13,8 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import OdomCorruptError, TopicError
 from odomcorrupt.scoring.errors import ScoreError
 from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.text import is_text, read_text
-from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import parse_address, plain
 
 if TYPE_CHECKING:

@@ -24,10 +24,9 @@ from odomcorrupt.report.text.numbers import (
 )
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.drive_type import readings_of
-from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.outliers import Event, events, single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
-from odomcorrupt.study.estimate.windows import distance_windows, rmse
+from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -174,8 +173,7 @@ def shares_text(sequence: Sequence[Judgement]) -> str:
 
 def position_error(judgement: Judgement, distance_m: float) -> float:
     """Return the position error (m, RMS) after a path length; NaN if no segment is that long."""
-    windows = [w for piece in judgement.pieces if len(w := distance_windows(piece.left, distance_m))]
-    return rmse(join(windows, [0] * len(windows))) if windows else float("nan")
+    return joint_rmse(distance_windows(piece.left, distance_m) for piece in judgement.pieces)
 
 
 def _fall(what: str, before: float, after: float) -> str:

@@ -16,9 +16,8 @@ from odomcorrupt.laser.stamps import white_noise, with_noise, with_view_errors, 
 from odomcorrupt.laser.trajectory import LaserRun, relocalised
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers
-from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.raw_trajectory import Samples, in_order
 from odomcorrupt.study.io.self_consistency import check_itself
-from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import has_truth, parse_address
 
 if TYPE_CHECKING:

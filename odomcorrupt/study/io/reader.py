@@ -12,20 +12,19 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.bag import read_bag
-from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
-from odomcorrupt.study.io.jumps import without_outliers
+from odomcorrupt.study.io.jumps import without_excursions, without_outliers
 from odomcorrupt.study.io.laser_truth import NO_SCAN, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import MAP_SCALE_ACCURACY, corrections_alone, is_of_base
 from odomcorrupt.study.io.plausibility import check_pair
+from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
 from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s, stamp_resolution_s
 from odomcorrupt.study.io.text import is_text, read_text
-from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth, parse_address
 from odomcorrupt.study.io.warnings import (
     check_identity,

@@ -19,9 +19,8 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, SPARSE_HZ, ahead_s
-from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.raw_trajectory import Samples, order_of
 from odomcorrupt.study.io.se3 import Transforms, composed, headings, interpolated, inverted, unit
-from odomcorrupt.study.io.time_order import order_of
 from odomcorrupt.study.io.topic_selection import near, plain
 
 if TYPE_CHECKING:

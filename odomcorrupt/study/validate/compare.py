@@ -21,9 +21,8 @@ from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.windows import phased_rmse, rmse, time_windows
+from odomcorrupt.study.estimate.windows import joint_rmse, phased_rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
 from odomcorrupt.study.io.headings import with_headings, with_recomputed_headings
@@ -272,9 +271,7 @@ def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approa
 
 
 def _ten_seconds(recordings: Sequence[Recording]) -> float:
-    windows = [time_windows(recording) for recording in recordings]
-    whole = [w for w in windows if len(w)]
-    return rmse(join(whole, [0] * len(whole))) if whole else float("nan")
+    return joint_rmse(time_windows(recording) for recording in recordings)
 
 
 def sequence_comparison(

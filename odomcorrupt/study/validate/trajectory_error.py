@@ -8,17 +8,17 @@ that a rotation can absorb: read these values together with errors that start at
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose, wrap
-from odomcorrupt.study.estimate.intervals import join
-from odomcorrupt.study.estimate.windows import distance_windows, rmse, time_windows
+from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -134,14 +134,9 @@ def clock_gain(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> Cloc
     before = [aligned(r, Clock()) for r in recordings]
     after = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
 
-    def both(windows: tuple[list[Intervals], list[Intervals]]) -> tuple[float, float]:
-        first, second = (rmse(join(w, [0] * len(w))) if w else float("nan") for w in windows)
+    def both(windows_of: Callable[[Recording], Intervals]) -> tuple[float, float]:
+        first, second = (joint_rmse([windows_of(r) for r in side]) for side in (before, after))
         return first, second
 
-    def over(length_m: float) -> tuple[float, float]:
-        first, second = ([w for r in side if len(w := distance_windows(r, length_m))] for side in (before, after))
-        return both((first, second))
-
-    timed = ([w for r in side if len(w := time_windows(r))] for side in (before, after))
-    first, second = timed
-    return ClockGain(over(10.0), over(50.0), both((first, second)))
+    ten, fifty = (partial(distance_windows, length_m=length_m) for length_m in (10.0, 50.0))
+    return ClockGain(both(ten), both(fifty), both(time_windows))
