@@ -1,4 +1,4 @@
-"""Simulation of a recording from a seed, through all layers, with its hidden fault in a file whose hash is in the bag."""
+"""Simulation of a recording from a seed, through all layers; its fault is in a file whose hash is in the bag."""
 
 from __future__ import annotations
 

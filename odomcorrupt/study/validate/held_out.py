@@ -106,7 +106,7 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     noise = tuple(
         gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or gain.effect.name in kept
     )
-    # what stood in for an effect that has gone is all there is
+    # a dependence that was selected instead of a dropped effect names no effect any more
     unknown = tuple(one if one.instead_of in {"", *kept} else replace(one, instead_of="") for one in learned.unknown)
     errors_m = ten_second_error(fitted)
     return replace(learned, fit=fitted, laws=laws, noise=noise, unknown=unknown, error_m=errors_m), tuple(said)
