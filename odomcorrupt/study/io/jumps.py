@@ -7,10 +7,9 @@ Swapped markers turn a pose by any angle, often by less than the threshold of a 
 motion and the other like a jump of everything that follows, so spikes are removed before jumps are detected. Only poses
 are tested, not stamps: stamps may be bunched, and a late pose still belongs to the path.
 
-Excursions of the truth depart from the odometry and return: a localisation that is lost for some seconds, and a tracker
-that swaps two markers: both are off by decimetres. A robot that was pushed or lifted stays at its new place. Running
-medians of the difference between truth and odometry separate the two: a median follows a lasting step and ignores a
-short one.
+Excursions of the truth depart from the odometry and return: a localisation that is lost for some seconds and a tracker
+that swaps two markers are off by decimetres. A robot that was pushed or lifted stays at its new place. Running medians
+of the difference between truth and odometry separate the two: a median follows a lasting step and ignores a short one.
 """
 
 from __future__ import annotations
