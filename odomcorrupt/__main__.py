@@ -11,8 +11,6 @@ import _signal  # type: ignore[import-not-found]
 if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
     _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Run the command line."""

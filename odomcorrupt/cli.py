@@ -25,8 +25,6 @@ from odomcorrupt.standard_streams import install, leave, visible
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["DEFAULT", "cli", "main", "run"]
-
 DEFAULT = "corrupt"
 
 _OWN_FLAGS = frozenset({"-h", "--help", "--version"})

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["AUTO", "DRIVE_TYPES", "PIVOTING", "STEERED"]
-
 AUTO = "auto"
 """Inferred from the motion, see `study.terms.drive_type`."""
 DRIVE_TYPES = ("differential", "skid", "car", "tricycle", "omni")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from odomcorrupt.errors import OdomCorruptError
 
-__all__ = ["require"]
-
 
 def require(library: str, purpose: str, extra: str) -> None:
     """Import an optional library; if it is missing, raise an error with the command to install it.
@@ -23,7 +21,6 @@ def require(library: str, purpose: str, extra: str) -> None:
     ------
     OdomCorruptError
         If it is not installed.
-
     """
     try:
         __import__(library)

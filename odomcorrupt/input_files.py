@@ -15,8 +15,6 @@ from odomcorrupt.errors import OdomCorruptError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["open_input", "read_input"]
-
 _KINDS = {
     stat.S_IFDIR: "a directory",
     stat.S_IFIFO: "a pipe",
@@ -40,7 +38,6 @@ def open_input(path: Path, error: type[Exception] = OdomCorruptError) -> BinaryI
     ------
     OdomCorruptError
         (`error`) If it cannot be opened, or is a pipe, device, socket or directory.
-
     """
     try:
         # checked before opening: opening alone triggers some devices, and blocks until a pipe has a writer
@@ -79,7 +76,6 @@ def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCo
     ------
     OdomCorruptError
         (`error`) If it cannot be read, is larger, or not a regular file.
-
     """
     with open_input(path, error) as stream:
         try:

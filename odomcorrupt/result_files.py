@@ -9,8 +9,6 @@ from odomcorrupt.errors import OdomCorruptError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["refuse_existing", "write_bytes", "write_text"]
-
 
 def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
     """Raise, before any work is done, if an output would replace a file, or its directory does not exist."""

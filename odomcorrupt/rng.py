@@ -13,8 +13,6 @@ import numpy as np
 
 from odomcorrupt.errors import ModelError
 
-__all__ = ["SEED_LIMIT", "draw_seed", "stream"]
-
 SEED_LIMIT = 2**63
 """Exclusive upper limit of seeds, so that they fit a signed 64-bit field wherever they are stored."""
 

@@ -16,8 +16,6 @@ import sys
 from contextlib import suppress
 from typing import BinaryIO, NoReturn
 
-__all__ = ["TextStream", "install", "leave", "visible"]
-
 _ERASE = "\r\x1b[K"
 """Prefix of a progress line, printed unescaped."""
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")

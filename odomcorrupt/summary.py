@@ -11,8 +11,6 @@ from odomcorrupt.standard_streams import visible
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["MOST_LINES", "WIDTH", "Line", "Summary", "Tone", "command_line", "wrapped"]
-
 MOST_LINES = 8
 """Largest number of lines of a summary, so that it is read without scrolling."""
 WIDTH = 80

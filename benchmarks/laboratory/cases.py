@@ -12,7 +12,7 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.simulation import CAUSES, OUTSIDE, ROUTES
-from odomcorrupt.simulation.fault_draws import EVERY, SIZES
+from odomcorrupt.simulation.faults import EVERY, SIZES
 
 __all__ = ["ARMS", "CLOCKS", "LENGTHS", "PILOT", "RANDOM", "SYSTEMATIC", "Case", "cases", "same_class"]
 

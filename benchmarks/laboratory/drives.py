@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hidden import as_recording
 
 from odomcorrupt.simulation import TRACKERS, Rig, SimulatedRun, simulate, simulate_without
-from odomcorrupt.simulation.fault_draws import SIZES
+from odomcorrupt.simulation.faults import SIZES
 
 if TYPE_CHECKING:
     from laboratory.cases import Case

@@ -16,7 +16,7 @@ from laser.drives import EXACT, drive, laser_recordings, mocap_recording
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
 from odomcorrupt.simulation import simulate
-from odomcorrupt.simulation.fault_draws import SIZES
+from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.design.identifiability import is_untestable
 from odomcorrupt.study.select.stepwise import learn
 

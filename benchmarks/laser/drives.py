@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.simulation.record import SimulatedRun
+    from odomcorrupt.simulation.run import SimulatedRun
 
     Array = NDArray[np.float64]
 

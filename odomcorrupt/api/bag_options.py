@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.map_condition import MapCondition
 
-__all__ = ["BagOptions", "as_condition", "bag_path", "split_options"]
-
 
 class BagOptions(TypedDict, total=False):
     """Which messages of a bag are modified, and how the output is written.

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.summary import Summary
 
-__all__ = ["Batch", "batch"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Batch(Result):
@@ -101,7 +99,7 @@ class Batch(Result):
     def _figure(self) -> Figure:
         """Return a figure of dispersion against distance, with the prediction of the linearised model."""
         from odomcorrupt.batching.dispersion import measure
-        from odomcorrupt.report.plots.dispersion import draw_spread
+        from odomcorrupt.report.plots.samples import draw_spread
 
         return draw_spread(measure(self.jobs[0].directory))
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison
     from odomcorrupt.summary import Summary
 
-__all__ = ["Comparison", "compare", "named_models"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Comparison(Result):

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.summary import Summary
 
-__all__ = ["Correction", "correct"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Correction(Result):

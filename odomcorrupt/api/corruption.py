@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.preview.forecast import CleanDrive
     from odomcorrupt.summary import Summary
 
-__all__ = ["Corruption", "corrupt"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Corruption(Result):

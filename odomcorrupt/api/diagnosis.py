@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.work import Watch
 
-__all__ = ["Diagnosis", "Findings", "diagnose"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Findings(Result):

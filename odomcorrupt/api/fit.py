@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.round_trip import RoundTrip
     from odomcorrupt.summary import Summary
 
-__all__ = ["Fit", "fit", "require_effects"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Fit(Result):
@@ -50,7 +48,7 @@ class Fit(Result):
 
     def details(self) -> str:
         """Return all coefficients with their intervals, effects, clocks, and downweighted segments."""
-        from odomcorrupt.report.text.fit import fit_text, laws_table
+        from odomcorrupt.report.text.diagnosis import fit_text, laws_table
 
         return "\n\n".join(
             [*([laws_table(self.laws)] if self.laws else []), fit_text(self.result), *self.proof.changes]

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.work import Watch
     from odomcorrupt.summary import Summary
 
-__all__ = ["Learned", "learn"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Learned(Findings):
@@ -31,7 +29,7 @@ class Learned(Findings):
     @property
     def model(self) -> Model:
         """The learned model, in usable form."""
-        from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
+        from odomcorrupt.report.text.comparison import reproduction_sentence
 
         model = self.result.proof.model
         said = reproduction_sentence(self.result.reproduction)
@@ -72,10 +70,8 @@ class Learned(Findings):
 
     def details(self) -> str:
         """Return the findings, undecided alternatives, the fit, and the full comparison."""
-        from odomcorrupt.report.text.comparison import comparison_text
-        from odomcorrupt.report.text.diagnosis import found_text
-        from odomcorrupt.report.text.fit import fit_text
-        from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
+        from odomcorrupt.report.text.comparison import comparison_text, reproduction_sentence
+        from odomcorrupt.report.text.diagnosis import fit_text, found_text
 
         found = self.result
         said = found_text(found.search, found.advice, evaluated=self._evaluated, fit=self._fit)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.model.noise_laws import Law
 
-__all__ = ["Model", "ModelLike", "Noise", "as_model"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.sampling.samples import Move
     from odomcorrupt.sampling.text import Drawn
 
-__all__ = ["Density", "Samples", "density", "sample"]
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Samples(Result):
@@ -132,7 +130,7 @@ def sample(
     if within is None:
         xyt = move_sampled(move, variances, count, rng)
     else:
-        from odomcorrupt.sampling.samples_in_map import move_sampled_in_map
+        from odomcorrupt.sampling.samples import move_sampled_in_map
 
         free = move_sampled_in_map(move, variances, count, rng, within)
         xyt, notes = free.xyt, (free.account(),)

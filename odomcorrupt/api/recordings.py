@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io import Source
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["PathLikes", "Recordings", "as_paths", "as_recordings", "describe", "read_recordings", "require_travel"]
-
 PathLikes = str | PathLike[str] | Iterable[str | PathLike[str]]
 """One path or several."""
 
@@ -106,14 +104,14 @@ class Recordings(Sequence["Recording"]):
 
         Parameters
         ----------
-        origin : odomcorrupt.study.io.geodesy.Origin or None
+        origin : odomcorrupt.study.io.fixes.Origin or None
             Origin of an east-north frame; None leaves them in the frame of their first fix.
 
         Returns
         -------
         Recordings
         """
-        from odomcorrupt.study.io.geodesy import in_frame
+        from odomcorrupt.study.io.fixes import in_frame
 
         return replace(self, runs=tuple(in_frame(run, origin) for run in self.runs))
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.summary import Summary
 
-__all__ = ["Result"]
-
 
 class Result(ABC):
     """A result: `print` shows at most eight lines, the verdict first; `details()` is the full text."""

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.estimate.returns import ReturnsFit
 
-__all__ = ["SquareTest", "fit_returns"]
-
 END = (0.0, 0.0, 0.0)
 
 

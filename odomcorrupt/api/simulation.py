@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.simulation.record import SimulatedRun
-
-__all__ = ["Simulation", "simulate"]
+    from odomcorrupt.simulation.run import SimulatedRun
 
 _HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
 """Heading sources: the user's word, and the simulator's."""
@@ -172,10 +170,9 @@ def simulate(
     """
     require("scipy", "the study needs it", "study")
     from odomcorrupt.simulation.bag import write_mcap
-    from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
-    from odomcorrupt.simulation.record import fingerprint, format_answer
+    from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
     from odomcorrupt.simulation.routes import read_commands
-    from odomcorrupt.simulation.run import Scenario
+    from odomcorrupt.simulation.run import Scenario, fingerprint, format_answer
     from odomcorrupt.simulation.run import simulate as simulate_run
 
     path = None if target is None else Path(fspath(target))

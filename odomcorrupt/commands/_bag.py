@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.bag_options import BagOptions
 
-__all__ = ["ODOM_TOPIC", "bag_options", "bag_words", "container_options", "frame_options", "keeping_options",
-           "moving_options", "report_losses", "source_of", "threads_option", "unpack_option"]  # fmt: skip
-
 _ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisation", "new_odom_frame", "overwrite",
           "compression", "level", "storage", "exclude", "recover", "threads")  # fmt: skip
 """Options with the same name here and in the Python interface."""

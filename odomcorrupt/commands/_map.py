@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["choose_condition", "choose_condition_of_run", "map_options"]
-
 
 map_options = added(
     click.option("--map", "map_", metavar="MAP", help="Draw free poses only: a map's .yaml, or a topic of the bag."),

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.model import Model
 
-__all__ = ["AlphaCommand", "ChosenMove", "choose_model", "choose_move", "model_options", "move_options"]
-
 _MOST = 6
 """Largest number of coefficients of any law."""
 

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = ["FILE", "PICTURES", "POSE", "START", "TRACK", "Decorator", "Number", "Share", "added", "check_picture",
-           "need_pictures", "one_of", "picture_kind", "save_picture", "usage_errors"]  # fmt: skip
-
 FILE = click.Path(dir_okay=False, path_type=Path)
 PICTURES = ("png", "svg", "pdf")
 Decorator: TypeAlias = "Callable[[Callable[..., Any]], Callable[..., Any]]"

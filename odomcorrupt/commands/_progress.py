@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Task
     from odomcorrupt.batching.runner import Failure
 
-__all__ = ["Progress", "Rate", "Stages", "left_words"]
-
 PAUSE_S = 0.2
 """Interval between two updates of the line, seconds."""
 FIRST_S = 1.0

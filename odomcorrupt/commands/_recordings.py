@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from odomcorrupt.api.recordings import Recordings
     from odomcorrupt.commands._standard import Files, Voice
 
-__all__ = ["Reading", "advice_files", "advice_options", "check_advice", "recording_options", "split_arguments"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:

@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.result import Result
 
-__all__ = ["WORDS", "Files", "Voice", "chosen_output", "command_names", "output_option", "overwrite_option",
-           "standard_options", "typed_words", "written"]  # fmt: skip
-
 CONFIG = "odomcorrupt.toml"
 """Name of the file of defaults, read if it is in the working directory."""
 Files: TypeAlias = "Mapping[Path, Callable[[], object]]"

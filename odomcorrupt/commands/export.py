@@ -52,9 +52,7 @@ def command(
 
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
-    from odomcorrupt.export.nav2 import amcl_alphas
-    from odomcorrupt.export.robot_localization import Steady, twist_variances
-    from odomcorrupt.export.ros2_control import wheel_multipliers
+    from odomcorrupt.export.parameters import Steady, amcl_alphas, twist_variances, wheel_multipliers
     from odomcorrupt.export.yaml_text import amcl_text, condensed, twists_text, wheels_text
     from odomcorrupt.model.model_file import read_model
 

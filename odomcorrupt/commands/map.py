@@ -102,7 +102,7 @@ def _write_map(survey: Survey, path: Path) -> None:
 
 
 def _draw(path: Path, surveys: Sequence[Survey], added: str) -> None:
-    from odomcorrupt.mapping.wall_thickness import WINDOW_M
+    from odomcorrupt.mapping.scan_map import WINDOW_M
     from odomcorrupt.report.plots.maps import draw_surveys
 
     save_picture(path, draw_surveys(surveys, WINDOW_M, added))
@@ -113,8 +113,8 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.laser.mapping import largest_part, laser_maps, tum_text
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.study.io.address import parse_address
     from odomcorrupt.study.io.laser_truth import laser_run
+    from odomcorrupt.study.io.topic_selection import parse_address
 
     if given["truth"] is not None or given["laser_pose"] is not None:
         raise click.UsageError("--method laser finds where the laser sits and takes no --truth; leave them out")
@@ -158,7 +158,7 @@ def _brief(
     surveys: Sequence[Survey], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
 ) -> Summary:
     """Return the increase in wall thickness, the distance of hits from the walls, and the noise."""
-    from odomcorrupt.mapping.wall_thickness import added_thickness
+    from odomcorrupt.mapping.scan_map import added_thickness
 
     clean, noisy = (100.0 * s.thickness_m[-1] for s in surveys[:2])
     added = 100.0 * added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)[-1]
@@ -203,7 +203,7 @@ def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[t
 
 
 def _table(surveys: Sequence[Survey]) -> str:
-    from odomcorrupt.mapping.wall_thickness import WINDOW_M, added_thickness
+    from odomcorrupt.mapping.scan_map import WINDOW_M, added_thickness
 
     heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in surveys), "added", "hits off"]
     lines = [
@@ -224,7 +224,7 @@ def _table(surveys: Sequence[Survey]) -> str:
 
 
 def _values(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> dict[str, Any]:
-    from odomcorrupt.mapping.wall_thickness import added_thickness
+    from odomcorrupt.mapping.scan_map import added_thickness
 
     return {
         "schema": 2,

@@ -80,7 +80,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
         if kind not in PICTURES:
             write_text(path, csv_text(cloud) if kind == ".csv" else json_text(cloud))
             return
-        from odomcorrupt.report.plots.dispersion import draw_cloud
+        from odomcorrupt.report.plots.samples import draw_cloud
 
         law = chosen.motion_model.noise.law_name
         within = "" if condition is None else " within the map"

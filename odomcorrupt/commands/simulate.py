@@ -55,7 +55,7 @@ def _parse(text: str) -> tuple[str, dict[str, float | str]]:
 
 def _size(text: str) -> float:
     """Return the factor on a drawn fault for a size in words or figures."""
-    from odomcorrupt.simulation.fault_draws import SIZES
+    from odomcorrupt.simulation.faults import SIZES
 
     try:
         size = SIZES[text] if text in SIZES else float(text)

@@ -37,7 +37,7 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
     words = {"schema": 2, "directory": report.directory, "runs": report.runs, "random_effects": report.random_effects}
 
     def draw(path: Path) -> None:
-        from odomcorrupt.report.plots.dispersion import draw_spread
+        from odomcorrupt.report.plots.samples import draw_spread
 
         save_picture(path, draw_spread(report))
 

@@ -18,8 +18,6 @@ from odomcorrupt.geometry.increments import Increments, accumulate, increments
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["PoseCorrections", "pose_corrections"]
-
 _DETECTION_MEDIANS = 10.0
 """Detection threshold as a multiple of the median sideways step: 6.7 standard deviations of normal ones."""
 _LEAST_M = 2e-5

@@ -33,18 +33,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = [
-    "NOISE_FREE",
-    "Corrected",
-    "CorrectedPath",
-    "Effects",
-    "MeasuredPath",
-    "correct_bag",
-    "corrected_samples",
-    "require_start",
-    "split_effects",
-]
-
 
 class MeasuredPath:
     """Collects the measured odometry; a reset of time begins a new stretch."""
@@ -101,7 +89,6 @@ class CorrectedPath:
         ------
         BagError
             If these are not the poses of the first pass.
-
         """
         whole = self._stretches[self._number] if self._number < len(self._stretches) else None
         rows = slice(self._next, self._next + len(stamps_ns))
@@ -135,7 +122,6 @@ def corrected_samples(
         First stamp of the odometry, the origin of the clocks' time.
     frame_xyt : (3,)
         Pose of the odom frame in the frame of position-dependent effects, None if it is the same.
-
     """
     clocks = [effect for effect in model.effects if effect.clock]
     # rates from rounded stamps fluctuate: they are computed on the same even grid as in a fit
@@ -263,7 +249,6 @@ def correct_bag(
         If the bag has no odometry to correct.
     EffectError
         If no true motion explains the odometry.
-
     """
     effects = split_effects(model)
     if not (effects.undone or model.setup.pose_corrections):

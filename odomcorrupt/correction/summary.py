@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.correction.run import Corrected
     from odomcorrupt.corruption.run import Outcome
 
-__all__ = ["brief", "correction_summary"]
-
 _WHY_NOT = {
     "quantization": "travel below the encoder's resolution was not reported",
     "heavy_tails": "its random draws were not recorded",

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["ClockInverse", "Undone", "true_stamps", "undo_effects"]
-
 ROUNDS = 60
 """Iterations of the clock inversion: a clock is at most a tenth too fast, so each one gains a digit."""
 
@@ -122,7 +120,6 @@ def undo_effects(
     ------
     EffectError
         If no true motion explains the odometry.
-
     """
     frame_xyt = np.zeros(3) if frame_xyt is None else frame_xyt
     steps = increments(measured_xyt)

@@ -6,17 +6,14 @@ import re
 import textwrap
 from typing import TYPE_CHECKING
 
-from odomcorrupt.export.ros2_control import WHEEL_EFFECTS, WheelMultipliers
+from odomcorrupt.export.parameters import WHEEL_EFFECTS, WheelMultipliers
 from odomcorrupt.sampling.text import law_words
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from odomcorrupt.export.nav2 import AmclAlphas
-    from odomcorrupt.export.robot_localization import Steady, TwistVariances
+    from odomcorrupt.export.parameters import AmclAlphas, Steady, TwistVariances
     from odomcorrupt.model.motion_model import MotionModel
-
-__all__ = ["amcl_text", "condensed", "numbers_of", "twists_text", "unexpressed", "wheels_text"]
 
 _UNKNOWN = 1e6
 """Variance of quantities that a planar robot's odometry does not measure."""

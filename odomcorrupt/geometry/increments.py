@@ -12,8 +12,6 @@ from odomcorrupt.geometry.se2 import rotate, wrap
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["BEARING_MIN_M", "Increments", "RotTransRot", "accumulate", "increments", "rot_trans_rot"]
-
 BEARING_MIN_M = 0.05
 """Smallest translation with a meaningful bearing, metres; below it, the turn is split evenly."""
 

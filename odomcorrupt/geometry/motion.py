@@ -15,20 +15,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = [
-    "ROUGH",
-    "SMOOTHING_S",
-    "TRAIL_S",
-    "LineFits",
-    "LocalSlopes",
-    "Motion",
-    "SpeedMemory",
-    "accelerations",
-    "is_rough",
-    "motion_of",
-    "slopes",
-]
-
 SMOOTHING_S = 0.2
 """Window of the study's smoothed speeds and accelerations: averages ticks, resolves stops."""
 
@@ -129,7 +115,6 @@ class LineFits:
     t_s : (n,) times of the samples, seconds
     at_s : (m,) centres of the windows, seconds
     width_s : width of the windows
-
     """
 
     def __init__(self, t_s: Array, at_s: Array, width_s: float) -> None:
@@ -188,7 +173,6 @@ class LocalSlopes:
     t_s : (n,) stamps of the poses, seconds
     at_s : (m,) centres of the windows, seconds
     width_s : width of the windows
-
     """
 
     def __init__(self, t_s: Array, at_s: Array, width_s: float) -> None:

@@ -14,8 +14,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["evened", "resolution_s"]
-
 _ROUNDED_NS = (100_000_000, 50_000_000, 20_000_000, 10_000_000, 5_000_000, 2_000_000, 1_000_000)
 _ALL = 0.999
 """Least fraction of the stamps that are multiples of the resolution."""

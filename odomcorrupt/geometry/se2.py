@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["between", "compose", "interpolate", "inverse", "rotate", "wrap", "yaw_from_quaternion"]
-
 
 def wrap(angle_rad: Array) -> Array:
     """Return angles wrapped to [-pi, pi), radians."""
@@ -61,7 +59,6 @@ def interpolate(start_xyt: Array, end_xyt: Array, fraction: Array) -> Array:
         Poses at the ends, metres and radians; the smaller heading difference is used.
     fraction : (n,)
         0 at the start, 1 at the end.
-
     """
     step = between(start_xyt, end_xyt)
     turn = wrap(step[..., 2])

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["UNKNOWN_M2", "Trajectory"]
-
 UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
 """Variance along an axis from which a pose counts as unknown, m^2; least fraction of poses that must be known."""
 

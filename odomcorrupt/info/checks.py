@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.info.scan import EdgeRecord, OdometryRecord
 
-__all__ = ["HUGE", "CovarianceCheck", "Findings", "disagreement_m", "findings"]
-
 HUGE = 1e3
 """Smallest variance that means "unknown", m^2 or rad^2."""
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["BagScan", "EdgeRecord", "OdometryRecord", "TopicRecord", "scan_bag"]
-
 
 @dataclass(slots=True)
 class TopicRecord:

@@ -20,9 +20,6 @@ from odomcorrupt.summary import Line, Summary, command_line
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-
-__all__ = ["SCHEMA", "brief", "summarise", "summary_text"]
-
 SCHEMA = 2
 """Version of the schema of `summarise`."""
 

@@ -21,8 +21,8 @@ import numpy as np
 from odomcorrupt.corruption.drift import DriftMeter
 from odomcorrupt.corruption.path import NoisyPath, PathSamples
 from odomcorrupt.errors import MapError
-from odomcorrupt.mapping.conditioned_runs import FreeRuns
-from odomcorrupt.mapping.constrained_increments import (
+from odomcorrupt.mapping.conditioned_runs import (
+    FreeRuns,
     MotionReader,
     NoFreePoseError,
     moved,
@@ -37,11 +37,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.constrained_increments import Motions
+    from odomcorrupt.mapping.conditioned_runs import Motions
     from odomcorrupt.mapping.free_space import Constraint
     from odomcorrupt.model.motion_model import MotionModel
-
-__all__ = ["PARTICLES", "FreePath", "Plan", "plan_path", "whole_path"]
 
 PARTICLES = 64
 _BLOCK = 1024

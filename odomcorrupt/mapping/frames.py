@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block, Channel
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["FrameTree", "Mount", "mount_at"]
-
 
 @dataclass(frozen=True, slots=True)
 class Mount:

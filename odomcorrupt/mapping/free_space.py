@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["CHECKS", "Check", "Constraint", "FreeSpace", "Unknown", "free_space"]
-
 Unknown = Literal["blocked", "free"]
 Check = Literal["endpoint", "path"]
 

@@ -13,7 +13,7 @@ from odomcorrupt.bags.messages import locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS, OdometrySource
 from odomcorrupt.errors import MapError, TopicError
-from odomcorrupt.mapping.constrained_increments import without_effects
+from odomcorrupt.mapping.conditioned_runs import without_effects
 from odomcorrupt.mapping.constrained_path import FreePath, whole_path
 from odomcorrupt.mapping.frames import FrameTree
 from odomcorrupt.mapping.free_space import Check, Constraint, free_space
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.preview.forecast import CleanDrive
-
-__all__ = ["MapCondition", "RecordedMap", "is_map_file", "read_condition", "read_map_from_odom", "read_odom_frame",
-           "read_recorded_map"]  # fmt: skip
 
 OCCUPIED_PERCENT, FREE_PERCENT = 65, 25
 """Values of an OccupancyGrid from which a cell is occupied, and up to which it is free: map_server's thresholds."""

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["FREE", "OCCUPIED", "UNKNOWN", "Grid", "format_map", "read_map"]
-
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 
 

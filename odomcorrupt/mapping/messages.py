@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["CLOUD", "GRID", "SCAN", "CloudMessage", "GridMessage", "ScanMessage", "read_cloud", "read_grid",
-           "read_scan"]  # fmt: skip
-
 SCAN = "sensor_msgs/msg/LaserScan"
 GRID = "nav_msgs/msg/OccupancyGrid"
 CLOUD = "sensor_msgs/msg/PointCloud2"

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["MAX_CELLS", "Canvas", "canvas_for", "draw_map", "traverse"]
-
 MAX_CELLS = 50_000_000
 """Largest number of cells of a map; more indicate an error: a drift of kilometres or a resolution of millimetres."""
 

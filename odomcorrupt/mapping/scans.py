@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Channel
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Rays", "read_rays"]
-
 
 @dataclass(frozen=True, slots=True)
 class Rays:

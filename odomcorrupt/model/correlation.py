@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Correlation"]
-
 MOST = 64
 """Largest number of parameters accepted; no fit has more."""
 
@@ -65,7 +63,6 @@ class Correlation:
         ------
         ModelError
             If the table is malformed or its matrix is not a correlation matrix.
-
         """
         for key in table:
             if key not in ("parameters", "matrix"):

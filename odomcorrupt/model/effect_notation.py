@@ -13,8 +13,6 @@ from odomcorrupt.model.motion_model import parse_alpha
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
 
-__all__ = ["WrittenEffect", "parse_effect"]
-
 _PERCENT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*%\s*\Z")
 
 
@@ -38,7 +36,6 @@ def parse_effect(text: str) -> WrittenEffect:
     ------
     EffectError
         If the name or a parameter is unknown, or a value is invalid.
-
     """
     name, _, rest = text.partition(":")
     name = name.strip()

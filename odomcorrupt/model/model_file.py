@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
 
-__all__ = ["SCHEMA", "format_model", "parse_model", "read_model"]
-
 SCHEMA = 1
 _LIMIT_BYTES = 1 << 20
 _COEFFICIENTS = {

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.noise_laws import Law
 
-__all__ = ["MotionModel", "Noise", "Origin", "Setup", "Step", "TruthNoise", "parse_alpha"]
-
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(deg|rad)?\s*(/\s*(?:m|rad))?\s*\Z")
 
 

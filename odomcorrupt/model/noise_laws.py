@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 _FOUR = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
 _VELOCITY = ("trans_trans", "trans_rot", "rot_trans", "rot_rot", "end_trans", "end_rot")
 
-__all__ = ["LAWS", "Coefficients", "Law", "Variances", "law_named", "magnitudes", "variances"]
-
 
 @dataclass(frozen=True, slots=True)
 class Coefficients:
@@ -117,7 +115,6 @@ class Law(NamedTuple):
         ------
         ModelError
             If there are too few or too many.
-
         """
         if not 4 <= len(alphas) <= len(self.alphas):
             most = f" to {len(self.alphas)}" if len(self.alphas) > 4 else ""

@@ -16,8 +16,6 @@ from odomcorrupt.model.noise_laws import Coefficients
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["DEFAULT", "PRESETS", "Preset", "preset_named"]
-
 DEFAULT = "typical"
 
 

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["CleanDrive", "Forecast", "brief", "forecast", "forecast_json", "forecast_text", "read_clean_drive"]
-
 DRAWN_POINTS, DRAWN_RUNS = 600, 100
 """Largest numbers of points per path, and of runs, kept for a figure."""
 
@@ -102,7 +100,6 @@ def read_clean_drive(
     ------
     TopicError
         If there is no odometry source.
-
     """
     silent = replace(model, noise=replace(model.noise, coefficients=Coefficients(0.0, 0.0, 0.0, 0.0)), effects=())
     transform, stretches = Transform(silent, 0, 0, options), _Stretches()

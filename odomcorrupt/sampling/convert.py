@@ -17,8 +17,6 @@ from odomcorrupt.errors import ModelError
 from odomcorrupt.model.motion_model import Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients, Law
 
-__all__ = ["Drift", "convert", "drift_of"]
-
 ANY_STEP = Step(1.0, 1.0)
 """For laws that do not depend on the step."""
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
 
-__all__ = ["DensityGrid", "density_on_grid", "hypothetical", "pose_density", "product", "within_map"]
-
 TURNS = 2.0 * np.pi * np.array([-1.0, 0.0, 1.0])
 """Whole turns summed over, because headings are known modulo 2 pi; at two turns, realistic noise has no density."""
 

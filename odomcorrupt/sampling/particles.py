@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.trajectories.reader import Drive
 
-__all__ = ["ParticleSet", "brief", "csv_text", "json_text", "particles_at", "places_along", "report_text",
-           "sample_particles"]  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True)
 class ParticleSet:

@@ -1,4 +1,4 @@
-"""Samples of the motion model for one motion (sample_motion_model), their moments, and examples from the literature."""
+"""Samples of one motion (sample_motion_model), also within a map; their moments, and examples from the literature."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.corruption.path import StepGrowth, noise_variances
-from odomcorrupt.errors import ModelError
+from odomcorrupt.errors import MapError, ModelError
 from odomcorrupt.geometry.increments import BEARING_MIN_M, Increments, RotTransRot, increments, rot_trans_rot
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.model.motion_model import Noise
@@ -18,10 +18,11 @@ from odomcorrupt.model.noise_laws import Coefficients, Variances
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.geometry.se2 import Array
+    from numpy.typing import NDArray
 
-__all__ = ["DEFAULT_EXAMPLE", "EXAMPLES", "Moments", "Move", "ellipse", "example_named", "linearised_moments",
-           "move_between", "move_sampled", "move_variances", "sample_moments", "with_noise"]  # fmt: skip
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.mapping.free_space import Constraint
+    from odomcorrupt.model.noise_laws import Variances
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,3 +216,67 @@ def example_named(name: str) -> Example:
         return EXAMPLES[name]
     except KeyError:
         raise ModelError(f"no example is called {name!r}; there are {', '.join(EXAMPLES)}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class FreeSamples:
+    """Samples in the free space of a map.
+
+    xyt : (n, 3) metres, radians
+    candidates : number of candidates drawn for them
+    lost : number of samples given up because none of their tries was free
+    free_at_first : number of first tries that were free
+    """
+
+    xyt: Array
+    candidates: int
+    lost: int
+    free_at_first: int
+    tries: int
+
+    def account(self) -> str:
+        """Return the numbers of tries and failures, in one sentence."""
+        asked = len(self.xyt) + self.lost
+        said = (
+            f"map: {self.free_at_first} of {asked} first draws were free, {self.candidates} draws made "
+            f"{len(self.xyt)} free samples"
+        )
+        return said + (f"; {self.lost} were given up after {self.tries} tries each" if self.lost else "")
+
+
+def move_sampled_in_map(
+    move: Move, variances: Variances, count: int, rng: np.random.Generator, within: Constraint
+) -> FreeSamples:
+    """Draw end poses of a motion in the free space of a map; see `samples.move_sampled`.
+
+    Raises
+    ------
+    MapError
+        If the motion begins in a wall, or no candidate is free.
+    """
+    if within.tries < 1:
+        raise ModelError(f"tries: {within.tries}; there must be one or more")
+    start = move.start_xyt[None, :2]
+    if not within.space.free(start)[0]:
+        x, y = start[0]
+        raise MapError(
+            f"the motion begins at ({x:.3f} m, {y:.3f} m), which the map does not leave free for this robot; check "
+            "--map-pose and --robot-radius"
+        )
+    out = np.empty((count, 3))
+    pending: NDArray[np.intp] = np.arange(count)
+    candidates = free_at_first = 0
+    for attempt in range(within.tries):
+        drawn = move_sampled(move, variances, len(pending), rng)
+        candidates += len(drawn)
+        good = within.allows(np.broadcast_to(start, (len(drawn), 2)), drawn[:, :2])
+        out[pending[good]] = drawn[good]
+        pending = pending[~good]
+        free_at_first += int(np.count_nonzero(good)) if attempt == 0 else 0
+        if not len(pending):
+            break
+    if len(pending) == count:
+        raise MapError(
+            f"none of {candidates} candidates is free: the motion ends in a wall, and its noise does not lead out of it"
+        )
+    return FreeSamples(np.delete(out, pending, axis=0), candidates, len(pending), free_at_first, within.tries)

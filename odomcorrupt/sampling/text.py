@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
 
-__all__ = ["Drawn", "brief", "csv_text", "drawn_json", "law_meaning", "law_words", "report_text", "title"]
-
 _ARTICLE_CODE = (
     "article-code: the listing passes sd*sd where a standard deviation is asked for, so what is drawn has deviation "
     "sd^2 (in numbers, whatever the unit), not sd"

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
 
-__all__ = ["RPE_M", "WINDOW_S", "Alignment", "Failure", "Limits", "PathErrors", "ScoreError",
-           "path_errors"]  # fmt: skip
-
 Alignment = Literal["rigid", "origin", "none"]
 
 RPE_M = 1.0

@@ -12,10 +12,10 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import OdomCorruptError, TopicError
 from odomcorrupt.scoring.errors import ScoreError
-from odomcorrupt.study.io.address import parse_address, plain
 from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.text import is_text, read_text
-from odomcorrupt.study.io.time_order import in_order
+from odomcorrupt.study.io.topic_selection import parse_address, plain
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.raw_trajectory import Samples
-
-__all__ = ["Estimate", "NoEstimateError", "find_estimate", "read_estimate"]
 
 _BAGS = (".mcap", ".bag", ".db3")
 _TEXTS = (".tum", ".txt", ".csv")

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["LEAST_PAIRS", "STATISTICS", "Comparison", "Rule", "Verdict", "check", "compare_paired", "parse_rule"]
-
 FALSE_RED = 0.01
 """Largest probability that a rule fails an unchanged version."""
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
 
-__all__ = ["METRICS", "RunScore", "ScoreReport", "Status", "score"]
-
 Status = Literal["ok", "lost", "diverged", "partial", "missing", "unreadable"]
 
 METRICS = ("ate_m", "ate_rad", "max_m", "rpe_m", "rpe_rad", "error_10s_m", "end_m", "nees", "inside_95")

@@ -13,10 +13,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Breakdown", "Growth", "Quantile", "Section", "Summary", "breakdown", "growth", "sections", "summarise"]
-
 LOST_PART = 0.05
 """Fraction of lost runs that defines the break-down point."""
+_LOST_LOGIT = float(np.log(LOST_PART / (1.0 - LOST_PART)))
 
 _CHI2_1_95 = 3.841
 """Twice the decrease of the log likelihood at the ends of a 95 % interval of one parameter."""
@@ -134,7 +133,7 @@ def breakdown(drift: Array, lost: NDArray[np.bool_]) -> Breakdown:
     # of a range of equal likelihood, the middle
     best = np.flatnonzero(found.likelihood >= found.likelihood.max() - 1e-6)
     at = int(best[len(best) // 2])
-    return Breakdown(float(np.exp(grid[at])), low, high, float(np.exp(-_logit(LOST_PART) / found.slope[at])))
+    return Breakdown(float(np.exp(grid[at])), low, high, float(np.exp(-_LOST_LOGIT / found.slope[at])))
 
 
 class _Profile(NamedTuple):
@@ -158,13 +157,9 @@ def _profile(x: Array, lost: NDArray[np.bool_], grid: Array) -> _Profile:
     return _Profile(grid, best, slopes[every.argmax(axis=0)], inside)
 
 
-def _logit(p: float) -> float:
-    return float(np.log(p / (1.0 - p)))
-
-
 def _log_likelihood(x: Array, lost: NDArray[np.bool_], grid: Array, slope: float) -> Array:
     """Return log likelihoods (k,) of runs (n,) for break-down points (k,) and one slope."""
-    z = _logit(LOST_PART) + slope * (x[None, :] - grid[:, None])
+    z = _LOST_LOGIT + slope * (x[None, :] - grid[:, None])
     total: Array = -np.logaddexp(0.0, np.where(lost, -z, z)).sum(axis=1)
     return total
 

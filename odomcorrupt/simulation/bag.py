@@ -9,7 +9,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from odomcorrupt.simulation.record import SimulatedRun
+from odomcorrupt.simulation.run import SimulatedRun
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = {

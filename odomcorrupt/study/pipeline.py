@@ -15,10 +15,9 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.stepwise import learn
-from odomcorrupt.study.validate.compare import Comparison, compare
+from odomcorrupt.study.validate.compare import Comparison, compare, sequence_comparison
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
-from odomcorrupt.study.validate.model_sequence import sequence_comparison
-from odomcorrupt.study.validate.reproduction import Reproduction, reproduction_of
+from odomcorrupt.study.validate.predictive_check import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
 from odomcorrupt.study.work import Watch, Work, silent
 
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.stepwise import Learned
-
-__all__ = ["LAW", "DiagnosedModel", "LearnedRobot", "diagnose_model", "learn_robot"]
 
 LAW = "diffusion"
 """Noise law of learned models: the only law whose drift does not depend on the message rate."""

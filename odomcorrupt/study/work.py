@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-__all__ = ["Watch", "Work", "silent"]
-
 Watch = Callable[[str, float], None]
 """Called before each stage with its name and the fraction of the work done."""
 _MORE_STEPS = 2.0

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.trajectories.reader import Drive
 
-__all__ = ["RULES", "Hold", "PathError", "Rewritten", "Rule", "integrate", "noisy_twists", "path_error", "rewrite_path"]
-
 
 @dataclass(frozen=True, slots=True)
 class PathError:

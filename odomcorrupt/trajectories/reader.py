@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Drive", "find_truth", "read_drive", "read_poses"]
-
 POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
 
 

@@ -12,9 +12,7 @@ from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import ModelError
-from odomcorrupt.export.nav2 import amcl_alphas
-from odomcorrupt.export.robot_localization import Steady, message_noise, twist_variances
-from odomcorrupt.export.ros2_control import wheel_multipliers
+from odomcorrupt.export.parameters import Steady, amcl_alphas, message_noise, twist_variances, wheel_multipliers
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients

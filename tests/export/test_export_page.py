@@ -8,9 +8,14 @@ from pathlib import Path
 import pytest
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.export.nav2 import amcl_alphas
-from odomcorrupt.export.robot_localization import FLOOR, Steady, message_noise, twist_variances
-from odomcorrupt.export.ros2_control import wheel_multipliers
+from odomcorrupt.export.parameters import (
+    FLOOR,
+    Steady,
+    amcl_alphas,
+    message_noise,
+    twist_variances,
+    wheel_multipliers,
+)
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 

@@ -29,7 +29,7 @@ INSTRUMENTED = [
     "odomcorrupt.bags", "odomcorrupt.batching.manifest", "odomcorrupt.model.model_file",
     "odomcorrupt.effects.expression",
     "odomcorrupt.mapping.mapfile", "odomcorrupt.study.io.text", "odomcorrupt.study.io.columns",
-    "odomcorrupt.study.io.rows", "odomcorrupt.info",
+    "odomcorrupt.study.io.text", "odomcorrupt.info",
 ]  # fmt: skip
 """What reads, or tells of what was read; to count the branches of the rest would only take time."""
 

@@ -9,8 +9,7 @@ from odomcorrupt.mapping.free_space import Constraint, free_space
 from odomcorrupt.mapping.mapfile import OCCUPIED, UNKNOWN, Grid
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
-from odomcorrupt.sampling.samples import move_between, move_sampled
-from odomcorrupt.sampling.samples_in_map import move_sampled_in_map
+from odomcorrupt.sampling.samples import move_between, move_sampled, move_sampled_in_map
 
 WALL = (2.0, -1.0, 2.2, 1.0)
 AHEAD = move_between(np.zeros(3), np.array([3.0, 0.0, 0.0]))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from odomcorrupt.mapping.wall_thickness import (
+from odomcorrupt.mapping.scan_map import (
     MIN_NEIGHBOURS,
     WINDOW_M,
     added_thickness,

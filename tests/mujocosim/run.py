@@ -10,9 +10,9 @@ from mujocosim.causes import CAUSES
 from odomcorrupt.simulation import ROUTES, TRACKERS, Rig, Segment, SimulatedRun, Tracker
 from odomcorrupt.simulation.encoders import reckon
 from odomcorrupt.simulation.kinematics import Drive
-from odomcorrupt.simulation.record import record
 from odomcorrupt.simulation.robot import Robot
 from odomcorrupt.simulation.routes import follow
+from odomcorrupt.simulation.run import record
 from odomcorrupt.simulation.streams import Streams, stream
 from odomcorrupt.simulation.tracker import watch
 

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from odomcorrupt.report.html.comparison import report_html
 from odomcorrupt.report.html.page import prose
-from odomcorrupt.report.plots.model_sequence import draw_errors, rms_interval
+from odomcorrupt.report.plots.comparison import draw_errors, rms_interval
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.study.validate.compare import compare
 

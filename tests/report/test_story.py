@@ -19,11 +19,9 @@ from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
-from odomcorrupt.report.text.comparison import comparison_text
+from odomcorrupt.report.text.comparison import comparison_text, rejection, within
 from odomcorrupt.report.text.design import advice_text, limits_sentence
-from odomcorrupt.report.text.diagnosis import NOTHING, found_text, shares_text
-from odomcorrupt.report.text.fit import fit_text, laws_table
-from odomcorrupt.report.text.lack_of_fit import rejection, within
+from odomcorrupt.report.text.diagnosis import NOTHING, fit_text, found_text, laws_table, shares_text
 from odomcorrupt.report.text.numbers import clock_lines, fitted_expression, law_numbers, value_text
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
@@ -390,7 +388,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     monkeypatch.setattr(
         "odomcorrupt.study.pipeline.compare", lambda _runs, models, **_named: asked.append(models) or sequence
     )
-    monkeypatch.setattr("odomcorrupt.study.validate.model_sequence.compare", lambda _runs, _models: sequence)
+    monkeypatch.setattr("odomcorrupt.study.validate.compare.compare", lambda _runs, _models: sequence)
     monkeypatch.setattr("odomcorrupt.report.html.diagnosis.found_html", lambda story, version: f"{version} {story[3]}")
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]

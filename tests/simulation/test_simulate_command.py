@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from test_routes import write_commands
 
 from odomcorrupt.cli import run
-from odomcorrupt.simulation.fault_draws import EVERY
+from odomcorrupt.simulation.faults import EVERY
 
 
 def simulated(folder, *options, name="out"):

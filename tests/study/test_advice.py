@@ -13,7 +13,7 @@ from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.report.text.design import advice_text
 from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise
-from odomcorrupt.study.design.excitation import excitation, missing_excitations
+from odomcorrupt.study.design.drives import excitation, missing_excitations
 from odomcorrupt.study.design.information import planned_field, recorded_field, separation
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import STEP_S, plan_of

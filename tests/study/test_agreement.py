@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from odomcorrupt.report.text.comparison import falls_sentence, measures_words
-from odomcorrupt.study.validate.agreement import agreement_of
+from odomcorrupt.study.validate.compare import agreement_of
 
 
 def judged(name, error, nats, ate, gain=0.0, gain_error=0.1):

@@ -14,8 +14,8 @@ from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.windows import WindowErrors
-from odomcorrupt.study.validate.calibration import horizon_of
-from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
+from odomcorrupt.study.validate.calibration import ParameterUncertainty, horizon_of
+from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of, log_score_of
 from odomcorrupt.study.validate.goodness_of_fit import (
     Check,
     Verdict,
@@ -26,8 +26,6 @@ from odomcorrupt.study.validate.goodness_of_fit import (
     whiteness_of,
 )
 from odomcorrupt.study.validate.lack_of_fit import drift_failures, failures, sudden_failures
-from odomcorrupt.study.validate.log_score import log_score_of
-from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))

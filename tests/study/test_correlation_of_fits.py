@@ -10,10 +10,9 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.calibrate import fit_correlation, fit_robot
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
 
 PLANTED = Coefficients(0.04, 0.03, 0.04, 0.02)
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")

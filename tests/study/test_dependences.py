@@ -13,7 +13,7 @@ from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.simulation import simulate, simulate_without
-from odomcorrupt.simulation.fault_draws import SIZES
+from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import driving_motion

@@ -11,8 +11,8 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.correlation_length import with_pose_steps
 from odomcorrupt.study.estimate.nodes import lay_nodes
-from odomcorrupt.study.estimate.pose_steps import with_pose_steps
 
 PUSHED_S = 200.0
 

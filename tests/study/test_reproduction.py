@@ -11,12 +11,12 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.geometry.increments import Increments, increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.json.diagnosis import reproduction_json
-from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
+from odomcorrupt.report.text.comparison import reproduction_sentence
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.outliers import slip_bursts
-from odomcorrupt.study.validate.reproduction import reproduction_of
+from odomcorrupt.study.validate.predictive_check import reproduction_of
 
 QUIET = Coefficients(0.006, 0.003, 0.004, 0.0)
 

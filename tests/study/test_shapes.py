@@ -13,10 +13,9 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.estimate.cluster_variance import between_blocks, inflation, shared_variance
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.robust_errors import with_robust_errors
+from odomcorrupt.study.estimate.robust_errors import between_blocks, inflation, shared_variance, with_robust_errors
 from odomcorrupt.study.select.candidates import with_shape_refined
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.elimination import drop_term

@@ -14,11 +14,10 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
-from odomcorrupt.study.estimate.config import NODE_S, choose_approach
+from odomcorrupt.study.estimate.config import NODE_S, choose_approach, independent_spacing_s
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.nodes import lay_nodes
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.truth_correlation import independent_spacing_s
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import Commands
-from odomcorrupt.simulation.fault_draws import EVERY
+from odomcorrupt.simulation.faults import EVERY
 from odomcorrupt.simulation.streams import stream
 from odomcorrupt.simulation.tracker import dock
 

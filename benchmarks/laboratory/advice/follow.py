@@ -14,7 +14,7 @@ from laboratory.advice.blind import first_drive, on_the_way, place_of
 from laboratory.advice.verdicts import settled
 from laboratory.answer import plain_answer
 from odomcorrupt.simulation import read_commands, simulate
-from odomcorrupt.simulation.fault_draws import SIZES
+from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.plan import drive_bag
 from odomcorrupt.study.select.stepwise import learn

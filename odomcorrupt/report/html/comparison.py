@@ -9,14 +9,19 @@ from typing import TYPE_CHECKING
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
 from odomcorrupt.report.plots.comparison import PICTURES
-from odomcorrupt.report.text.comparison import falls_sentence, sequence_steps, share_of_worst
-from odomcorrupt.report.text.lack_of_fit import MOST, SIGNS, judgement_sentence, size
+from odomcorrupt.report.text.comparison import (
+    MOST,
+    SIGNS,
+    falls_sentence,
+    judgement_sentence,
+    sequence_steps,
+    share_of_worst,
+    size,
+)
 
 if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
     from odomcorrupt.study.validate.compare import Comparison, Judgement
-
-__all__ = ["report_html", "sequence_table"]
 
 
 def report_html(comparison: Comparison, *, version: str) -> str:

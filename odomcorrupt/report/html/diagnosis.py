@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from odomcorrupt.report.html.comparison import sequence_table
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
+from odomcorrupt.report.plots.comparison import draw_errors
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
-from odomcorrupt.report.plots.model_sequence import draw_errors
 from odomcorrupt.report.plots.residuals import draw_residuals
+from odomcorrupt.report.text.comparison import SIGNS, rejection, size
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.text.diagnosis import NOTHING, evidence_words, unnamed
-from odomcorrupt.report.text.lack_of_fit import SIGNS, rejection, size
 from odomcorrupt.report.text.numbers import (
     clock_lines,
     effects_with_errors,
@@ -28,7 +28,7 @@ from odomcorrupt.report.text.numbers import (
     words_text,
 )
 from odomcorrupt.study.estimate.drive_type import readings_of
-from odomcorrupt.study.validate.agreement import agreement_of
+from odomcorrupt.study.validate.compare import agreement_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison
-
-__all__ = ["SearchReport", "found_html"]
 
 
 class SearchReport(NamedTuple):

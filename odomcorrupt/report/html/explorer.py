@@ -17,13 +17,13 @@ import numpy as np
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.report.html.page import resource
-from odomcorrupt.report.plots.model_sequence import rms_interval
-from odomcorrupt.report.text.lack_of_fit import MOST, sentence
+from odomcorrupt.report.plots.comparison import rms_interval
+from odomcorrupt.report.text.comparison import MOST, sentence
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.validate.calibration import HORIZONS_M
 from odomcorrupt.study.validate.error_rates import CHANNELS, node_motion
+from odomcorrupt.study.validate.lack_of_fit import all_patterns
 from odomcorrupt.study.validate.predictive_check import replay
-from odomcorrupt.study.validate.strata import all_patterns
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison, Judgement
     from odomcorrupt.study.validate.evaluation import Evaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure
-
-__all__ = ["explorer", "failure_items", "script_hash"]
 
 _MOST_PIECES = 8
 """Number of segments that can be selected, the longest ones."""

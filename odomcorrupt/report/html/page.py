@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = ["page", "picture", "prose", "resource", "table"]
-
 _HEAVY = 600_000
 """Size of a vector figure, bytes, above which it is rasterised if that is smaller; keeps the page below 3 MB."""
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.scoring.run import ScoreReport
     from odomcorrupt.scoring.statistics import Quantile
 
-__all__ = ["score_html"]
-
 _ROWS = 1000
 """Largest number of runs in the table; the worst ones are listed."""
 

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.report.text.lack_of_fit import SIGNS, judgement_sentence, sentence
+from odomcorrupt.report.text.comparison import SIGNS, judgement_sentence, sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison, Judgement
     from odomcorrupt.study.validate.lack_of_fit import Failure
     from odomcorrupt.study.validate.trajectory_error import TrajectoryError
-
-__all__ = ["comparison_json"]
 
 SCHEMA = 2
 

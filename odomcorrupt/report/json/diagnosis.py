@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.text.comparison import rejection, reproduction_sentence
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
-from odomcorrupt.report.text.lack_of_fit import rejection, reproduction_sentence
 from odomcorrupt.report.text.numbers import (
     clocks_found,
     effects_with_errors,
@@ -19,7 +19,7 @@ from odomcorrupt.report.text.numbers import (
     step_confidence,
 )
 from odomcorrupt.study.estimate.outliers import single_events
-from odomcorrupt.study.validate.clock_gain import clock_gain
+from odomcorrupt.study.validate.trajectory_error import clock_gain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -33,9 +33,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
-    from odomcorrupt.study.validate.reproduction import Reproduction
-
-__all__ = ["fit_json", "learned_json", "recordings_json", "reproduction_json"]
+    from odomcorrupt.study.validate.predictive_check import Reproduction
 
 SCHEMA = 2
 
@@ -50,7 +48,7 @@ def learned_json(
 ) -> dict[str, Any]:
     """Return the findings of a search in order: clocks, then effects, then noise.
 
-    sequence : models in the order of the search, evaluated on held-out halves, see `study.validate.model_sequence`
+    sequence : models in the order of the search, evaluated on held-out halves, see `sequence_comparison`
     evaluated : evaluation of the final model, if available: the last model of the sequence lacks noise terms
     fit : fit of the final model, if it is not that of the search
     """

@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["finite"]
-
 
 def finite(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return values with plain numbers instead of numpy's, and None instead of unknown or infinite ones."""

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.scoring.gate import Verdict
 
-__all__ = ["score_json"]
-
 SCHEMA = 1
 
 

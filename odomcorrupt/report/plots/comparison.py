@@ -1,17 +1,31 @@
-"""Figures of a comparison by name; NEES and PIT of each model."""
+"""Figures of a comparison by name; NEES and PIT of each model, and the map of lack of fit."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Circle
 from matplotlib.ticker import NullFormatter
+from scipy.stats import chi2
 
-from odomcorrupt.report.plots.figure import BLACK, COLOURS, MARKERS, drawing, new_figure, plain_logarithm, short_name
-from odomcorrupt.report.plots.lack_of_fit_map import draw_failure_map
-from odomcorrupt.report.plots.model_sequence import draw_errors
+from odomcorrupt.report.plots.figure import (
+    BLACK,
+    COLOURS,
+    MARKERS,
+    RED,
+    drawing,
+    model_panels,
+    new_figure,
+    plain_logarithm,
+    short_name,
+)
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.report.plots.residuals import draw_residuals
+from odomcorrupt.report.text.comparison import MOST, sequence_steps
+from odomcorrupt.study.estimate.windows import distance_windows, window_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -19,9 +33,93 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from odomcorrupt.study.validate.compare import Comparison
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.evaluation import Evaluation
+    from odomcorrupt.study.validate.lack_of_fit import Failure
 
-__all__ = ["PICTURES", "Picture", "draw_nees", "draw_pit"]
+
+def draw_errors(comparison: Comparison) -> Figure:
+    """Draw measured errors against distance with each model's expectation, and the 10 s error of each step below.
+
+    Vertical bars are 90 % intervals of the measured values; grey figures on top count the last model's windows.
+    """
+    with drawing():
+        figure = new_figure(9.0, 5.9 + 0.28 * len(comparison.judgements))
+        parts: Any = figure.subfigures(2, 1, height_ratios=(3.9, 1.1 + 0.28 * len(comparison.judgements)))
+        above, below = parts
+        headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
+        wanted = (("position", "m"), ("yaw", "deg"))[: 2 if headed else 1]
+        panels = above.subplots(1, len(wanted), squeeze=False)[0]
+        for axes, (what, unit) in zip(panels, wanted, strict=True):
+            count = len(comparison.judgements)
+            for i, judgement in enumerate(comparison.judgements):
+                style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
+                _curve(axes, judgement, what, style, 1.025 ** (2 * i - count + 1))
+            axes.set(xscale="log", yscale="log", xlabel="path driven (m)", title=f"{what} error, RMS ({unit})")
+            axes.set_ylim(top=1.35 * axes.get_ylim()[1])
+            _counts(axes, comparison.judgements[-1])
+            for axis in (axes.xaxis, axes.yaxis):
+                plain_logarithm(axis)
+            axes.grid(visible=True, which="major", color="0.9")
+        # one legend entry per kind of line, not per model
+        panels[0].plot([], [], color="0.4", marker="|", markersize=9, linewidth=1.3, label="measured, 90 % interval")
+        panels[0].plot([], [], color="0.4", linewidth=1.3, linestyle=(0, (4, 3)), label="expected by the model")
+        above.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
+        _bars(below.subplots(), comparison)
+    return figure
+
+
+def rms_interval(measured: float, windows: int) -> tuple[float, float]:
+    """Return the central 90 % interval of a root mean square measured over this many independent windows."""
+    tail, square = (1.0 - 0.9) / 2.0, windows * measured**2
+    return float(np.sqrt(square / chi2.isf(tail, windows))), float(np.sqrt(square / chi2.ppf(tail, windows)))
+
+
+def _curve(axes: Axes, judgement: Judgement, what: str, style: dict[str, str], shift: float) -> None:
+    """Draw measured errors with their 90 % interval, and the model's expectation as a dashed line."""
+    distance = np.array([h.distance_m for h in judgement.curve])
+    windows = [h.windows for h in judgement.curve]
+    if what == "yaw":
+        measured, expected = np.degrees([[h.measured[2], h.expected[2]] for h in judgement.curve]).reshape(-1, 2).T
+    else:
+        pairs = [[h.position_measured, h.position_expected] for h in judgement.curve]
+        measured, expected = np.array(pairs).reshape(-1, 2).T
+    ends = np.array([rms_interval(m, n) for m, n in zip(measured, windows, strict=True)]).reshape(-1, 2)
+    axes.vlines(distance * shift, *ends.T, color=style["color"], linewidth=1.1, alpha=0.8)
+    axes.plot(distance * shift, measured, linewidth=1.3, markersize=4.5, label=short_name(judgement.name), **style)  # type: ignore[arg-type]
+    axes.plot(distance, expected, linewidth=1.3, linestyle=(0, (4, 3)), color=style["color"])
+
+
+def _counts(axes: Axes, judgement: Judgement) -> None:
+    """Write the number of windows above the points, for as many path lengths as fit."""
+    last = 0.0
+    for h in judgement.curve:
+        if h.distance_m >= 1.7 * last:
+            axes.annotate(
+                str(h.windows), (h.distance_m, 1.0), xycoords=("data", "axes fraction"), ha="center", va="top",
+                fontsize=7.5, color="0.4",
+            )  # fmt: skip
+            last = h.distance_m
+
+
+def _bars(axes: Axes, comparison: Comparison) -> None:
+    # a recording of less than 10 s has no window
+    steps = [step for step in sequence_steps(comparison) if isfinite(step[1])]
+    if not steps:
+        axes.set_axis_off()
+        return
+    names, millimetres = [short_name(name) for name, _, _ in steps], np.array([error for _, error, _ in steps]) * 1e3
+    own = {judgement.name: colour for judgement, colour in zip(comparison.judgements, COLOURS * 9, strict=False)}
+    colours = ["0.65" if judgement is None else own[judgement.name] for _, _, judgement in steps]
+    bars = axes.barh(np.arange(len(names)), millimetres, color=colours, height=0.7)
+    axes.bar_label(bars, labels=[f"{e:.1f} mm" for e in millimetres], padding=4, fontsize=9)
+    axes.set_yticks(np.arange(len(names)), names)
+    axes.invert_yaxis()
+    axes.set(
+        title="position error 10 s after starting at the truth, RMS (mm)",
+        xlim=(0.0, 1.15 * max(float(millimetres.max()), 1e-9)),
+    )
 
 
 def draw_nees(comparison: Comparison) -> Figure:
@@ -82,6 +180,103 @@ def draw_pit(comparison: Comparison) -> Figure:
         panels[0].set_ylabel("measured minus predicted")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
     return figure
+
+
+_PHASES = 5
+_LENGTHS_M = (0.5, 1.0, 2.0, 5.0, 10.0)
+_FEWEST = 12
+_DARKEST_RATIO = 4.0
+"""Ratio of measured to expected squared error with the darkest colour."""
+
+
+def draw_failure_map(comparison: Comparison) -> Figure:
+    """Draw a panel for each model."""
+    length_m = _length(comparison)
+    with drawing():
+        figure, panels = model_panels(comparison.judgements, 4.4, 6.0, 0.9)
+        lines = [_panel(axes, judgement, length_m) for axes, judgement in panels]
+        bar = figure.colorbar(
+            lines[-1], ax=[axes for axes, _ in panels], location="bottom", shrink=0.6, aspect=40, extend="max",
+            label=f"squared error over {length_m:g} m of path, divided by the expected (1: right)",
+        )  # fmt: skip
+        bar.ax.axvline(1.0, color=BLACK, linewidth=1.2)
+    return figure
+
+
+def _length(comparison: Comparison) -> float:
+    """Return a path length (m) that is short relative to the drive, and long enough for errors to accumulate."""
+    metres = max(float(piece.node_metres.sum()) for piece in comparison.judgements[0].pieces)
+    return max((length for length in _LENGTHS_M if length <= metres / _FEWEST), default=_LENGTHS_M[0])
+
+
+def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
+    piece = max(judgement.pieces, key=lambda p: float(p.node_metres.sum()))
+    xy = piece.problem.nodes.truth_xyt[:, :2]
+    segments = np.stack((xy[:-1], xy[1:]), axis=1)
+    ratio = _local_ratio(piece, length_m)
+    linked = piece.problem.nodes.linked[1:]
+    # largest errors on top, where a path crosses itself
+    order = np.argsort(ratio[:-1][linked])
+    lines = LineCollection(
+        list(segments[linked][order]), cmap="cividis_r", linewidths=2.6, capstyle="round", rasterized=True
+    )
+    lines.set_array(ratio[:-1][linked][order])
+    lines.set_clim(0.0, _DARKEST_RATIO)
+    axes.add_collection(lines)
+    axes.plot(*xy[0], "s", color=BLACK, markersize=7, zorder=4)
+    several = len(judgement.pieces) > 1
+    for number, failure in enumerate(judgement.failures[:MOST], start=1):
+        if not several or failure.recording == piece.recording.name:
+            _mark(axes, piece, failure, number)
+    axes.autoscale_view()
+    axes.set_aspect("equal", adjustable="box")
+    axes.set(xlabel="x (m)", ylabel="y (m)", title=short_name(judgement.name))
+    axes.grid(visible=True, color="0.93")
+    return lines
+
+
+def _mark(axes: Axes, piece: Evaluation, failure: Failure, number: int) -> None:
+    """Write the number of a lack of fit at its place; motions and drifts have none."""
+    nodes = piece.problem.nodes
+    if failure.kind == "place" and failure.place is not None:
+        x, y, radius = failure.place
+        axes.add_patch(
+            Circle((x, y), radius, fill=False, edgecolor=RED, linewidth=1.6, linestyle=(0, (4, 2)), zorder=5)
+        )
+    elif failure.kind == "time" and failure.span_s is not None:
+        during = (nodes.end_s > failure.span_s[0]) & (nodes.start_s < failure.span_s[1])
+        part = nodes.truth_xyt[during]
+        axes.plot(part[:, 0], part[:, 1], color=RED, linewidth=0.9, linestyle=(0, (2, 2)), zorder=5)
+        x, y = map(float, part[len(part) // 2, :2])
+    elif failure.kind == "moment" and failure.place is not None:
+        x, y, _ = failure.place
+        axes.plot(x, y, "X", color=RED, markeredgecolor="white", markersize=9, zorder=6)
+    else:
+        return
+    axes.annotate(
+        str(number), (x, y), xytext=(6, 6), textcoords="offset points", fontsize=10, fontweight="bold", color=RED,
+        zorder=7,
+        bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+    )  # fmt: skip
+
+
+def _local_ratio(piece: Evaluation, length_m: float) -> Array:
+    """Return, for each interval (K,), the mean NEES per degree of freedom of windows that cover it."""
+    nodes = piece.problem.nodes
+    middle = (nodes.start_s + nodes.end_s) / 2.0
+    total, count = np.zeros(len(nodes)), np.zeros(len(nodes))
+    for phase in np.arange(_PHASES) / _PHASES:
+        windows = distance_windows(piece.left, length_m, phase)
+        if not len(windows):
+            continue
+        errors = window_errors(windows, piece.model.noise, piece.truth, piece.problem.steps, headed=piece.headed)
+        nees = errors.nees / errors.error.shape[1]
+        at = np.searchsorted(windows.end_s, middle)
+        covered = (at < len(nees)) & (middle >= windows.start_s[0])
+        total[covered] += nees[at[covered]]
+        count[covered] += 1.0
+    ratio: Array = np.divide(total, count, out=np.ones(len(nodes)), where=count > 0.0)
+    return ratio
 
 
 class Picture(NamedTuple):

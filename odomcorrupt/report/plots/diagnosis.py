@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["draw_candidates", "draw_plan", "draw_unknown", "evidence_nats"]
-
 _MOST = 7
 _STEPS = 6
 _GREY = "0.78"

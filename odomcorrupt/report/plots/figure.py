@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.validate.compare import Judgement
 
-__all__ = ["BLACK", "BLUE", "COLOURS", "GREEN", "MARKERS", "ORANGE", "RED", "SKY", "drawing", "model_panels",
-           "new_figure", "plain_logarithm", "rendered", "short_name"]  # fmt: skip
-
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, RED, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 """Okabe & Ito's palette; RED is their vermilion."""

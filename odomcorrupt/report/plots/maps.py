@@ -9,7 +9,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.transforms import Affine2D
 
 from odomcorrupt.mapping.mapfile import OCCUPIED, Grid
-from odomcorrupt.mapping.wall_thickness import added_thickness
+from odomcorrupt.mapping.scan_map import added_thickness
 from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, RED, drawing, new_figure
 
 if TYPE_CHECKING:
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.mapping.scan_map import Survey
-
-__all__ = ["draw_free_space", "draw_grid", "draw_surveys"]
 
 PATHS = (BLUE, RED, GREEN)
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison
     from odomcorrupt.trajectories.integrate import PathError
 
-__all__ = ["draw_corruption", "draw_errors", "draw_fan", "draw_paths", "draw_runs"]
-
 _RUNS = 100
 _MARKS = 20
 _SHOWN_M = 100.0

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison, Judgement
     from odomcorrupt.study.validate.evaluation import Evaluation
 
-__all__ = ["draw_residuals"]
-
 _BINS = 8
 _UNITS = ("mm per m", "mm per m", "deg per m")
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.scoring.run import ScoreReport
 
-__all__ = ["along", "draw_alone", "draw_score", "drift", "places"]
-
 _SHOWN = 200
 """Largest number of runs drawn as lines."""
 

@@ -6,10 +6,9 @@ from dataclasses import replace
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.text.comparison import HELD, measures_words
+from odomcorrupt.report.text.comparison import HELD, measures_words, reproduction_sentence, sentence, size, within
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
-from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, sentence, size, within
 from odomcorrupt.report.text.numbers import (
     clocks_found,
     confidence_words,
@@ -22,7 +21,7 @@ from odomcorrupt.report.text.numbers import (
     step_confidence,
 )
 from odomcorrupt.study.estimate.drive_type import DriveType, readings_of
-from odomcorrupt.study.validate.agreement import agreement_of
+from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.summary import Line, Summary, Tone, command_line
 
 if TYPE_CHECKING:
@@ -35,9 +34,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Comparison
-    from odomcorrupt.study.validate.reproduction import Reproduction
-
-__all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
+    from odomcorrupt.study.validate.predictive_check import Reproduction
 
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
 """Effects that resemble errors of single wheels: a larger wheel shifts turns as the y of a lever arm does."""

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
     from odomcorrupt.study.design.plan import Plan
 
-__all__ = ["advice_sentences", "advice_text", "drive_sentence", "inseparable_sentence", "limit_size", "limits_sentence"]
-
 
 def advice_text(advice: Advice) -> str:
     """Return all advice, one sentence per line; "" if no alternatives are open."""

@@ -1,4 +1,4 @@
-"""Findings of a search as plain text: effects, noise, unexplained dependences, and the smallest detectable sizes."""
+"""A fit, and findings of a search, as plain text: effects, noise, unexplained dependences, detection limits."""
 
 from __future__ import annotations
 
@@ -7,40 +7,40 @@ from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.report.text.comparison import rejection, size, within
 from odomcorrupt.report.text.design import advice_text, limits_sentence
-from odomcorrupt.report.text.lack_of_fit import rejection, size, within
 from odomcorrupt.report.text.numbers import (
     clock_lines,
     confidence_words,
+    effects_with_errors,
     fitted_expression,
     law_numbers,
     noise_confidence,
     noise_text,
+    numbers_text,
     step_confidence,
     value_text,
     words_text,
 )
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.drive_type import readings_of
-from odomcorrupt.study.estimate.intervals import join
-from odomcorrupt.study.estimate.outliers import Event, single_events
+from odomcorrupt.study.estimate.outliers import Event, events, single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
-from odomcorrupt.study.estimate.windows import distance_windows, rmse
+from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.report.text.numbers import LawNumber
     from odomcorrupt.study.design.advise import Advice
+    from odomcorrupt.study.estimate.calibrate import RobotFit
+    from odomcorrupt.study.estimate.confidence_intervals import Interval
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Judgement
-
-__all__ = ["NOTHING", "candidates_table", "contradiction", "dependence", "evidence_words", "found_text",
-           "position_error", "shares_text", "unnamed"]  # fmt: skip
 
 NOTHING = "nothing is missing: no known effect explains more than chance"
 
@@ -173,8 +173,7 @@ def shares_text(sequence: Sequence[Judgement]) -> str:
 
 def position_error(judgement: Judgement, distance_m: float) -> float:
     """Return the position error (m, RMS) after a path length; NaN if no segment is that long."""
-    windows = [w for piece in judgement.pieces if len(w := distance_windows(piece.left, distance_m))]
-    return rmse(join(windows, [0] * len(windows))) if windows else float("nan")
+    return joint_rmse(distance_windows(piece.left, distance_m) for piece in judgement.pieces)
 
 
 def _fall(what: str, before: float, after: float) -> str:
@@ -222,4 +221,64 @@ def _sequence_text(learned: Learned) -> str:
                 f"  + {name:<16}{step.candidates[0].gain:+8.1f} nats   "
                 f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {sure}{rivals}"
             )
+    return "\n".join(lines)
+
+
+_MOST_EVENTS = 8
+
+
+def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
+    """Return the result of a fit; without clocks if these are reported separately."""
+    truth = result.fit.noise.truth
+    names = [r.name for r in result.fit.problem.recordings]
+    lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
+    lines += [_interval_line(result, interval) for interval in result.intervals]
+    lines += [
+        f"  {effect.name}{words_text(effect)}: {', '.join(numbers_text(effect, errors))}"
+        for effect, errors in effects_with_errors(result.fit)
+    ]
+    lines += clock_lines(names, result.clocks) if clocks else []
+    wander = f", wandering {truth.random_walk * 1e3:.2g} mm per sqrt(s)" if truth.random_walk else ""
+    heading = f"{degrees(truth.yaw_rad):.2g} deg" if result.fit.problem.headings else "no headings"
+    lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {heading}{wander}")
+    lines += _event_lines(events(result.fit))
+    lines.append(f"position error after 10 s on the fitted data: {result.ten_second_error_m * 1e3:.1f} mm")
+    return "\n".join(lines)
+
+
+def _interval_line(result: RobotFit, interval: Interval) -> str:
+    name, value = interval.name, interval.value
+    scale, unit = (degrees(1.0), "deg") if name.startswith("rot_") else (1e3, "mm")
+    ends = f"[{interval.low:.2g}, {interval.high:.2g}]"
+    if not interval.identifiable:
+        return f"  {name:<13}{'-':<10} {ends:<22}  not identifiable from this drive"
+    human = "as the law has it"
+    if result.fit.problem.approach.law_name == "diffusion":
+        human = f"= {value * scale:.3g} {unit} after one {'metre' if name.endswith('_trans') else 'radian'}"
+    return f"  {name:<13}{value:<10.4g} {ends:<22}  {human}"
+
+
+def _event_lines(found: Sequence[Event]) -> list[str]:
+    """Return the downweighted segments, the largest first, with the time since the recording's first odometry."""
+    if not found:
+        return []
+    total = sum(event.end_s - event.start_s for event in found)
+    lines = [f"{len(found)} stretches ({total:.1f} s) are outliers with reduced weight; the largest:"]
+    largest = sorted(found, key=lambda e: abs(e.along_m) + abs(e.yaw_rad), reverse=True)[:_MOST_EVENTS]
+    lines += [
+        f"  {e.recording} {e.start_s:8.1f} to {e.end_s:.1f} s: odometry {e.along_m * 1e3:+.0f} mm ahead of the truth, "
+        f"{degrees(e.yaw_rad):+.2f} deg"
+        for e in sorted(largest, key=lambda e: (e.recording, e.start_s))
+    ]
+    return lines
+
+
+def laws_table(results: Mapping[str, RobotFit]) -> str:
+    """Return all laws side by side, the likeliest first; each coefficient costs half the logarithm of the data."""
+    best = next(iter(results.values())).information_nats
+    lines = [f"{'law':<12}{'nats behind the best':>22}{'coefficients':>14}   depends on the step"]
+    for name, result in results.items():
+        behind = best - result.information_nats
+        step = "yes" if result.fit.problem.approach.law.per_step else "no"
+        lines.append(f"{name:<12}{behind:>22.1f}{len(result.fit.components.active):>14}   {step}")
     return "\n".join(lines)

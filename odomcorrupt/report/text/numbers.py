@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["clock_lines", "clocks_found", "confidence_words", "effects_with_errors", "fitted_expression", "law_numbers",
-           "noise_confidence", "noise_text", "numbers_text", "step_confidence", "value_text", "words_text"]  # fmt: skip
-
 
 def effects_with_errors(fit: Fit | ReturnsFit) -> list[tuple[Effect, list[float]]]:
     """Return the effects of a fit, each with the standard errors of its amplitudes."""

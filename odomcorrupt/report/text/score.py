@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.scoring.run import RunScore, ScoreReport, Status
     from odomcorrupt.scoring.statistics import Quantile
 
-__all__ = ["METRIC_WORDS", "metric_text", "run_cells", "run_heads", "score_brief", "score_text", "sentences"]
-
 METRIC_WORDS = {
     "ate_m": "ATE, position", "ate_rad": "ATE, heading", "max_m": "largest position error",
     "rpe_m": f"RPE over {RPE_M:g} m, position", "rpe_rad": f"RPE over {RPE_M:g} m, heading",

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from odomcorrupt.study.design.ambiguities import Ambiguity, open_ambiguities
-from odomcorrupt.study.design.clocks import clock_ambiguities, undetermined_clocks
+from odomcorrupt.study.design.ambiguities import Ambiguity, clock_ambiguities, open_ambiguities, undetermined_clocks
 from odomcorrupt.study.design.drives import Drives, most_useful
 from odomcorrupt.study.design.identifiability import (
     DetectionLimit,

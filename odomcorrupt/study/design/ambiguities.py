@@ -1,14 +1,20 @@
-"""Ambiguities: pairs of aliased names, and the drive that would separate them."""
+"""Ambiguities: pairs of aliased names and undetermined clocks, and the drive that would separate them.
+
+Clocks are estimated first, together with effects that resemble them, and are therefore no candidates. The
+information of a drive on a clock is computed in the same terms. A clock belongs to one drive; the next has another.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.design.drives import ENOUGH_NATS, best_plan, missing_motion
-from odomcorrupt.study.design.information import separation
+from odomcorrupt.study.design.identifiability import FOUND, MASKED, UntestableEffect
+from odomcorrupt.study.design.information import clock_errors, separation
+from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.drive_type import readings_of
 
 if TYPE_CHECKING:
@@ -20,8 +26,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.stepwise import Step
-
-__all__ = ["TOO_FEW_NATS", "Ambiguity", "open_ambiguities"]
 
 TOO_FEW_NATS = 3.0
 """If ten minutes of the best drive yield less, nats, no drive is recommended."""
@@ -145,3 +149,74 @@ def _as_fitted(candidate: Candidate) -> Effect:
         sizes = {p.name: float(value) for p, value in zip(amplitudes(effect), estimate, strict=True)}
         return replace(effect, **sizes)  # type: ignore[type-var]  # effects are dataclasses
     return next(e for e in candidate.fit.effects if e.name == effect.name)
+
+
+CLOCKS = ("time_offset", "clock_skew")
+"""In the order of a clock's parameters."""
+
+
+class UntestableClock(NamedTuple):
+    """A clock parameter that was not tested, and a drive's expected information on it."""
+
+    untestable: UntestableEffect
+    shows: Gain
+
+
+def undetermined_clocks(drives: Drives) -> list[UntestableClock]:
+    """Return the clock parameters that no recording would determine if they had their typical size."""
+    beside = _beside_clocks(drives)
+    found = []
+    for number, name in enumerate(CLOCKS):
+        kind = registry()[name]
+        typical = amplitudes(kind)[0].typical
+        now = float(clock_errors(beside, drives.with_clocks)[number])
+        if FOUND * now <= typical or any(free[number] for free in drives.learned.clocks.free):
+            continue
+
+        def shows(drive: Field, number: int = number, typical: float = typical) -> float:
+            return 0.5 * (typical / float(clock_errors(beside, drive, drives.recorded)[number])) ** 2
+
+        masks = [
+            e.name
+            for e in beside
+            if MASKED * float(clock_errors([o for o in beside if o is not e], drives.with_clocks)[number]) < now
+        ]
+        plan, nats = best_plan(drives, shows)
+        why = missing_motion(drives, shows, nats) or "too little motion that shows it"
+        why += f", and here it looks like {' and '.join(masks)}" if masks else ""
+        about = kind.about
+        seen = nats >= 0.5 * FOUND**2
+        untestable = UntestableEffect(name, why, plan if seen else None, "" if seen or about is None else about.drive)
+        found.append(UntestableClock(untestable, shows))
+    return found
+
+
+def clock_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list[Gain]]:
+    """Return the ambiguity between the included effect and a constant clock offset, if these data leave it open."""
+    if step.added not in RIVALS or any(free[0] for free in drives.learned.clocks.free):
+        return [], []
+    own = next((e for e in drives.learned.fit.effects if e.name == step.added), None)
+    if own is None:
+        return [], []
+    beside = [e for e in drives.learned.fit.effects if e is not own]
+    inflation = step.candidates[0].score.inflation
+    known = separation(own, None, beside, [drives.with_clocks]) / inflation
+    if known >= drives.learned.decisions.alternative_nats:
+        return [], []
+
+    def separation_gain(drive: Field) -> float:
+        return separation(own, None, beside, [drives.with_clocks, drive]) / inflation - known
+
+    names = (step.added, CLOCKS[0])
+    plan, nats = best_plan(drives, separation_gain)
+    if nats < TOO_FEW_NATS:
+        return [Ambiguity(names, "", None, nats)], []
+    return [Ambiguity(names, missing_motion(drives, separation_gain, nats), plan, nats)], [separation_gain]
+
+
+def _beside_clocks(drives: Drives) -> Sequence[Effect]:
+    """Return the terms that are free beside a clock: included ones, and those that resemble a clock."""
+    own = drives.learned.fit.effects
+    track = all(r.track_m is not None for r in drives.learned.fit.problem.recordings)
+    kinds = [registry()[name] for name in RIVALS if track or not registry()[name].needs_track]
+    return [*own, *(kind() for kind in kinds if kind.name not in {e.name for e in own})]

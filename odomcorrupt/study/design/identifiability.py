@@ -22,18 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = [
-    "FOUND",
-    "MASKED",
-    "DetectionLimit",
-    "UntestableEffect",
-    "is_untestable",
-    "limits",
-    "shows",
-    "untestable",
-    "untried",
-]
-
 FOUND = 4.2
 """Size in standard errors at which an effect is found nearly always."""
 _RULER_ERRORS = 2.0

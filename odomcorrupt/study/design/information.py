@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.estimate.whitener import Whitener
 
-__all__ = ["Field", "clock_errors", "planned_field", "recorded_field", "separation", "sizes"]
-
 _MIN_NORM = 1e-4
 """A column with a smaller relative norm after projection counts as undetermined."""
 

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["HOME", "MANOEUVRES", "Hold", "Limits", "Manoeuvre", "Step", "straight", "turn"]
-
 _GENTLE = (0.5, 1.2)
 _HARD = (2.0, 4.0)
 LINE_M = 4.0

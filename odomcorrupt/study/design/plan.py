@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.design.manoeuvres import Manoeuvre
 
-__all__ = ["STEP_S", "Plan", "drive_bag", "ideal_recording", "plan_of", "safe_limits"]
-
 STEP_S = 0.05
 """Period of the commands, seconds."""
 _FAST = (0.3, 1.2)  # range of the speed limit, m/s

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Clocks", "find_clocks", "levelled", "nuisance_of", "with_rounding"]
-
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _CLOCK_HARM = 1.15
 """Ratio by which a clock may increase the 10 s error; a larger one rejects it, even if significant."""

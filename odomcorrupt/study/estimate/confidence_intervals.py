@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.intervals import Intervals
 
-__all__ = ["Interval", "coefficient_intervals"]
-
 _DROP = float(chi2.ppf(0.95, 1)) / 2.0
 _STEPS = 7
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Drift", "drift", "ten_second_error"]
-
 
 class Drift(NamedTuple):
     """Squared position errors after 10 s: one array (n,) of windows in m^2 for each of five phases."""
@@ -48,7 +46,6 @@ class Drift(NamedTuple):
         factor : ratio of the RMS errors that is always allowed
         plain : ratio that is allowed if the paired windows differ by less than `errors` standard errors
         errors : number of standard errors of the mean paired difference that counts as significant
-
         """
         if not self.rmse > factor * other.rmse:
             return False

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["MOUNTING", "DriveType", "drive_type_of", "mountings", "readings_of"]
-
 MOUNTING = ("lever_arm", "mount_yaw")
 """Effects of the position and yaw of the tracked point on the robot, see `mountings`."""
 

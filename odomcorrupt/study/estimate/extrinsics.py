@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["find_setup", "mounting_of"]
-
 _LEVEL = 1e-4
 
 

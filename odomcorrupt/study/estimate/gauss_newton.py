@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Fit", "carried", "design_matrix", "fit", "orthonormal"]
-
 _ROUNDS = 6
 _NEAR, _SMALL = 2.0, 0.1
 """Step sizes in standard errors below which the robust weights are kept, and below which the iteration ends."""
@@ -105,7 +103,6 @@ class Fit:
         weights : (K,) robust weights to keep, so that likelihoods can be compared; default: re-estimated
         clocks : (R,) starting values of the clocks, kept for those that are not free
         free_clocks : (R, 2) whether offset and rate are free; default: as in this fit
-
         """
         problem = self.problem
         return fit(

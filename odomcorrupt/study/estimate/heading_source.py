@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["GAINS_OF_TURNS", "heading_source_of", "is_nameable", "is_settled", "sees_travel"]
-
 GAINS_OF_TURNS = {"wheels": "wheelbase", "gyro": "gyro_scale"}  # yaw gain of each source of the heading
 _OF_TRAVEL = ("wheel_scale", "speed_scale", "scale_drift", "sideways_scale", "slope", "lever_arm", "mount_yaw")
 _GYROS = ("gyro_bias", "gyro_bias_walk")

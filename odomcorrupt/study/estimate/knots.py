@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Shrunk", "WhitenedKnots"]
-
 
 @dataclass(frozen=True, slots=True)
 class WhitenedKnots:

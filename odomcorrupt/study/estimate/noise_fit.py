@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.random_process import Root
     from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
-__all__ = ["NoiseStart", "fit_noise", "fit_noise_beside", "outliers", "without_process"]
-
 _ROBUST_ROUNDS = 5
 _CHANCE, _SIGNAL = 0.002, 0.05
 """Fraction of outliers, or probability of the largest, that chance explains; fraction above which they are signal."""

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import PoseStep, Recording
 
-__all__ = ["Event", "during", "events", "odd_steps", "set_apart", "single_events", "slip_bursts"]
-
 _FEWEST = 6
 _LEVEL = 0.02
 """Significance level of the sign test that events lose distance; met by six of six."""

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.regressors import Side
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Problem", "by_column", "pose_problem", "undo"]
-
 _TRUE_MOTION = ("acceleration", "x", "y", "theta", "distance")
 """Fields of the motion that effects read from the true motion; speeds they read from the odometry."""
 

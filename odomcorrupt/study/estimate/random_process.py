@@ -25,22 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.estimate.whitener import Whitener
 
-__all__ = [
-    "CORRELATED_NOISE",
-    "FINELY",
-    "Process",
-    "bias_of",
-    "joined",
-    "processes",
-    "processes_like",
-    "root_of",
-    "rooted",
-    "unit_column",
-    "widened",
-    "with_random",
-    "without_random",
-]
-
 CORRELATED_NOISE = ("gauss_markov", "gyro_bias_walk")
 """Names of the random coefficients: effects that are part of a fit's covariance."""
 _TAUS_S = (2.0, 5.0, 15.0, 40.0)

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["MotionSmoother", "Side", "choose_side", "drives_sideways", "driving_motion", "truth_noise"]
-
 Side = Literal["odometry", "truth"]
 
 TRUTH_SMOOTHING_S = (0.5, 2.0)
@@ -63,7 +61,6 @@ class MotionSmoother:
     stretches : recorded stretches of one run, on the truth's clock: each has the odometry from the beginning of the
         run, and the truth of its own time
     side : the poses of which speeds are local slopes, "odometry" or "truth"
-
     """
 
     def __init__(self, stretches: Sequence[Recording], side: Side) -> None:

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["USUAL", "ReturnsFit", "closed_drive", "fit_returns"]
-
 USUAL = ("unequal_wheels", "wheelbase")
 """Effects that a square test measures: wheels of unequal size (E_d) and the track (E_b)."""
 _PLACED = np.array([5e-3, 5e-3, 0.01])
@@ -85,7 +83,6 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
     FitError
         If the drives do not separate the effects (all driven the same way round, for instance), or if removing the
         effects increases the error at the ends.
-
     """
     if set(USUAL) <= set(names):
         _check_both_ways(drives)

@@ -19,8 +19,6 @@ from odomcorrupt.errors import FitError
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["inverse_band"]
-
 _PAIRS = tuple(combinations_with_replacement(range(3), 2))
 _REACH = 11
 """Bandwidth of the recursion's system: the largest distance between the six numbers of a block and of the next."""

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["heavy_tails", "log_density_of_sums"]
-
 _FEWEST = 3
 """Minimum number of lasting events: fewer large steps may have any cause."""
 _MOSTLY = 0.5

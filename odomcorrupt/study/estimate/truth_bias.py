@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.noise_likelihood import NoiseFit
     from odomcorrupt.study.estimate.problem import Problem
 
-__all__ = ["SHARED", "bias_roots", "has_bias", "scale_errors"]
-
 SPEED_BIAS = 1e-3
 """Standard deviation of a scale error of scan matches proportional to speed, per m/s: from motion within a sweep."""
 TURN_BIAS = 1e-3

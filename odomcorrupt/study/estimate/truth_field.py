@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.whitener import Whitener
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["LENGTHS_M", "field_of", "field_roots", "has_field", "remainder_whitener", "window_roots"]
-
 LENGTHS_M = (0.7, 1.2, 2.0)
 """Candidate correlation lengths of the field; a longer one would be a scale or a rotation of the whole map."""
 _CELL, _MOST_CELLS = 0.5, 400
@@ -57,7 +55,6 @@ def remainder_whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitene
     q : (K, 3, 3)
         Covariance that the odometry's noise puts on each residual, m and rad.
     truth : noise of the truth in the recordings without a field
-
     """
     own = nodes.field[:, :2]
     if not own.any():
@@ -106,7 +103,6 @@ def field_of(problem: Problem, q: Array, columns: Array) -> tuple[TruthField, fl
         Covariance of the odometry's noise on each residual.
     columns : (K, 3, m)
         Free linear parameters.
-
     """
     found = []
     every = np.ones(len(problem.nodes), dtype=bool)

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Law
     from odomcorrupt.study.estimate.intervals import Intervals
 
-__all__ = ["NAMES", "VarianceComponents"]
-
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
 """Coefficients that can be fitted; white noise on twists is not among them, because the truth's noise hides it."""
 _PROBE = (np.array([0.3]), np.array([0.7]), np.array([0.2]))

@@ -31,21 +31,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.knots import Shrunk
 
-__all__ = [
-    "Whitener",
-    "band_of",
-    "dense_covariance",
-    "factored",
-    "fixed_band",
-    "interval_covariance",
-    "map_axes",
-    "odometry_piece",
-    "rho_of",
-    "truth_pieces",
-    "truth_weights",
-    "whitener",
-]
-
 FLOOR = np.array([1e-10, 1e-10, 1e-12])
 """Lower limit of the variances (10 um, 1 urad), so that the matrix is not singular while the robot stands still."""
 BAND = 5
@@ -316,7 +301,6 @@ def whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitener:
     q : (K, 3, 3)
         Covariance that the odometry's noise law puts on each residual, m and rad.
     truth : noise of the truth
-
     """
     band = band_of(*odometry_piece(nodes, q)) + fixed_band(nodes)
     for weight, piece in zip(truth_weights(truth), truth_pieces(nodes), strict=True):

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.stats import norm
 
 from odomcorrupt.geometry.se2 import between
-from odomcorrupt.study.estimate.intervals import intervals
+from odomcorrupt.study.estimate.intervals import intervals, join
 from odomcorrupt.study.estimate.nodes import pick_nodes
 from odomcorrupt.study.estimate.whitener import interval_covariance
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -23,17 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Noise, TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
-
-__all__ = [
-    "WINDOW_S",
-    "WindowErrors",
-    "distance_windows",
-    "phased_misses",
-    "phased_rmse",
-    "rmse",
-    "time_windows",
-    "window_errors",
-]
 
 WINDOW_S = 10.0
 
@@ -84,6 +73,12 @@ def rmse(windows: Intervals) -> float:
     """Return the root mean square position error (m) at the ends of windows started at the truth pose; NaN if none."""
     miss = windows.odometry_step[:, :2] - windows.truth_step[:, :2]
     return float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) if len(miss) else float("nan")
+
+
+def joint_rmse(windows: Iterable[Intervals]) -> float:
+    """Return the `rmse` over the windows of several recordings together; NaN if there is no window."""
+    whole = [w for w in windows if len(w)]
+    return rmse(join(whole, [0] * len(whole))) if whole else float("nan")
 
 
 def phased_misses(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> list[Array]:

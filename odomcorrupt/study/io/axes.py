@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["check_plane", "check_shape", "check_turning"]
-
 _MIN_WIDTH_M = 0.05  # smaller widths of a path in x-y are not compared
 _MAX_LAG_S = 60.0  # largest lag tested for a clock offset
 _SAME_CLOCK_S = 3.0  # lags up to here count as the same clock

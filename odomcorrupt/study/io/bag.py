@@ -9,13 +9,11 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, gather_status, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import TopicError
-from odomcorrupt.study.io.address import plain
 from odomcorrupt.study.io.fixes import Fixes, resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import headings
-from odomcorrupt.study.io.tf import EdgeReader
-from odomcorrupt.study.io.tf_tree import read_tree
-from odomcorrupt.study.io.topic_selection import EDGES, TRANSFORM, choose, named
+from odomcorrupt.study.io.tf import EdgeReader, read_tree
+from odomcorrupt.study.io.topic_selection import EDGES, TRANSFORM, choose, named, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,10 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
-    from odomcorrupt.study.io.address import Address
-    from odomcorrupt.study.io.topic_selection import Role
-
-__all__ = ["read_bag"]
+    from odomcorrupt.study.io.topic_selection import Address, Role
 
 _ENCODINGS = ("cdr", "ros1")
 _MAX_M2 = 1e12
@@ -46,7 +41,6 @@ def read_bag(path: Path, place: str, wanted: Mapping[Role, Address | None]) -> d
     ------
     TopicError
         If a topic or frame is missing, or if several topics fit; the message lists them.
-
     """
     with open_reader(path) as reader:
         channels = [c for c in reader.channels.values() if c.encoding in _ENCODINGS]

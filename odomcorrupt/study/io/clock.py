@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Clock", "aligned", "clock_leaders", "coarse_clock", "led"]
-
 _GRID_S = 0.05  # step of the lags
 _SMOOTHING_S = 0.4
 _REACH_S = 3.0  # largest lag

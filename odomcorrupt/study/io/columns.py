@@ -20,8 +20,6 @@ from odomcorrupt.study.io.topic_selection import near
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["TUM", "Columns", "find_columns", "guess_tick"]
-
 _ROS = ("field", "header", "msg", "pose", "position", "pos", "p", "translation")
 _WHOSE = ("odom", "odometry", "truth", "gt", "rs", "r")
 _FILLERS = frozenset((*_ROS, *_WHOSE))
@@ -81,7 +79,6 @@ def find_columns(header: Sequence[str], delimiter: str, place: str) -> Columns:
     ------
     RecordingError
         If a required column is missing or appears twice.
-
     """
     names = [_read(cell) for cell in header]
 

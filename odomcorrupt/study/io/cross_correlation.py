@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
 
-__all__ = ["CrossCorrelation", "Spread", "cross_correlation"]
-
 _SMOOTHING_S = 0.5
 _MAX_GRID = 200_000  # grid points
 _MAX_RADPS = 3.0  # rad/s at which yaw rates are clipped

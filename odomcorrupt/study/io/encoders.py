@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["encoder_effects", "hides_losses", "restore_lost"]
-
 _MIN_LOST = 5
 _MIN_LOST_FRACTION = 5e-4  # fraction of the increments
 _MAX_HIDDEN = 0.5

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["Feedback", "Pull", "feedback_of", "pull_of"]
-
 _STEP_S, _EARLIER = 1.0, (2, 5)
 """Length of a step, s, and numbers of steps by which the earlier error precedes it."""
 _FEW = 60

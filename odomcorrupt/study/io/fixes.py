@@ -5,24 +5,29 @@ Otherwise it reports float ambiguities, decimetres off and drifting as they sett
 separates them (NavSatStatus: -1 no fix, 0 fix, 1 satellite-based, 2 ground-based augmentation). Some drivers (ublox,
 nmea_navsat_driver) give float and fixed solutions the same status; then the position covariance does.
 Sources: sensor_msgs/NavSatFix and NavSatStatus; u-blox ZED-F9P integration manual, section on RTK modes.
+
+The plane of positions touches the ellipsoid at its origin. Geodetic coordinates become Earth-centred ones by the closed
+formula of the World Geodetic System 1984 (NIMA TR8350.2, third edition, section 4.2); a rotation turns these to east
+and north.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.study.io.geodesy import east_north_up, origin_of
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.model.motion_model import Origin
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.model.motion_model import Origin
     from odomcorrupt.study.io.raw_trajectory import Samples
-
-__all__ = ["Fixes", "Resolved", "resolved", "without_float_episodes"]
+    from odomcorrupt.study.io.recording import Recording
 
 FLOAT_TIMES, _SETTLED_TIMES = 5.0, 2.5
 """Ratios to the best fixes' standard deviation: above the first a float episode begins; it ends below the second,
@@ -157,3 +162,76 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the stretches of a mask (n,) that are true, as half-open index ranges."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+_A_M = 6378137.0
+"""Semi-major axis of WGS 84."""
+_F = 1.0 / 298.257223563
+"""Flattening of WGS 84."""
+_E2 = _F * (2.0 - _F)
+
+
+def origin_of(lla: Array) -> Origin:
+    """Return a fix (3,) as an origin; a height that is not finite counts as 0."""
+    latitude, longitude, height = np.nan_to_num(lla).tolist()
+    return Origin(latitude, longitude, height)
+
+
+def east_north_up(lla: Array) -> Array:
+    """Return positions (n, 3) in metres east, north and up of the first fix, from fixes (n, 3) in degrees and metres.
+
+    Heights that are NaN count as 0 (on the ellipsoid): some receivers report only latitude and longitude.
+    """
+    centred = _earth_centred(lla)
+    plane: Array = (centred - centred[0]) @ _to_plane(lla[0]).T
+    return plane
+
+
+def frame_of(origin: Origin, other: Origin) -> Array:
+    """Return the pose (3,) of one origin's plane in another origin's plane: x east, y north; m and rad.
+
+    The two planes are not parallel; at d metres from each other lengths differ by less than (d / 6 371 km)^2 / 2.
+    """
+    here, there = (np.array([o.latitude_deg, o.longitude_deg, o.altitude_m]) for o in (origin, other))
+    axes = _to_plane(there)
+    position = axes @ (_earth_centred(here[None]) - _earth_centred(there[None]))[0]
+    east = axes @ _to_plane(here)[0]
+    return np.array([position[0], position[1], np.arctan2(east[1], east[0])])
+
+
+def in_frame(recording: Recording, origin: Origin | None) -> Recording:
+    """Return the recording with its truth moved to another geodetic origin; unchanged if it has no origin.
+
+    A place learned from one recording, such as a patch of wet floor, is then the same place in the others.
+    """
+    own = recording.geodetic_origin
+    if origin is None or own is None or own == origin:
+        return recording
+    frame = frame_of(own, origin)
+    truth = recording.truth
+    moved = Trajectory(truth.stamps_ns, compose(frame, truth.xyt), truth.covariance, truth.relative)
+    note = f"truth put into the frame of {origin}, {np.hypot(frame[0], frame[1]):.0f} m away"
+    return replace(recording, truth=moved, geodetic_origin=origin, notes=(*recording.notes, note))
+
+
+def _to_plane(lla: Array) -> Array:
+    """Return the rotation (3, 3) from Earth-centred axes to east, north and up at a fix (3,)."""
+    latitude, longitude = np.radians(lla[:2])
+    s, c, sl, cl = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
+    return np.array([[-sl, cl, 0.0], [-s * cl, -s * sl, c], [c * cl, c * sl, s]])
+
+
+def _earth_centred(lla: Array) -> Array:
+    """Return Earth-centred coordinates (n, 3) of fixes (n, 3), metres."""
+    latitude, longitude = np.radians(lla[:, 0]), np.radians(lla[:, 1])
+    height = np.nan_to_num(lla[:, 2], nan=0.0)
+    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
+    normal = _A_M / np.sqrt(1.0 - _E2 * sin_lat**2)
+    return np.stack(
+        (
+            (normal + height) * cos_lat * cos_lon,
+            (normal + height) * cos_lat * sin_lon,
+            (normal * (1.0 - _E2) + height) * sin_lat,
+        ),
+        axis=1,
+    )

@@ -16,9 +16,8 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.study.io.address import plain
 from odomcorrupt.study.io.raw_trajectory import Samples
-from odomcorrupt.study.io.topic_selection import near
+from odomcorrupt.study.io.topic_selection import near, plain
 
 if TYPE_CHECKING:
     from pathlib import Path

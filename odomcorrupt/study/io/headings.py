@@ -20,8 +20,6 @@ from odomcorrupt.geometry.trajectory import Trajectory
 if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["UNKNOWN_RAD", "with_headings", "with_recomputed_headings"]
-
 UNKNOWN_RAD = 0.5
 _REACH_M = 4.0  # travel before and after a sample that is aligned
 _POOR = 10.0

@@ -14,13 +14,11 @@ from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
 from odomcorrupt.laser.stamps import white_noise, with_noise, with_view_errors, without_spikes
 from odomcorrupt.laser.trajectory import LaserRun, relocalised
-from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers
-from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.raw_trajectory import Samples, in_order
 from odomcorrupt.study.io.self_consistency import check_itself
-from odomcorrupt.study.io.time_order import in_order
-from odomcorrupt.study.io.topic_selection import has_truth
+from odomcorrupt.study.io.topic_selection import has_truth, parse_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.sweep import Sweeps
-    from odomcorrupt.study.io.address import Address
+    from odomcorrupt.study.io.topic_selection import Address
 
 __all__ = ["NO_SCAN", "SCALE_ACCURACY", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
 

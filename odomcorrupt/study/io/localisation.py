@@ -14,15 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, wrap
-from odomcorrupt.study.io.address import plain
+from odomcorrupt.study.io.topic_selection import plain
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
-
-__all__ = ["CORRECTIONS", "MAP_SCALE_ACCURACY", "REPEATED", "SPARSE_HZ", "ahead_s", "corrections_alone", "is_of_base"]
 
 REPEATED, CORRECTIONS = 0.3, 20
 """Least fraction of messages during motion that repeat the odometry's step in a localisation.

@@ -11,24 +11,21 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
-from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
-from odomcorrupt.study.io.jitter import jitter_warnings, stamp_jitter_s
-from odomcorrupt.study.io.jumps import without_outliers
+from odomcorrupt.study.io.jumps import without_excursions, without_outliers
 from odomcorrupt.study.io.laser_truth import NO_SCAN, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import MAP_SCALE_ACCURACY, corrections_alone, is_of_base
 from odomcorrupt.study.io.plausibility import check_pair
+from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
-from odomcorrupt.study.io.stamps import between_steps, even_stamps, stamp_resolution_s
+from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s, stamp_resolution_s
 from odomcorrupt.study.io.text import is_text, read_text
-from odomcorrupt.study.io.time_order import in_order
-from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
+from odomcorrupt.study.io.topic_selection import FLAGS, has_truth, parse_address
 from odomcorrupt.study.io.warnings import (
     check_identity,
     filter_warnings,
@@ -43,13 +40,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.study.io.address import Address
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.io.source import Source
-    from odomcorrupt.study.io.topic_selection import Role
-
-__all__ = ["read_odometry", "read_runs", "recordings_of"]
+    from odomcorrupt.study.io.topic_selection import Address, Role
 
 _OTHER_TRACK = 0.01
 """Relative difference from which a given track is reported as different from the odometry's."""
@@ -73,7 +67,6 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
         If a topic or frame is missing, or if several topics fit; the message lists them.
     RecordingError
         If the data cannot be odometry and truth of one run; the message gives the reason.
-
     """
     if source.relative is not None:
         return _by_motions(source, source.relative)
@@ -98,7 +91,6 @@ def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
     ------
     TopicError, RecordingError
         If there is no odometry, or if it is implausible.
-
     """
     place = _place(source)
     odom = parse_address(source.odom) if source.odom is not None else None
@@ -304,7 +296,6 @@ def recordings_of(
     ------
     RecordingError
         If they cannot be of one run; the message gives the reason.
-
     """
     odometry, truth = in_order(odometry), in_order(truth)
     rounded_s = math.hypot(stamp_resolution_s(odometry), stamp_resolution_s(truth))

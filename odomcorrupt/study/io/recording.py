@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.motion_model import Origin
 
-__all__ = ["PoseStep", "Recording", "TruthField"]
-
 
 @dataclass(frozen=True, slots=True)
 class TruthField:

@@ -11,8 +11,6 @@ from odomcorrupt.geometry.se2 import yaw_from_quaternion
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Transforms", "composed", "headings", "interpolated", "inverted", "unit"]
-
 
 _SHORTEST = 1e-6
 

@@ -16,8 +16,6 @@ from odomcorrupt.study.io.recording import Recording
 if TYPE_CHECKING:
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["GAP_S", "GAP_STEPS", "independent_parts", "without_frozen", "without_gaps"]
-
 GAP_S = 0.5  # s; shortest gap of the odometry
 GAP_STEPS = 5.0  # shortest gap in median intervals; both have to be exceeded
 _MIN_SPEED = np.array([0.02, 0.05])  # m/s and rad/s; a faster robot should change the truth
@@ -65,7 +63,6 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
     ------
     RecordingError
         If there is no such stretch.
-
     """
     pieces = []
     notes = [*odometry.notes, *truth.notes]

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["check_itself"]
-
 _DEGREE = np.pi / 180.0
 _CLEAR, _UNCLEAR = 0.9, 0.6  # agreement of a better reading of the headings, and of the given one, for a refusal
 _MIN_CHORDS = 12
@@ -40,7 +38,6 @@ def check_itself(path: Samples) -> None:
     ------
     RecordingError
         If headings are in degrees or mirrored, or the usual speed exceeds 60 m/s.
-
     """
     t_s = path.seconds_since(int(path.stamps_ns[0]))
     later = np.searchsorted(t_s, t_s + _SPEED_S)

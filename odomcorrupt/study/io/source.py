@@ -12,8 +12,6 @@ from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["Source"]
-
 
 @dataclass(frozen=True, slots=True)
 class Source:

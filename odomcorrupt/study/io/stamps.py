@@ -1,8 +1,12 @@
-"""Rounded stamps, and steps of a clock during a recording.
+"""Rounded stamps, stamps of a pose's arrival instead of its measurement, and steps of a clock during a recording.
 
 Drivers and loggers round stamps to milliseconds or to hundredths of a second, which hides clock offsets of less than
 half of that. A network time daemon that steps a clock shifts all later stamps: they jump relative to the log times,
 which remain even. The parts before and after a step have different clocks.
+
+Stamps of arrival vary in their intervals while steps do not; so do poses published after a fixed travel. The other
+path, interpolated at these stamps, tells whether the speed really changed: odometry at the truth's stamps, or truth at
+the odometry's.
 """
 
 from __future__ import annotations
@@ -19,8 +23,6 @@ from odomcorrupt.study.io.segments import GAP_S, GAP_STEPS
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
-
-__all__ = ["Step", "between_steps", "clock_steps", "even_stamps", "stamp_resolution_s"]
 
 _LEAST_S, _BACK_S, _FORWARD_S = 0.02, 1.0, 3600.0
 """Smallest detected clock step and largest backward and forward ones, s; `time_order` handles larger ones."""
@@ -115,3 +117,68 @@ def between_steps(path: Samples) -> list[Samples]:
     edges = [0, *(s.row for s in steps), len(path)]
     parts = [path.only(np.arange(a, b)) for a, b in pairwise(edges)]
     return [part for part in parts if len(part) > _MIN_NEIGHBOURS] or [path]
+
+
+_WINDOW = 21
+"""Samples over which the speed is assumed constant."""
+_MOVING_MPS = 0.1
+_MIN_SAMPLES = 200
+_MIN_JITTER_S = 2e-3
+"""Smallest jitter reported: it corresponds to one or two millimetres of motion."""
+_MIN_RATIO, _SIGMAS = 0.5, 4.0
+"""Steps over intervals vary with ratio 1 if stamps are right; jitter is reported below 0.5, by 4 standard errors."""
+_GAP_STEPS = 3.0
+
+
+def jitter_warnings(path: Samples, off_s: float) -> list[str]:
+    """Return a warning if a path's stamps jitter (`off_s` > 0), because a fit would count it as noise of each step."""
+    if not off_s:
+        return []
+    seen = "the intervals between them vary, the steps between its poses do not"
+    what = "what is learned as noise holds that, too; stamp poses when they are taken"
+    return [f"{path.name}: its stamps are off by about {off_s * 1e3:.2g} ms each ({seen}), and {what}"]
+
+
+def stamp_jitter_s(path: Samples, other: Samples) -> float:
+    """Return the standard deviation of the stamps' jitter, seconds; 0 if the poses follow their stamps."""
+    interval_s = np.diff(path.stamps_ns) * 1e-9
+    if len(interval_s) < _MIN_SAMPLES:
+        return 0.0
+    usual_s, (usual_m, varies_m) = _running_mean(interval_s), _steps(path.xyz[:, :2])
+    speed = usual_m / np.maximum(usual_s, 1e-9)
+    used = (speed > _MOVING_MPS) & (interval_s < _GAP_STEPS * np.median(interval_s))
+    used[: _WINDOW // 2] = used[-(_WINDOW // 2) :] = False
+    if used.sum() < _MIN_SAMPLES:
+        return 0.0
+    varies_s = interval_s - usual_s
+    off_s = float(np.std(varies_s[used])) / np.sqrt(2.0)
+    there = other.trajectory().at(path.seconds_since(int(path.stamps_ns[0])), int(path.stamps_ns[0]))[:, :2]
+    expected_m = (speed * varies_s)[used]
+    if off_s < _MIN_JITTER_S or _follow(varies_m[used], expected_m):
+        return 0.0
+    return off_s if _follow(_steps(there)[1][used], expected_m) else 0.0
+
+
+def _steps(xy: Array) -> tuple[Array, Array]:
+    """Return the length (n,), m, of the running mean step of a path, and the excess of each step over it, m.
+
+    Steps are projected on the mean direction, because noise makes every step longer, but not its projection.
+    """
+    step = np.diff(xy, axis=0)
+    mean = np.stack([_running_mean(part) for part in step.T], axis=1)
+    usual_m = np.linalg.norm(mean, axis=1)
+    return usual_m, np.sum(step * mean, axis=1) / np.maximum(usual_m, 1e-12) - usual_m
+
+
+def _follow(steps_m: Array, expected_m: Array) -> bool:
+    """Return whether deviations of steps (n,) may be at least half of the expected deviations (n,)."""
+    square = float(expected_m @ expected_m)
+    share = float(expected_m @ steps_m) / square
+    error = float(np.std(steps_m - share * expected_m)) / float(np.sqrt(square))
+    return share + _SIGMAS * error >= _MIN_RATIO
+
+
+def _running_mean(values: Array) -> Array:
+    """Return the running mean (n,) over `_WINDOW` values."""
+    mean: Array = np.convolve(values, np.full(_WINDOW, 1.0 / _WINDOW), "same")
+    return mean

@@ -1,22 +1,58 @@
-"""Selection of a bag's channels for odometry and truth: by name, or the only ones that fit."""
+"""Selection of a bag's channels for odometry and truth: by name (a topic, or a TF edge), or the only ones that fit."""
 
 from __future__ import annotations
 
 import difflib
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from odomcorrupt.corruption.odometry_source import says_truth
 from odomcorrupt.errors import TopicError
 from odomcorrupt.mapping.messages import SCAN
-from odomcorrupt.study.io.address import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from odomcorrupt.bags.block import Channel
-    from odomcorrupt.study.io.address import Address
 
-__all__ = ["EDGES", "FLAGS", "TRANSFORM", "Role", "choose", "has_truth", "named", "near"]
+
+def plain(name: str) -> str:
+    """Return a frame or topic name without leading slashes, because ROS names are the same with and without them."""
+    return name.lstrip("/")
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Address of a source of poses in a bag.
+
+    topic : topic name
+    frames : "parent.child" of a TF edge, "" for a topic of poses; if frame names contain dots, the bag's frames decide
+    static : topic of the static transforms, "" for /tf_static or the tf_static beside `topic`
+    """
+
+    topic: str
+    frames: str = ""
+    static: str = ""
+
+    def __str__(self) -> str:
+        tail = f":{self.static}" if self.static else ""
+        return f"{self.topic}:{self.frames}{tail}" if self.frames else self.topic
+
+
+def parse_address(text: str) -> Address:
+    """Return the address that a text denotes.
+
+    Raises
+    ------
+    TopicError
+        If an edge lacks one of its two frames.
+    """
+    topic, colon, rest = text.partition(":")
+    frames, _, static = rest.partition(":")
+    if colon and not (frames.strip(".") and "." in frames.strip(".")):
+        raise TopicError(f"{text}: names no two frames; write an edge of TF as /tf:map.base_link")
+    return Address(topic, frames, static)
+
 
 Role = Literal["odometry", "truth"]
 
@@ -51,7 +87,6 @@ def named(channels: Iterable[Channel], address: Address, place: str, role: Role)
     ------
     TopicError
         If there is no such topic, or its type does not fit the role.
-
     """
     all_channels = list(channels)
     same = [c for c in all_channels if plain(c.topic) == plain(address.topic)]
@@ -85,7 +120,6 @@ def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Itera
     ------
     TopicError
         If no topic fits, or several do; the message lists them.
-
     """
     taken = set(not_these)
     free = [c for c in channels if c.topic not in taken]

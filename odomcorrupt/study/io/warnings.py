@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.feedback import Feedback
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["check_identity", "filter_warnings", "heading_warnings", "without_constant_heading", "without_course"]
-
 _FUSED = re.compile(r"filter|fused|ekf|ukf|amcl|slam|locali[sz]ation|global")
 _WORLD = frozenset({"map", "world", "earth", "utm"})
 _SAME = 1e-6  # m and rad; steps that differ by less are equal
@@ -40,7 +38,6 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     ------
     RecordingError
         If the truth is a copy of the odometry.
-
     """
     if not truth.headed:
         return []

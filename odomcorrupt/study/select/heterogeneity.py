@@ -15,8 +15,8 @@ from scipy.stats import chi2
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.estimate.cluster_variance import between_blocks, block_of, inflation, shared_variance
 from odomcorrupt.study.estimate.random_process import without_random
+from odomcorrupt.study.estimate.robust_errors import between_blocks, block_of, inflation, shared_variance
 from odomcorrupt.study.io.clock import clock_leaders
 from odomcorrupt.study.select.score import project_out
 

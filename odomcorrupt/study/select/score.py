@@ -14,7 +14,8 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher_f
 
-from odomcorrupt.study.estimate.cluster_variance import (
+from odomcorrupt.study.estimate.gauss_newton import orthonormal
+from odomcorrupt.study.estimate.robust_errors import (
     PRIOR_DOF,
     between_blocks,
     block_of,
@@ -22,7 +23,6 @@ from odomcorrupt.study.estimate.cluster_variance import (
     inflation,
     shared_variance,
 )
-from odomcorrupt.study.estimate.gauss_newton import orthonormal
 from odomcorrupt.study.select.decisions import penalty
 
 if TYPE_CHECKING:

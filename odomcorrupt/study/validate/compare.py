@@ -4,30 +4,33 @@ Models are evaluated on recordings that they were not fitted to. A recording tha
 the model is refitted on one half and evaluated on the other, both ways, and all other models are evaluated on the same
 halves. Stretches between resets of one run are split together. Clocks belong to a recording, not to a robot: they are
 estimated on each one, the same for every model.
+
+Whether a model is better than another takes several measures, because a single one can mislead: on one drive the
+position error after 10 s fell to 95 % while the log likelihood fell by 24 nats per metre and the trajectory error
+doubled.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import degrees
-from typing import TYPE_CHECKING, Literal
+from math import degrees, isfinite
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.windows import phased_rmse, rmse, time_windows
+from odomcorrupt.study.estimate.windows import joint_rmse, phased_rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
 from odomcorrupt.study.io.headings import with_headings, with_recomputed_headings
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import split_of
-from odomcorrupt.study.validate.evaluation import Evaluation, evaluate_stretch, horizons_of
+from odomcorrupt.study.validate.evaluation import Evaluation, LogScore, evaluate_stretch, horizons_of, log_score_of
 from odomcorrupt.study.validate.goodness_of_fit import Verdict, pits_of, verdict_of, whiteness_of
 from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
-from odomcorrupt.study.validate.log_score import LogScore, log_score_of
 from odomcorrupt.study.validate.trajectory_error import TrajectoryError, trajectory_error
 
 if TYPE_CHECKING:
@@ -37,10 +40,9 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.cross_validation import Pieces
     from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
-
-__all__ = ["Comparison", "JudgedOn", "Judgement", "clocks_beside", "compare"]
 
 JudgedOn = Literal["recordings", "halves", "fitted data"]
 
@@ -269,6 +271,95 @@ def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approa
 
 
 def _ten_seconds(recordings: Sequence[Recording]) -> float:
-    windows = [time_windows(recording) for recording in recordings]
-    whole = [w for w in windows if len(w)]
-    return rmse(join(whole, [0] * len(whole))) if whole else float("nan")
+    return joint_rmse(time_windows(recording) for recording in recordings)
+
+
+def sequence_comparison(
+    learned: Learned, recordings: Sequence[Recording], first: str = "without effects"
+) -> Comparison:
+    """Return the comparison of the model before each inclusion and of the final one, named by the added term.
+
+    recordings : evaluation data; recordings used in the selection are split in halves, one fitted and one evaluated
+    first : name of the initial model
+    """
+    steps = learned.steps
+    # Terms that were included and dropped again are not steps.
+    before = [step.before for step in (*learned.rounds[:1], *steps[1:])] if steps else []
+    fits = [*before, learned.fit]
+    names = [first, *(f"+ {step.name}" for step in steps)]
+    return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})
+
+
+Change = Literal["better", "worse", "same"]
+
+_ERROR_SHARE = 0.02
+"""Smaller relative changes of the position error after 10 s count as none (many windows, small scatter)."""
+_TRAJECTORY_SHARE = 0.1
+"""The same for the absolute trajectory error, which is one number per drive and scatters more."""
+_SIGMAS = 2.0
+"""Standard errors by which a log likelihood must change to count as different."""
+
+
+class Measure(NamedTuple):
+    """One measure of two models: its values, metres or nats per metre, and whether the change is an improvement."""
+
+    name: str
+    before: float
+    after: float
+    change: Change
+
+
+class Agreement(NamedTuple):
+    """All measures of two models, and their joint verdict.
+
+    verdict : better or worse if some measures agree on it and none contradicts; otherwise same or mixed
+    """
+
+    measures: tuple[Measure, ...]
+    verdict: Literal["better", "worse", "same", "mixed"]
+
+
+def agreement_of(comparison: Comparison) -> Agreement:
+    """Return the change from the first to the last model of a comparison, by every measure available.
+
+    Returns
+    -------
+    Agreement
+        Position error after 10 s (m), log likelihood (nats per metre) and absolute trajectory error (m).
+    """
+    first, last = comparison.judgements[0], comparison.judgements[-1]
+    found = [
+        Measure(
+            "10 s error",
+            first.ten_second_error_m,
+            last.ten_second_error_m,
+            _of_errors(first.ten_second_error_m, last.ten_second_error_m, _ERROR_SHARE),
+        ),
+        Measure("log likelihood", first.nats.per_m, last.nats.per_m, _of_likelihood(last)),
+        Measure(
+            "ATE",
+            first.trajectory.ate_m,
+            last.trajectory.ate_m,
+            _of_errors(first.trajectory.ate_m, last.trajectory.ate_m, _TRAJECTORY_SHARE),
+        ),
+    ]
+    measures = tuple(one for one in found if isfinite(one.before) and isfinite(one.after))
+    changes = {one.change for one in measures} - {"same"}
+    if changes == {"better", "worse"}:
+        return Agreement(measures, "mixed")
+    if not changes:
+        return Agreement(measures, "same")
+    return Agreement(measures, "better" if "better" in changes else "worse")
+
+
+def _of_errors(before: float, after: float, share: float) -> Change:
+    if after < (1.0 - share) * before:
+        return "better"
+    return "worse" if after > (1.0 + share) * before else "same"
+
+
+def _of_likelihood(last: Judgement) -> Change:
+    gain, error = last.nats.gain_per_m, last.nats.gain_error
+    if not isfinite(gain) or abs(gain) <= _SIGMAS * (error if isfinite(error) else 0.0):
+        return "same"
+    return "better" if gain > 0.0 else "worse"

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Pieces", "Split", "split_of"]
-
 _MIN_FRACTION = 0.25
 """Least fraction of the distance in a half; with less (the robot rested or crept) a half is not informative."""
 

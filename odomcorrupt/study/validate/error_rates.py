@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.estimate.whitener import Whitener
 
-__all__ = ["CHANNELS", "NodeMotion", "Rates", "joint_rates", "node_motion", "unit_columns"]
-
 CHANNELS = ("along", "across", "yaw")
 MOVING = 0.02
 """Speed below which the robot counts as at rest, m/s."""
@@ -116,7 +114,6 @@ def joint_rates(whitener: Whitener, innovations: Array, unit: Array, part: NDArr
     unit : (K, 3) column of the channel, from `unit_columns`
     part : (K,) index of each interval's part, -1 for none
     count : number of parts
-
     """
     masks = part[:, None] == np.arange(count)
     held = np.sum(masks, axis=0) > 0

@@ -1,9 +1,9 @@
-"""Evaluation of a model on a stretch of a recording: residuals, their predicted covariance, and their likelihood."""
+"""Evaluation of a model on a stretch of a recording: residuals, their predicted covariance and likelihood."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.optimize import minimize
@@ -18,21 +18,17 @@ from odomcorrupt.study.estimate.truth_field import remainder_whitener, window_ro
 from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
 from odomcorrupt.study.io.headings import UNKNOWN_RAD, with_recomputed_headings
-from odomcorrupt.study.validate.calibration import Horizon, horizon_of
-from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty, uncertainty_of
-from odomcorrupt.study.validate.random_covariance import random_covariance
+from odomcorrupt.study.validate.calibration import Horizon, ParameterUncertainty, horizon_of, uncertainty_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.effects.effect import Effect, Gain, Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
-
-__all__ = ["Evaluation", "evaluate_stretch", "horizons_of"]
 
 _MIN_NATS_PER_NODE = 0.3
 """A recording's truth gets its own noise if that explains this much more per interval; noise half as large again does
@@ -250,3 +246,103 @@ def _most_likely_truth(nodes: Intervals, q: Array, start: Array, *, headed: bool
 def _unpacked(free: Array, *, headed: bool) -> TruthNoise:
     xy, yaw, random_walk = np.exp(free)
     return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(random_walk))
+
+
+def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Motion) -> Array:
+    """Return the covariance (K, 3, 3) from random gains on each window of one run.
+
+    A gain g is a Markov process: Cov(g_i, g_j) is Var(g_i) times the product of the factors kept from i to j. With c_i
+    the effect of step i at the window's end, the sum over all pairs therefore takes one backward pass.
+    """
+    total = np.zeros((len(windows), 3, 3))
+    for effect in random:
+        for gain in effect.gains(motion):
+            total += _of_gain(gain, windows, motion)
+    return total
+
+
+def _of_gain(gain: Gain, windows: Intervals, motion: Motion) -> Array:
+    moved = windows.carried(gain.f * motion.dt_s[:, None])
+    keep = gain.keep[windows.source] ** windows.share
+    variance = _variances(gain)[windows.source]
+    last = np.zeros(len(keep), dtype=bool)
+    last[np.concatenate((windows.first[1:] - 1, [len(keep) - 1]))] = True
+    later = np.zeros_like(moved)
+    sums = [0.0, 0.0, 0.0]
+    rows = zip(*moved.tolist(), keep.tolist(), last.tolist(), strict=True)
+    for place, (along, across, yaw, kept, ends) in reversed(list(enumerate(rows))):
+        if ends:
+            sums = [0.0, 0.0, 0.0]
+        later[:, place] = sums
+        sums = [kept * (s + c) for s, c in zip(sums, (along, across, yaw), strict=True)]
+    both = moved[:, None] * (later + 0.5 * moved)[None]
+    outer = variance * (both + np.swapaxes(both, 0, 1))
+    return np.ascontiguousarray(np.moveaxis(np.add.reduceat(outer, windows.first, axis=2), 2, 0))
+
+
+def _variances(gain: Gain) -> Array:
+    """Return the variance (n,) of the gain in each interval."""
+    variance, found = gain.start, []
+    for keep, kick in zip(gain.keep.tolist(), gain.kick.tolist(), strict=True):
+        variance = keep * keep * variance + kick
+        found.append(variance)
+    return np.array(found)
+
+
+_Summed = Literal["node_nats", "sized_nats", "node_metres"]
+
+BLOCK_S = 15.0
+"""Errors of a robot are correlated over seconds; blocks of this length, seconds, are nearly independent."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogScore:
+    """Log likelihood per metre, and its gain over the first model on the same blocks, with standard errors."""
+
+    per_m: float
+    error: float
+    gain_per_m: float
+    gain_error: float
+    blocks: int
+
+
+def log_score_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> LogScore:
+    """Return the nats per metre of evaluated pieces, and their paired difference from those of the first model."""
+    own, base = _blocks(pieces, pieces), _blocks(first, pieces)
+    metres = _blocks(pieces, pieces, "node_metres")
+    ratio, error = _ratio(own, metres)
+    gain, gain_error = _ratio(own - base, metres)
+    return LogScore(ratio, error, gain, gain_error, len(metres))
+
+
+def block_differences(pieces: Sequence[Evaluation], others: Sequence[Evaluation], *, sized: bool) -> Array:
+    """Return the difference (b,) in log likelihood, nats, of evaluations of the same recordings, in blocks of time.
+
+    sized : whether to rescale the noise to each recording, see `Evaluation.sized_nats`
+    """
+    what: _Summed = "sized_nats" if sized else "node_nats"
+    difference: Array = _blocks(pieces, pieces, what) - _blocks(others, pieces, what)
+    return difference
+
+
+def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], what: _Summed = "node_nats") -> Array:
+    """Return sums (b,) of log likelihood or metres over blocks of time."""
+    sums = []
+    for piece, like in zip(pieces, cut_by, strict=True):
+        end_s = like.problem.nodes.end_s
+        block = ((end_s - end_s[0]) / BLOCK_S).astype(np.int64)
+        sums.append(np.bincount(block, getattr(piece, what)))
+    joined: Array = np.concatenate(sums)
+    return joined
+
+
+def _ratio(values: Array, metres: Array) -> tuple[float, float]:
+    """Return sum over metres and its standard error by the ratio estimator over b blocks (Cochran, 1977, ch. 6)."""
+    total, count = float(metres.sum()), len(metres)
+    if total <= 0.0:
+        return float("nan"), float("nan")
+    ratio = float(values.sum()) / total
+    if count < 2:
+        return ratio, float("nan")
+    left = values - ratio * metres
+    return ratio, float(np.sqrt(count / (count - 1.0) * float(left @ left))) / total

@@ -28,22 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.validate.calibration import Horizon
 
-__all__ = [
-    "LAGS",
-    "PIT_LEVEL",
-    "PRACTICAL_FACTOR",
-    "REJECTION_LEVEL",
-    "Check",
-    "Pit",
-    "Verdict",
-    "Whiteness",
-    "ljung_box",
-    "pit_of",
-    "pits_of",
-    "verdict_of",
-    "whiteness_of",
-]
-
 REJECTION_LEVEL = 0.05
 """Probability of rejecting a correct model by any of the tests."""
 PRACTICAL_FACTOR = 1.25

@@ -25,8 +25,7 @@ from odomcorrupt.study.io.clock import aligned, clock_leaders
 from odomcorrupt.study.select.confidence import confidence, evidence_of, noise_evidence
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.cross_validation import split_of
-from odomcorrupt.study.validate.evaluation import evaluate_stretch
-from odomcorrupt.study.validate.log_score import block_differences
+from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.evaluation import Evaluation
-
-__all__ = ["HeldOut", "drop_unsupported_parts"]
 
 _SIGNIFICANT = 2.0
 """Standard errors beyond which a paired difference counts as significant."""
@@ -80,7 +77,6 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     ----------
     learned : result of the selection
     others : recordings of the same robot not used in the selection, if any
-
     """
     fitted, said = learned.fit, list[HeldOut]()
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
@@ -110,7 +106,7 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     noise = tuple(
         gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or gain.effect.name in kept
     )
-    # what stood in for an effect that has gone is all there is
+    # a dependence that was selected instead of a dropped effect names no effect any more
     unknown = tuple(one if one.instead_of in {"", *kept} else replace(one, instead_of="") for one in learned.unknown)
     errors_m = ten_second_error(fitted)
     return replace(learned, fit=fitted, laws=laws, noise=noise, unknown=unknown, error_m=errors_m), tuple(said)

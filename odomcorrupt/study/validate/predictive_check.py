@@ -1,33 +1,50 @@
-"""Predictive check: corrupted runs along the truth's path, compared with the measured odometry.
+"""Predictive checks: corrupted runs along the truth's path against the measured odometry, and their size of drift.
 
 The truth's path is smoothed (its noise would count as motion) and corrupted by the same code as bags. The resulting
 error is added to the measured truth. Runs and measured odometry both start at the truth.
+
+A robust fit excludes slips, and its noise describes the remaining data; a simulation corrupted with it never slips.
+For `reproduction_of`, noise like the truth's is added to its path, and the error after 10 s is compared with the
+measured one (a posterior predictive check: Gelman, Meng & Stern 1996, Statistica Sinica 6), together with the share of
+it from outliers.
+
+After 10 s most of the measured error may be the truth's own. Odometry noise accumulates further and errors of a truth
+do not, so the error over a quarter of the drive shows whether truth errors were mistaken for noise.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from math import sqrt
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.stats import f as fisher_f
 
 from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.rng import stream
+from odomcorrupt.study.estimate.outliers import events
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.regressors import driving_motion
+from odomcorrupt.study.estimate.windows import WINDOW_S, phased_misses
+from odomcorrupt.study.io.clock import aligned
+from odomcorrupt.study.io.headings import with_recomputed_headings
+from odomcorrupt.study.io.recording import Recording
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.model.motion_model import MotionModel, TruthNoise
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.estimate.outliers import Event
     from odomcorrupt.study.validate.evaluation import Evaluation
-
-__all__ = ["Replay", "overlapping", "replay", "smooth_truth"]
 
 _MAX_POSES = 1500
 """Poses kept of each path, for plots and statistics."""
@@ -109,3 +126,174 @@ def smooth_truth(recording: Recording) -> tuple[Array, Array]:
         sideways = np.zeros_like(sideways)
     steps = Increments(np.ascontiguousarray(m.v * m.dt_s), sideways, np.ascontiguousarray(m.omega * m.dt_s))
     return accumulate(truth[0], steps), truth
+
+
+_RUNS = 10
+_FACTOR = 2.0
+"""Factor beyond which errors differ, unless single runs of the model differ as much."""
+_MAIN_CAUSE = 0.5
+"""Fraction of the squared error above which outliers are its main cause."""
+_LONG, _MIN_LONG_S = 0.25, 30.0
+"""Fraction of the drive for the long-term error, and its shortest duration, seconds."""
+
+
+class LongDrift(NamedTuple):
+    """Position errors (m, RMS) after a long time, as in `Reproduction`: measured, of all runs, and of the best run."""
+
+    after_s: float
+    measured_m: float
+    drawn_m: float
+    least_m: float
+
+    @property
+    def too_large(self) -> bool:
+        """Whether the model drifts clearly more than the recordings."""
+        return self.drawn_m > _FACTOR * self.measured_m and self.measured_m < self.least_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reproduction:
+    """Position errors after 10 s (m, RMS) of the recorded odometry, and of a model on the same drives.
+
+    measured_m : of the odometry with corrected clock, without excursions of the truth
+    drawn_m, least_m, most_m : of corrupted runs with noise like the truth's: all of them, the best, the worst
+    outliers : number of lasting stretches that the fit excluded or down-weighted
+    outlier_s : their total duration, s
+    outlier_share : their fraction of the squared measured error
+    long : errors after a quarter of the drive; None if that is too short
+    """
+
+    measured_m: float
+    drawn_m: float
+    least_m: float
+    most_m: float
+    outliers: int
+    outlier_s: float
+    outlier_share: float
+    long: LongDrift | None = None
+
+    @property
+    def too_small(self) -> bool:
+        """Whether the model drifts clearly less than the recordings."""
+        return self.measured_m > _FACTOR * self.drawn_m and self.measured_m > self.most_m
+
+    @property
+    def too_large(self) -> bool:
+        """Whether the model drifts clearly more than the recordings, after 10 s or in the long run."""
+        at_once = LongDrift(WINDOW_S, self.measured_m, self.drawn_m, self.least_m)
+        return at_once.too_large or (self.long is not None and self.long.too_large)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the model drifts about as much as the recordings."""
+        return not (self.too_small or self.too_large)
+
+    @property
+    def by_outliers(self) -> bool:
+        """Whether stretches excluded from the fit cause most of the error."""
+        return self.outlier_share > _MAIN_CAUSE
+
+
+def reproduction_of(fit: Fit, model: MotionModel, *, runs: int = _RUNS) -> Reproduction:
+    """Return the 10 s errors of the fitted recordings and of a model that corrupts the same drives.
+
+    Parameters
+    ----------
+    fit : to the recordings, with its outliers
+    model : the model for corruption, as written to a file
+    runs : number of corrupted runs of each drive
+    """
+    problem, left_out = fit.problem, events(fit)
+    measured, calm = list[Recording](), list[Recording]()
+    drawn = [list[Recording]() for _ in range(runs)]
+    for recording, clock in zip(problem.recordings, problem.clocks, strict=True):
+        whole = overlapping(undo(with_recomputed_headings(aligned(recording, clock)), model.setup.effects))
+        own = [event for event in left_out if event.recording == recording.name]
+        without_excursions = _replaced(whole, [event for event in own if not event.lasting])
+        measured.append(without_excursions)
+        calm.append(_replaced(without_excursions, [event for event in own if event.lasting]))
+        for run, simulated in enumerate(_corrupted(whole, model, fit.noise.truth, runs)):
+            drawn[run].append(simulated)
+    drawn = [one for one in drawn if one]
+    squares = [_mean_square(one) for one in (measured, calm)]
+    each = np.sqrt([_mean_square(one) for one in drawn] or [np.nan])
+    lasting = [event for event in left_out if event.lasting]
+    return Reproduction(
+        measured_m=float(np.sqrt(squares[0])),
+        drawn_m=float(np.sqrt(np.mean(each**2))),
+        least_m=float(each.min()),
+        most_m=float(each.max()),
+        outliers=len(lasting),
+        outlier_s=sum(event.end_s - event.start_s for event in lasting),
+        outlier_share=max(1.0 - squares[1] / squares[0], 0.0) if squares[0] > 0.0 else 0.0,
+        long=_long_drift(measured, drawn),
+    )
+
+
+def _long_drift(measured: Sequence[Recording], drawn: Sequence[Sequence[Recording]]) -> LongDrift | None:
+    after_s = _LONG * max(float(one.odometry_s[-1] - one.odometry_s[0]) for one in measured)
+    if after_s < _MIN_LONG_S or not drawn:
+        return None
+    each = [_mean_square(one, after_s) for one in drawn]
+    squares = (_mean_square(measured, after_s), float(np.mean(each)), min(each))
+    return LongDrift(after_s, *(sqrt(square) for square in squares))
+
+
+def _mean_square(recordings: Sequence[Recording], after_s: float = WINDOW_S) -> float:
+    squared = np.concatenate(phased_misses([with_recomputed_headings(one) for one in recordings], after_s))
+    return float(np.mean(squared)) if len(squared) else float("nan")
+
+
+def _replaced(recording: Recording, stretches: Sequence[Event]) -> Recording:
+    """Return a recording whose odometry moves like the truth in some stretches and is unchanged elsewhere."""
+    if not stretches:
+        return recording
+    t_s = recording.odometry_s
+    own, true = (increments(xyt) for xyt in (recording.odometry.xyt, recording.truth.at(t_s, recording.origin_ns)))
+    inside = np.zeros(len(own), dtype=bool)
+    for event in stretches:
+        inside |= (t_s[1:] > event.start_s) & (t_s[:-1] < event.end_s)
+    mixed = (
+        np.where(inside, there, here)
+        for here, there in ((own.ds_m, true.ds_m), (own.dl_m, true.dl_m), (own.dtheta_rad, true.dtheta_rad))
+    )
+    path = accumulate(recording.odometry.xyt[0], Increments(*mixed))
+    return replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, path))
+
+
+def _corrupted(recording: Recording, model: MotionModel, truth: TruthNoise, runs: int) -> list[Recording]:
+    """Return corrupted runs along a recording's truth, each with a noisy truth; none if the model cannot corrupt it."""
+    smooth, _ = smooth_truth(recording)
+    stamps, origin = recording.odometry.stamps_ns, recording.origin_ns
+    truth_s = recording.truth.seconds_since(origin)
+    inside = (truth_s >= recording.odometry_s[0]) & (truth_s <= recording.odometry_s[-1])
+    path = Trajectory(stamps, smooth)
+    true = path.at(truth_s[inside], origin)
+    if not recording.headed:
+        true[:, 2] = np.where(np.isfinite(true[:, 2]), true[:, 2], 0.0)
+    found = []
+    for run in range(runs):
+        try:
+            error = NoisyPath(model, 0, run, covariance=False).feed(stamps, smooth).error_xyt
+        except OdomCorruptError:
+            return []
+        noisy = true + _noise(truth, truth_s[inside], run, headed=recording.headed)
+        found.append(
+            replace(
+                recording,
+                odometry=Trajectory(stamps, smooth + error),
+                truth=Trajectory(recording.truth.stamps_ns[inside], noisy),
+            )
+        )
+    return found
+
+
+def _noise(truth: TruthNoise, t_s: Array, run: int, *, headed: bool) -> Array:
+    """Return noise (n, 3) like a truth's at times (n,): white noise, and a random walk of the position."""
+    rng = stream(0, run, "reproduction")
+    level = [truth.xy_m, truth.xy_m, truth.yaw_rad if headed else 0.0]
+    white = rng.standard_normal((len(t_s), 3)) * level
+    steps = rng.standard_normal((len(t_s), 2)) * np.sqrt(np.diff(t_s, prepend=t_s[:1]))[:, None] * truth.random_walk
+    white[:, :2] += np.cumsum(steps, axis=0)
+    noise: Array = white
+    return noise

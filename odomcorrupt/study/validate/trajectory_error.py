@@ -1,4 +1,4 @@
-"""ATE and RPE, the usual measures for SLAM, between poses at the same stamps.
+"""ATE and RPE, the usual measures for SLAM, between poses at the same stamps; reduction of the drift by clocks.
 
 Definitions: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012; alignment: Umeyama, PAMI
 13(4), 1991, without scale. The values equal those of the tool evo (its defaults, in the plane). Alignment hides errors
@@ -8,28 +8,23 @@ that a rotation can absorb: read these values together with errors that start at
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose, wrap
+from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse, time_windows
+from odomcorrupt.study.io.clock import Clock, aligned
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
-
-__all__ = [
-    "TrajectoryError",
-    "absolute_errors",
-    "aligned_at_origin",
-    "aligned_rigidly",
-    "relative_errors",
-    "trajectory_error",
-]
 
 RPE_M = 1.0
 """Distance between the poses that RPE compares, metres."""
@@ -123,3 +118,25 @@ def _at_truth(recording: Recording) -> tuple[Array, Array]:
 def _rms(parts: Sequence[Array]) -> float:
     values = np.concatenate(parts) if parts else np.zeros(0)
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class ClockGain:
+    """Position errors, metres, without and with clock correction; NaN if a drive is too short."""
+
+    after_10m: tuple[float, float]
+    after_50m: tuple[float, float]
+    after_10s: tuple[float, float]
+
+
+def clock_gain(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> ClockGain:
+    """Return the drift without and with clock correction, over non-overlapping windows that start at the truth."""
+    before = [aligned(r, Clock()) for r in recordings]
+    after = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
+
+    def both(windows_of: Callable[[Recording], Intervals]) -> tuple[float, float]:
+        first, second = (joint_rmse([windows_of(r) for r in side]) for side in (before, after))
+        return first, second
+
+    ten, fifty = (partial(distance_windows, length_m=length_m) for length_m in (10.0, 50.0))
+    return ClockGain(both(ten), both(fifty), both(time_windows))

@@ -11,8 +11,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.jumps import reach_of, stretches
-from odomcorrupt.study.io.raw_trajectory import Samples
-from odomcorrupt.study.io.time_order import order_of
+from odomcorrupt.study.io.raw_trajectory import Samples, order_of
 
 
 @pytest.fixture

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from odomcorrupt.study.io.excursions import without_excursions
-from odomcorrupt.study.io.jumps import without_outliers
+from odomcorrupt.study.io.jumps import without_excursions, without_outliers
 from odomcorrupt.study.io.raw_trajectory import Samples
 
 NOWHERE = np.zeros(0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.geometry.se2 import compose
-from odomcorrupt.study.io.geodesy import east_north_up, frame_of, origin_of
+from odomcorrupt.study.io.fixes import east_north_up, frame_of, origin_of
 
 
 @pytest.mark.parametrize(

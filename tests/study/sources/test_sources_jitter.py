@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from odomcorrupt.study.io.jitter import jitter_warnings, stamp_jitter_s
 from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.stamps import jitter_warnings, stamp_jitter_s
 
 
 def path(taken_s, stamped_s, noise_m=0.0005):

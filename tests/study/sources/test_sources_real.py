@@ -84,8 +84,8 @@ def test_a_bag_of_three_compressions_gives_one_trajectory():
     """Foxglove's turtles: the old tf/tfMessage type; one turtle's way as seen from the other."""
     ways = []
     for name in ("example", "example-lz4", "example-bz2"):
-        from odomcorrupt.study.io.address import parse_address
         from odomcorrupt.study.io.bag import read_bag
+        from odomcorrupt.study.io.topic_selection import parse_address
 
         path = RECORDINGS / "bags" / "foxglove_turtlesim" / f"{name}.bag"
         ways.append(read_bag(path, name, {"truth": parse_address("/tf:turtle1.turtle2")})["truth"])

@@ -15,8 +15,8 @@ from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import Segment, Tracker, simulate, write_mcap
 from odomcorrupt.study.io.cross_correlation import cross_correlation
+from odomcorrupt.study.io.plausibility import check_together
 from odomcorrupt.study.io.raw_trajectory import Samples
-from odomcorrupt.study.io.same_run import check_together
 
 NONE = np.zeros(0)
 
