@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from odomcorrupt.corruption.covariance import SUMS, pose_covariance
+from odomcorrupt.corruption.inverse import Slowed
 from odomcorrupt.geometry.se2 import between
 
 if TYPE_CHECKING:
@@ -25,7 +26,8 @@ MARKS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0,
 class Drift(NamedTuple):
     """Position (m) and heading (rad) errors of a run, expected (standard deviation of the noise) and drawn.
 
-    The leg values are root mean squares over legs of `LEG_M`; None for a shorter path.
+    The leg values are root mean squares over legs of `LEG_M`; None for a shorter path. `slowed_s` and `slowed_to` are
+    the sum and the least of `Slowed`; None if there is no such motion.
     """
 
     distance_m: float
@@ -41,6 +43,8 @@ class Drift(NamedTuple):
     leg_expected_rad: float | None
     leg_drawn_m: float | None
     leg_drawn_rad: float | None
+    slowed_s: float | None = None
+    slowed_to: float | None = None
 
     @property
     def rate_hz(self) -> float | None:
@@ -80,6 +84,7 @@ class DriftMeter:
     def __init__(self) -> None:
         self._messages = self._jumps = 0
         self._sideways_m = 0.0
+        self._slowed = Slowed()
         self._distance_m = self._duration_s = 0.0
         self._legs: list[tuple[float, float, float, float]] = []
         self._start: _Place | None = None
@@ -100,6 +105,9 @@ class DriftMeter:
         self._messages += len(samples)
         self._jumps += samples.jumps
         self._sideways_m += samples.sideways_m
+        self._slowed = Slowed(
+            self._slowed.duration_s + samples.slowed.duration_s, min(self._slowed.to, samples.slowed.to)
+        )
         if self._start is None or self._mark is None:
             self._start = self._mark = _place(samples, 0)
         while samples.travelled_m[-1] >= self._mark.travelled_m + LEG_M:
@@ -118,6 +126,7 @@ class DriftMeter:
         return Drift(
             self._distance_m, self._duration_s, self._messages, self._jumps, self._sideways_m,
             *expected, float(np.hypot(*self._end.error_xyt[:2])), abs(float(self._end.error_xyt[2])), *legs,
+            *(self._slowed if self._slowed.duration_s else (None, None)),
         )  # fmt: skip
 
 

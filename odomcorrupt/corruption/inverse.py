@@ -1,11 +1,16 @@
 """Effects applied to a clean drive: the reported motion u' that solves u' = u - f(u').
 
 The f of systematic effects add up. Random effects follow, one after the other, each on what those before it have made.
+
+Functions that were learned up to some speed may have no inverse beyond it. `learn` writes only models that have one on
+its recordings, so in a learned model such a motion is a faster one. Its relative error is then that of the same motion
+slowed down until there is an inverse.
 """
 
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -27,7 +32,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Drive", "EffectInverse", "acts"]
+__all__ = ["Drive", "EffectInverse", "Slowed", "acts"]
 
 TOLERANCE = 1e-12
 """An increment is solved when it moves by less than this between two rounds, metres or radians."""
@@ -44,6 +49,9 @@ _NUDGE = 1e-6
 """By how much a speed is changed to see what that does to f, m/s and rad/s."""
 _FARTHEST, _JITTER = 20.0, 1e-3
 """Odometry is not off by more than so many times the true motion, but where both are next to nothing, metres."""
+_HALVINGS = 20
+"""Halvings of the interval in which the highest speed with an inverse is searched: to a millionth, because the
+odometry's speed there goes with the root of the rest."""
 
 
 def acts(effect: Effect) -> bool:
@@ -66,11 +74,23 @@ class Drive(NamedTuple):
     start_xyt: Array
 
 
+class Slowed(NamedTuple):
+    """Part of a drive with motions that learned effects have no inverse for.
+
+    duration_s : time of these motions, seconds
+    to : least fraction of the motion to which one was slowed down for its relative error
+    """
+
+    duration_s: float = 0.0
+    to: float = 1.0
+
+
 class EffectInverse:
     """The effects of a model acting on a stream of increments; their states pass from call to call.
 
     random : the effects that draw something whose variance they state
     gains : what these drew from in the last call of `error`
+    slowed : motions without an inverse in the last call of `error`
     """
 
     def __init__(self, model: MotionModel, seed: int, run: int) -> None:
@@ -91,6 +111,8 @@ class EffectInverse:
         self._recording = [pair for pair in started if pair[0].layer == "record"]
         self._drawing = [pair for pair in started if pair[0].layer == "draws"]
         self._track_m = model.track_m
+        self._learned = bool(model.source.get("recordings"))
+        self.slowed = Slowed()
         self.random = tuple(effect for effect, _ in motion + self._recording if has_random_part(effect, model.track_m))
         self.gains: tuple[Gain, ...] = ()
         self.restart()
@@ -115,7 +137,8 @@ class EffectInverse:
         Raises
         ------
         EffectError
-            Where the effects are so strong that no motion of the odometry explains the clean one.
+            Where the effects are so strong that no motion of the odometry explains the clean one, in a learned model
+            not even at a lower speed.
 
         """
         added = self._error(drive)
@@ -131,27 +154,28 @@ class EffectInverse:
 
     def _error(self, drive: Drive) -> Array:
         n = len(drive.steps)
+        self.slowed = Slowed()
         if not (self._stages or self.random) or n == 0:
             return np.zeros((n, 3))
-        dt, track_m = drive.dt_s[:, None], self._track_m
+        dt = drive.dt_s[:, None]
         clean = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1)
         clean = np.divide(clean, dt, out=np.zeros_like(clean), where=dt > 0.0)
         faster = accelerations(clean, drive.dt_s, self._speeds)
         travel = np.hypot(drive.steps.ds_m, drive.steps.dl_m)
         distance = np.cumsum(np.concatenate(([self._distance_m], travel)))
+        true = _motion(clean, drive, faster, distance[1:], self._track_m)
 
         # what is systematic acts at once, as it was fitted; each random effect on what those before it have made, so
         # that a wheel which spins is not also beyond what a law was fitted to
-        gone, stages = np.zeros((n, 3)), []
+        gone, stages, least = np.zeros((n, 3)), [], np.ones(n)
         for stage in self._stages:
-            f, states = _solved(
-                stage, clean - gone, lambda twist: _motion(twist, drive, faster, distance[1:], track_m), dt
-            )
-            stages.append(list(zip((effect for effect, _ in stage), states, strict=True)))
-            gone = gone + f
+            solved = _solved(stage, clean - gone, true, learned=self._learned)
+            stages.append(list(zip((effect for effect, _ in stage), solved.states, strict=True)))
+            gone, least = gone + solved.f, np.minimum(least, solved.scale)
         self._stages = stages
+        if (least < 1.0).any():
+            self.slowed = Slowed(float(drive.dt_s[least < 1.0].sum()), float(least.min()))
         if self.random:
-            true = _motion(clean, drive, faster, distance[1:], track_m)
             self.gains = tuple(gain for effect in self.random for gain in effect.gains(true))
         self._speeds = faster.memory
         self._distance_m = float(distance[-1])
@@ -165,14 +189,68 @@ def _largest(steps: Array) -> Array:
     return largest
 
 
-def _solved(
-    stage: Sequence[tuple[Effect, State]], clean: Array, motion_at: Callable[[Array], Motion], dt: Array
-) -> tuple[Array, list[State]]:
-    """Return the f (n, 3) of effects on the motion that is left of the clean one by f, and the states after it.
+class _Solved(NamedTuple):
+    """The f (n, 3) of effects, their states after it, and the fractions (n,) of the motions that it was solved at."""
+
+    f: Array
+    states: list[State]
+    scale: Array
+
+
+def _solved(stage: Sequence[tuple[Effect, State]], clean: Array, true: Motion, *, learned: bool) -> _Solved:
+    """Return the f of effects on the motion that is left of the clean one by f; of learned effects also beyond them.
+
+    A motion without an inverse is scaled down, with its accelerations, to the largest fraction that has one, and that
+    fraction's f is scaled up again: the relative error stays as it is there.
+    """
+    f, states, unsolved = _iterated(stage, clean, true)
+    scale = np.where(unsolved, 0.0, 1.0)
+    if learned and unsolved.any():
+        # the rows of effects with memory depend on each other
+        rows = np.flatnonzero(unsolved | any(state is not None for _, state in stage))
+        open_ = unsolved[rows]
+        low, high, f_low = 1.0 - open_, np.ones(len(rows)), f[rows]
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2.0
+            slower, _, failed = _iterated(stage, clean[rows] * middle[:, None], _slowed(true, rows, middle))
+            f_low = np.where((open_ & ~failed)[:, None], slower / middle[:, None], f_low)
+            low, high = np.where(failed, low, middle), np.where(failed, middle, high)
+        f[rows], scale[rows] = f_low, low
+    if not scale.all():
+        names = ", ".join(effect.name for effect, _ in stage)
+        raise EffectError(
+            f"effects ({names}): too strong for this drive, u' = u - f(u') does not converge; make "
+            "them weaker, or delete them from the model"
+        )
+    return _Solved(f, states, scale)
+
+
+def _slowed(motion: Motion, rows: NDArray[np.intp], scale: Array) -> Motion:
+    """Return these rows of a motion, with their accelerations and the speeds in step multiplied by `scale`."""
+    assert motion.trail is not None  # noqa: S101 - a drive's motion has it
+    assert motion.before is not None  # noqa: S101 - as above
+    return replace(
+        motion,
+        **{name: getattr(motion, name)[rows] for name in ("t_s", "dt_s", "x", "y", "theta", "distance")},
+        acceleration=motion.acceleration[rows] * scale[:, None],
+        trail=motion.trail[rows] * scale[:, None],
+        before=motion.before[rows] * scale[:, None, None],
+    )
+
+
+def _iterated(
+    stage: Sequence[tuple[Effect, State]], clean: Array, true: Motion
+) -> tuple[Array, list[State], NDArray[np.bool_]]:
+    """Return f (n, 3), the states after it, and which rows (n,) have no solution.
 
     Plain rounds settle wherever effects change less than the whole of a motion. Newton's follow for the rest: for
     errors as large as the motion, as of a robot that turns several times as far as its odometry says.
     """
+    dt = true.dt_s[:, None]
+
+    def motion_at(twist: Array) -> Motion:
+        v, vy, omega = np.ascontiguousarray(twist.T)
+        return replace(true, v=v, vy=vy, omega=omega)
 
     def error_at(f: Array) -> tuple[Array, list[State]]:
         motion = motion_at(clean - f)
@@ -199,7 +277,7 @@ def _solved(
         was, f = f, np.where(settling[:, None], f_next, f)
         open_ &= ~(change <= TOLERANCE)
         if not open_.any():
-            return f, states
+            return f, states, open_
         swinging, last = np.abs(change - last) <= _SAME * change, change
     # a law that sets in at a speed may take the odometry below it, where it is off: no speed is reported for such a
     # true one, and of the two that it swings between the one nearer to the truth stands; what takes all of a motion
@@ -208,20 +286,20 @@ def _solved(
     nearer = swinging & (np.linalg.norm(was, axis=1) < np.linalg.norm(f, axis=1))
     f = np.where(nearer[:, None], was, f)
     open_ &= ~swinging
-    if open_.any() and not _by_newton(lambda f: error_at(f)[0], f, open_, clean, dt):
-        names = ", ".join(effect.name for effect, _ in stage)
-        raise EffectError(
-            f"effects ({names}): too strong for this drive, u' = u - f(u') does not converge; make "
-            "them weaker, or delete them from the model"
-        )
-    return f, error_at(f)[1]
+    if open_.any():
+        open_ = _by_newton(lambda f: error_at(f)[0], f, open_, clean, dt)
+    return f, error_at(f)[1], open_
 
 
-def _by_newton(error_at: Callable[[Array], Array], f: Array, open_: NDArray[np.bool_], clean: Array, dt: Array) -> bool:
+def _by_newton(
+    error_at: Callable[[Array], Array], f: Array, open_: NDArray[np.bool_], clean: Array, dt: Array
+) -> NDArray[np.bool_]:
     """Solve the open rows of f (n, 3) in place by Newton's method, each from where the effects do nothing.
 
-    Returns whether all have a solution in which the robot still moves the more, the more its odometry does.
+    Returns the rows (n,) without a solution in which the robot still moves the more, the more its odometry does; their
+    f is zero.
     """
+    unsolved = open_.copy()
     rows = np.flatnonzero(open_)
     f[rows] = 0.0
     for _ in range(NEWTON_ROUNDS):
@@ -233,17 +311,20 @@ def _by_newton(error_at: Callable[[Array], Array], f: Array, open_: NDArray[np.b
             nudge[i] = _NUDGE
             slope[:, :, i] = (error_at(f - nudge) - error_at(f + nudge))[rows] / (2.0 * _NUDGE)
         slope += np.eye(3)  # of the true motion by the odometry's
-        if not np.isfinite(slope).all() or (np.linalg.eigvals(slope[settled]).real <= 0.0).any():
-            return False
-        rows, miss, slope = rows[~settled], miss[~settled], slope[~settled]
+        usable: NDArray[np.bool_] = np.all(np.isfinite(np.column_stack((slope.reshape(-1, 9), miss))), axis=1)
+        usable[usable] = np.abs(np.linalg.det(slope[usable])) > 0.0
+        done: NDArray[np.bool_] = settled & usable
+        done[done] = (np.linalg.eigvals(slope[done]).real > 0.0).all(axis=1)
+        unsolved[rows[done]] = False
+        going = usable & ~settled
+        rows, miss, slope = rows[going], miss[going], slope[going]
         if not len(rows):
-            far = np.abs(f[open_]).max(axis=1) > _FARTHEST * np.abs(clean[open_]).max(axis=1)
-            return not bool((far & (np.abs(f[open_] * dt[open_]).max(axis=1) > _JITTER)).any())
-        try:
-            f[rows] += np.linalg.solve(slope, miss[:, :, None])[:, :, 0]
-        except np.linalg.LinAlgError:
-            return False
-    return False
+            break
+        f[rows] += np.linalg.solve(slope, miss[:, :, None])[:, :, 0]
+    far = open_ & (np.abs(f).max(axis=1) > _FARTHEST * np.abs(clean).max(axis=1))
+    unsolved |= far & (np.abs(f * dt).max(axis=1) > _JITTER)
+    f[unsolved] = 0.0
+    return unsolved
 
 
 def _motion(twist: Array, drive: Drive, faster: Accelerations, distance_m: Array, track_m: float | None) -> Motion:

@@ -7,13 +7,13 @@ over from the batch before, and normals are drawn row by row, so any division in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from odomcorrupt.corruption.covariance import RANDOM_SUMS, SUMS, NoiseSteps, RandomEffectCovariance, sum_terms
-from odomcorrupt.corruption.inverse import Drive, EffectInverse
+from odomcorrupt.corruption.inverse import Drive, EffectInverse, Slowed
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.geometry.se2 import rotate, wrap
 from odomcorrupt.model.noise_laws import Variances, variances
@@ -181,6 +181,7 @@ class PathSamples:
     travelled_m : (n,) clean distance since the start of the path, metres, without jumps
     jumps : number of these increments that are jumps
     sideways_m : lateral travel of these increments, metres
+    slowed : part of these increments that learned effects have no inverse for
     """
 
     stamps_ns: NDArray[np.int64]
@@ -191,6 +192,7 @@ class PathSamples:
     travelled_m: Array
     jumps: int
     sideways_m: float
+    slowed: Slowed = field(default_factory=Slowed)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -321,7 +323,7 @@ class NoisyPath:
         self._travelled_m = float(travelled[-1])
         return PathSamples(
             stamps_ns, clean_xyt, error[1:], sums[:, 1:], self._origin, travelled[1:],
-            int(np.count_nonzero(jump)), float(np.abs(steps.dl_m).sum()),
+            int(np.count_nonzero(jump)), float(np.abs(steps.dl_m).sum()), self._effects.slowed,
         )  # fmt: skip
 
     def _sum_terms(self, stepped: NoiseSteps, driven_s: Array) -> Array:

@@ -77,7 +77,8 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
             said += f" (noise: {_expected(drift.end_expected_m, drift.end_expected_rad)})"
         lines = [Line("MOVED", said, "good")]
         lines.append(Line("model", model_brief(outcome.model, origin.partition(":")[0])))
-    lines[1:1] = [*lost_lines(outcome), *places_lines(outcome.model, outcome.frames.odom)]
+    faster = [Line("faster", sentence, "warning") for sentence in _faster(drift)]
+    lines[1:1] = [*lost_lines(outcome), *faster, *places_lines(outcome.model, outcome.frames.odom)]
     lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}"))
     lines.append(
         Line(
@@ -142,7 +143,7 @@ def summary(outcome: Outcome, origin: str) -> str:
     ]
     if not silent:
         parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.silent), *_rate(outcome)]
-    parts += oddities(outcome)
+    parts += [*_faster(outcome.drift), *oddities(outcome)]
     true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
     if true and not silent:
         parts.append(f"Unchanged, so that a filter which reads them still gets the true motion: {', '.join(true)}.")
@@ -233,6 +234,14 @@ def _expected(metres: float, radians: float) -> str:
 def size_words(metres: float, radians: float) -> str:
     """Return a displacement and a turn as text, metres and degrees."""
     return f"{metres:.3g} m, {math.degrees(radians):.3g} deg"
+
+
+def _faster(drift: Drift) -> list[str]:
+    """Return a warning where the drive is faster than the learned effects have an inverse for."""
+    if not (drift.slowed_s and drift.slowed_to):
+        return []
+    more = 100.0 * (1.0 / drift.slowed_to - 1.0)
+    return [f"For {drift.slowed_s:.2g} s up to {more:.2g} % faster than the model covers: the relative error is kept."]
 
 
 def per_message(noise: Noise) -> list[str]:

@@ -72,3 +72,17 @@ def test_the_clean_odometry_beside_the_noisy_is_counted_in_words(corrupt):
     code, said, _ = corrupt("--keep-truth", "/odom_true")
     assert code == 0
     assert "3000 messages of clean odometry on /odom_true added" in said
+
+
+def test_a_drive_faster_than_a_learned_model_covers_is_corrupted_and_reported(corrupt, tmp_path):
+    model = tmp_path / "model.toml"
+    text = (
+        'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot = 0\nrot_trans = 0\ntrans_trans = 0\ntrans_rot = 0\n'
+        '[[effect]]\nname = "spins"\nexpression = "along += v * (k * max(abs(v) - 0.3, 0))"\nk = -2.0\n'
+    )
+    model.write_text(text)
+    assert corrupt("--model", str(model))[0] == 1
+    model.write_text(text + '[source]\nrecordings = ["a.mcap"]\n')
+    code, said, _ = corrupt("--model", str(model))
+    assert code == 0
+    assert "% faster than the model covers: the relative error is kept." in said

@@ -172,3 +172,43 @@ def test_acceleration_uses_the_past_and_does_not_depend_on_cuts():
         inverse.error(Drive(part, drive.dt_s[rows], drive.t_s[rows], drive.start_xyt[rows]))
         pieces.append(seen[-1].a)
     assert np.array_equal(np.concatenate(pieces), whole)
+
+
+CAPPED = user_effect("spins", "wheels += v * (k * max(abs(v) - 1.2, 0))", {"k": -0.5})
+"""The robot reaches 1.27 m/s at 1.6 m/s of its odometry, and no more than that."""
+
+
+def speeding(v, rate=50.0):
+    t = 10**11 + (np.arange(len(v) + 1) * 1e9 / rate).astype(np.int64)
+    return t, accumulate(np.zeros(3), Increments(v / rate, 0.0 * v, 0.0 * v))
+
+
+def test_a_learned_law_keeps_its_relative_error_at_speeds_that_it_has_no_inverse_for():
+    v = np.linspace(0.9, 2.0, 400)
+    t, poses = speeding(v)
+    plain = silent([CAPPED], track_m=0.4)
+    with pytest.raises(EffectError, match="too strong"):
+        NoisyPath(plain, 1).feed(t, poses)
+    learned = replace(plain, source={"recordings": ["a.mcap"]})
+    samples = NoisyPath(learned, 1).feed(t, poses)
+    reported = np.linalg.norm(np.diff((poses + samples.error_xyt)[:, :2], axis=0), axis=1) * 50.0
+    top = 1.6 * (1.0 - 0.5 * 0.4)
+    slow, fast = v < 0.999 * top, v > top
+    assert reported[slow] == pytest.approx(exact_speed(v[slow]), rel=1e-9)
+    assert reported[fast] / v[fast] == pytest.approx(np.full(fast.sum(), 1.6 / top), rel=2e-3)
+    assert samples.slowed.duration_s == pytest.approx(fast.sum() / 50.0)
+    assert samples.slowed.to == pytest.approx(top / 2.0, rel=1e-5)
+
+
+def exact_speed(true_v):
+    """Return the odometry's speed, the lower root of v' - 0.5 v' (v' - 1.2) = v."""
+    return np.where(true_v <= 1.2, true_v, 1.6 - np.sqrt(np.maximum(1.6**2 - 2.0 * true_v, 0.0)))
+
+
+@pytest.mark.parametrize("others", [(), (effect_from_values("channel_lag", {"tau": 0.1}),)])
+def test_a_law_beyond_its_inverse_is_the_same_however_the_path_is_cut(others):
+    t, poses = speeding(np.linspace(0.9, 2.0, 200))
+    model = replace(silent([CAPPED, *others], track_m=0.4), source={"recordings": ["a.mcap"]})
+    whole, path = NoisyPath(model, 1).feed(t, poses).error_xyt, NoisyPath(model, 1)
+    parts = [path.feed(t[i : i + 41], poses[i : i + 41]).error_xyt for i in range(0, len(t), 41)]
+    assert np.array_equal(np.concatenate(parts), whole)

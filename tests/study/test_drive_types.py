@@ -10,6 +10,7 @@ from wandering import noisy_path, recording, wander
 from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, hobby, lagged
 
 from odomcorrupt.api.recordings import Recordings
+from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
@@ -181,6 +182,20 @@ def test_the_drive_type_is_guessed_from_slow_curves():
     assert drive_type_of([recording(steps, noisy_path(steps, QUIET, 1))]).name == "differential"
     # a steered robot that a user takes for a differential one is one
     assert drive_type_of([replace(car(1, seconds=120.0), drive_type="differential")]).sentence == "differential"
+
+
+def test_a_car_that_slows_down_for_tight_bends_is_guessed_too():
+    # at speed its curvature is 0.15 per metre at most; at its stop, in slow bends, 0.55
+    t_s = np.arange(200 * 50) / 50.0 % 20.0
+    v = np.interp(t_s, [0.0, 2.0, 8.0, 10.0, 20.0], [0.25, 1.0, 1.0, 0.25, 0.25])
+    curvature = np.interp(
+        t_s, [0.0, 2.0, 5.0, 8.0, 10.0, 11.5, 18.5, 20.0], [0.0, 0.0, 0.15, 0.0, 0.0, 0.55, 0.55, 0.0]
+    )
+    steps = Increments(v / 50.0, 0.0 * v, v * curvature / 50.0)
+    run = recording(steps, accumulate(np.zeros(3), steps))
+    assert drive_type_of([run]).sentence == (
+        "car (steers up to a stop, never turned on the spot; smallest radius 1.8 m)"
+    )
 
 
 def test_a_robot_that_its_planner_never_turns_on_the_spot_is_no_car():

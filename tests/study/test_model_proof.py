@@ -150,3 +150,13 @@ def test_a_law_that_flickers_with_jittering_stamps_is_replaced_by_its_mean(drive
     assert "replaced by its mean" in found.changes[0]
     assert "the fit" in found.changes[0]
     assert parse_model(format_model(found.model)).source["remarks"] == list(found.changes)
+
+
+def test_a_learned_law_is_tested_at_the_recorded_speeds_themselves(drive):
+    # corruption with a learned model may use the relative error of a lower speed; a law that needs it here is no law
+    stuck = user_effect("stuck", "along += -3 * v * k * max(abs(v) - 0.1, 0)", {"k": 1.0})
+    model = MotionModel(NOISE, (stuck,), source={"recordings": ["a.mcap"]})
+    assert np.isfinite(corrupted(model, drive)).all()
+    found = verified_model(model, [drive])
+    assert not found.model.effects
+    assert "no odometry satisfies it" in found.changes[0]

@@ -43,7 +43,7 @@ the third the robot is at rest."""
 _USUAL, _LARGEST = 0.9, 0.995
 """Quantiles that define the usual speed of a moving robot, and the largest curvature at speed."""
 _SHARPER = 1.3
-"""Largest curvature of a steered robot, relative to the largest at speed."""
+"""Largest curvature of a steered robot, relative to the largest at speed or at the stop of its steering."""
 _LEAST_RADIUS_M = 0.3
 """Turning radius below which a robot counts as turning on the spot, m."""
 _TURNED_RAD = 4.0 * np.pi
@@ -189,7 +189,7 @@ class _SlowDriving:
     """Statistics of the turning of a robot, from the odometry of one recording.
 
     along_m, across_m, turned : total travel forwards and sideways, m, and total turn, rad
-    curvature : largest curvature at speed, 1/m
+    curvature : largest curvature at speed or, if slow driving shows it, at the steering's stop, 1/m
     seconds, spells : duration of slow driving, s, and number of slow spells or stops
     beyond : turn in these beyond the largest curvature, rad
     turned_at_rest, rest_s : turn while the wheels were at rest, rad, and duration of rest, s
@@ -223,13 +223,16 @@ def _slow_driving(recording: Recording) -> _SlowDriving:
     usual = float(np.quantile(moving, _USUAL)) if len(moving) else 0.0
     fast, slow = v > _FAST * usual, v < _SLOW * usual
     curvature = float(np.quantile(omega[fast] / v[fast], _LARGEST)) if fast.any() else 0.0
+    creeps = slow & (v > _CREEP * usual)
+    bends = np.stack((omega[creeps] / v[creeps], dt[creeps]))
+    if _has_stop(bends):  # who slows down for tight bends never reaches it at speed
+        curvature = max(curvature, float(np.quantile(bends[0], _STOP_QUANTILE)))
     begins = np.count_nonzero(np.diff(slow.astype(np.int8)) == 1)
     beyond = float((np.maximum(omega - _SHARPER * curvature * v, 0.0) * dt)[slow].sum())
-    creeps = slow & (v > _CREEP * usual)
     return _SlowDriving(
         float((v * dt).sum()), float((np.abs(across) * dt).sum()), float((omega * dt).sum()), curvature,
         float(dt[slow & (v > _STILL * usual)].sum()), int(begins), beyond, at_rest,
-        float(dt[stands].sum()), np.stack((omega[creeps] / v[creeps], dt[creeps])),
+        float(dt[stands].sum()), bends,
     )  # fmt: skip
 
 
