@@ -178,6 +178,14 @@ class Effect:
         """
         return (cls(),)
 
+    def related(self) -> tuple[Self, ...]:
+        """Return other forms of the effect near this shape, which a search tries only if its gain is large."""
+        return ()
+
+    def continued(self, motions: Sequence[Motion]) -> Self:  # noqa: ARG002 - for effects of places
+        """Return the effect continued to places that these motions do not reach; the same on the motions."""
+        return self
+
     def plain(self) -> Self:
         """Return the same effect in its usual parametrisation, if it has several."""
         return self

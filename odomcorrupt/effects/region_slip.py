@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -16,15 +16,18 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _MOST_DISCS = 400
+_ANGLES = (1e-3, np.pi / 6.0, np.pi / 3.0)
+"""Of the first rectangles, rad; not exactly 0, at which an optional parameter is held."""
 _LEAST_SHARE, _MOST_SHARE = 0.01, 0.8
 """Fractions of the path inside a disc below and above which its slip cannot be estimated."""
 
 
 @dataclass(frozen=True, slots=True)
 class RegionSlip(Effect):
-    """f = -slip (v, vy, omega) inside a disc of the truth frame, 0 outside; of each wheel with contact = wheels.
+    """f = -slip (v, vy, omega) inside a disc or rectangle of the truth frame, 0 outside.
 
-    With contact = wheels, one wheel slips before the other at the edge, and the robot turns.
+    With contact = wheels, f acts on each wheel: one slips before the other at the edge, and the robot turns. With a
+    width the patch is a rectangle, as carpets are.
     """
 
     name = "region_slip"
@@ -33,7 +36,7 @@ class RegionSlip(Effect):
     reads_truth = True
     reads_places = True
     about = About(
-        equation="f = -slip (v, vy, omega) where (x, y) lies inside the disc; (v, vy, 0) with a gyro; "
+        equation="f = -slip (v, vy, omega) where (x, y) lies inside the disc or rectangle; (v, vy, 0) with a gyro; "
         "contact = wheels: f_wheel = -slip u of each wheel that is inside",
         typical="1 to 10 % at a carpet's edge, on wet floor, on a ramp (an estimate)",
         source="engineering judgement; no published figures known to us",
@@ -44,10 +47,25 @@ class RegionSlip(Effect):
     slip: float = parameter("", "part of the wheels' travel that is lost inside", low=-0.1, high=0.5, typical=0.05)
     x: float = parameter("m", "centre", low=-1e8, high=1e8, typical=1.0, amplitude=False)
     y: float = parameter("m", "centre", low=-1e8, high=1e8, typical=1.0, amplitude=False)
-    radius: float = parameter("m", "of the disc", low=0.05, high=1e3, typical=1.0, identity=1.0, amplitude=False)
+    radius: float = parameter(
+        "m",
+        "of the disc; of a rectangle, half its length",
+        low=0.05,
+        high=1e3,
+        typical=1.0,
+        identity=1.0,
+        amplitude=False,
+    )
+    width: float = parameter(
+        "m", "half the width of a rectangle; 0: a disc", low=0.0, high=1e3, typical=1.0, amplitude=False, optional=True
+    )
+    angle: float = parameter(
+        "rad", "from the x axis to the length of a rectangle",
+        low=-np.pi, high=np.pi, typical=0.5, amplitude=False, optional=True,
+    )  # fmt: skip
     heading: str = heading_choice()
     contact: str = choice(
-        "what has to be on the disc to slip: the middle of the robot, or each wheel", "body", "wheels"
+        "what has to be on the patch to slip: the middle of the robot, or each wheel", "body", "wheels"
     )
 
     @classmethod
@@ -82,6 +100,31 @@ class RegionSlip(Effect):
         every = -(-len(found) // _MOST_DISCS) or 1
         return tuple(found[::every])
 
+    def related(self) -> tuple[Self, ...]:
+        """Return rectangles of the area of the disc, at three angles; a search tries them around the best disc."""
+        half = 0.5 * np.sqrt(np.pi) * self.radius
+        return tuple(replace(self, radius=half, width=half, angle=angle) for angle in _ANGLES)
+
+    def continued(self, motions: Sequence[Motion]) -> Self:
+        """Return a rectangle with each edge half-way to the nearest path beyond it, or twice as far out if none is.
+
+        The data leave an edge free between the last path inside it and the first one outside.
+        """
+        if not self.width:
+            return self
+        ahead, left = (np.concatenate(both) for both in zip(*map(self._inside_axes, motions), strict=True))
+        low, high = _free_edges(ahead, np.abs(left) <= self.width, self.radius)
+        right, top = _free_edges(left, np.abs(ahead) <= self.radius, self.width)
+        forward, sideways = 0.5 * (low + high), 0.5 * (right + top)
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        return replace(
+            self,
+            x=float(self.x + c * forward - s * sideways),
+            y=float(self.y + s * forward + c * sideways),
+            radius=float(0.5 * (high - low)),
+            width=float(0.5 * (top - right)),
+        )
+
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: a scale error that depends on the position."""
         if self.contact == "wheels":
@@ -93,6 +136,29 @@ class RegionSlip(Effect):
         return TwistError(stacked(slip * motion.v, slip * motion.vy, yaw, motion.v), state)
 
     def _ratio(self, motion: Motion) -> Array:
-        """Return the relative speed error (n,): -slip inside the disc, 0 outside."""
-        inside = (motion.x - self.x) ** 2 + (motion.y - self.y) ** 2 <= self.radius**2
+        """Return the relative speed error (n,): -slip inside the patch, 0 outside."""
+        ahead, left = self._inside_axes(motion)
+        if self.width:
+            inside = (np.abs(ahead) <= self.radius) & (np.abs(left) <= self.width)
+        else:
+            inside = ahead**2 + left**2 <= self.radius**2
         return np.where(inside, -self.slip, 0.0)
+
+    def _inside_axes(self, motion: Motion) -> tuple[Array, Array]:
+        """Return positions (n,), (n,) relative to the centre, along the length and the width of the patch, m."""
+        x, y, c, s = motion.x - self.x, motion.y - self.y, np.cos(self.angle), np.sin(self.angle)
+        return c * x + s * y, c * y - s * x
+
+
+def _free_edges(along: Array, beside: Array, half: float) -> tuple[float, float]:
+    """Return the middle of the range of each edge, -half and half, in which the data are the same.
+
+    along : positions (n,) on the axis that the edges cut; beside : which of them are within the other two edges
+    """
+    on = along[beside]
+    inside, above, below = on[np.abs(on) <= half], on[on > half], on[on < -half]
+    if not len(inside):
+        return -half, half
+    top = 0.5 * (inside.max() + above.min()) if len(above) else 2.0 * half
+    bottom = 0.5 * (inside.min() + below.max()) if len(below) else -2.0 * half
+    return float(bottom), float(top)

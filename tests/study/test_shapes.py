@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate
@@ -62,6 +63,27 @@ def test_a_patch_is_found_as_far_as_its_errors_say_and_where_the_map_begins_far_
         assert patch.radius == pytest.approx(sought["radius"], rel=0.15)
         assert (patch.x - origin[0], patch.y - origin[1]) == pytest.approx((sought["x"], sought["y"]), abs=0.15)
     assert there.error_m == pytest.approx(here.error_m, rel=0.02)
+
+
+def test_a_carpet_is_a_rectangle_and_is_continued_to_places_that_the_drive_does_not_reach():
+    run = simulate(85, None, duration_s=300.0)
+    recording = as_recording(run)
+    truth, steps = recording.truth, increments(recording.odometry.xyt)
+    x, y = (np.interp(recording.odometry.stamps_ns[:-1], truth.stamps_ns, truth.xyt[:, i]) for i in (0, 1))
+    edge = float(np.median(x))
+    turning = np.where(x > edge, 1.0 / 0.95, 1.0)
+    slipping = Increments(*(turning * getattr(steps, f.name) for f in fields(steps)))
+    odometry = replace(recording.odometry, xyt=accumulate(recording.odometry.xyt[0], slipping))
+    (patch,) = learn([replace(recording, odometry=odometry)]).fit.effects
+    assert patch.name == "region_slip"
+    assert patch.slip == pytest.approx(0.05, rel=0.05)
+    corners = [
+        (edge + across, along) for across in (0.1, x.max() - edge + 0.3) for along in (y.min() - 0.3, y.max() + 0.3)
+    ]
+    inside = motion_of(np.arange(4.0), np.array([(*corner, 0.0) for corner in corners]))
+    assert (patch._ratio(inside) < 0.0).all()
+    left = motion_of(np.arange(2.0), np.array([(edge - 0.1, y.mean(), 0.0), (x.min(), y.mean(), 0.0)]))
+    assert not patch._ratio(left).any()
 
 
 def test_the_error_of_a_slip_grows_where_its_place_was_searched_too():

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "absorb",
     "backward_eliminate",
+    "continued",
     "drift_grows",
     "drop_term",
     "eliminate_random",
@@ -140,6 +141,12 @@ def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:
         random = [new if e is effect else e for e in fit.random]
         fit, effect = fit.refit(random=random), new
     return fit, effect
+
+
+def continued(fit: Fit) -> Fit:
+    """Return the model with effects of places continued to places that the drives do not reach."""
+    effects = [effect.continued(fit.problem.motions) for effect in fit.effects]
+    return fit if effects == list(fit.effects) else fit.refit(effects)
 
 
 def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:

@@ -108,7 +108,8 @@ class ShapeSearch:
         """Return the member of a family with the largest gain, its shape refined.
 
         A word-valued parameter keeps its first value unless another gains clearly more. The whole family is searched
-        for each source of the heading; other words are tried at the best shape, if its gain exceeds `_LARGE_NATS`.
+        for each source of the heading; other words and related forms are tried at the best shape, if its gain exceeds
+        `_LARGE_NATS`.
         """
         if len(family) == 1 and not choices(family[0].start):
             return family[0]
@@ -116,9 +117,13 @@ class ShapeSearch:
         usual = self._highest(family)
         unusual = [self._highest(others) for others in zip(*(t.with_words(("heading",)) for t in family), strict=True)]
         most, best = max([usual, *((nats - price, other) for nats, other in unusual)], key=itemgetter(0))
-        words = [word for word in choices(best.start) if word != "heading"] if most > _LARGE_NATS else []
-        others = [self._refined(other) for other in best.with_words(words)]
-        return max([(most, best), *((nats - price, other) for nats, other in others)], key=itemgetter(0))[1]
+        if most <= _LARGE_NATS:
+            return best
+        words = [word for word in choices(best.start) if word != "heading"]
+        for others in (best.with_words(words), best.related()):
+            refined = [self._refined(other) for other in others]
+            most, best = max([(most, best), *((nats - price, other) for nats, other in refined)], key=itemgetter(0))
+        return best
 
     def located(self, family: Sequence[LibraryTerm]) -> Located:
         """Return a member near the best of a family: its shape refined with approximate columns, its gain exact.

@@ -35,6 +35,7 @@ from odomcorrupt.study.select.closed_loop import is_pulled, may_be_of_lags, of_p
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
+    continued,
     eliminate_random,
     eliminate_untested,
     iterate,
@@ -321,7 +322,7 @@ class _Selection:
         if outliers:
             self.noise, self.fit = beside_bursts(self.noise, self.fit, decisions)
         self.noise += outliers
-        self.fit = eliminate_untested(one_heading(self.fit, self.given, decisions), self.given, decisions)
+        self.fit = continued(eliminate_untested(one_heading(self.fit, self.given, decisions), self.given, decisions))
         if bursts := [one.effect for one in outliers if one.effect.name == "slip_burst"]:
             # their error is an effect and not noise of every step
             self.fit = self.fit.refit((*self.fit.effects, *bursts))

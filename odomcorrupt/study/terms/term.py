@@ -161,7 +161,10 @@ class LibraryTerm:
 
     def with_shape(self, shape: Sequence[float]) -> LibraryTerm:
         """Return the term at another shape."""
-        lows = ((p, _LEAST_OPTIONAL * p.typical if p.optional else p.low) for p in shapes(self.start))
+        lows = (
+            (p, max(p.low, _LEAST_OPTIONAL * p.typical) if p.optional and p.low >= 0.0 else p.low)
+            for p in shapes(self.start)
+        )
         values = {p.name: float(np.clip(v, low, p.high)) for (p, low), v in zip(lows, shape, strict=True)}
         return replace(self, start=replace(self.start, **values))  # type: ignore[type-var]  # effects are dataclasses
 
@@ -173,6 +176,10 @@ class LibraryTerm:
             for word, option in options
             if getattr(self.start, word) != option
         ]
+
+    def related(self) -> list[LibraryTerm]:
+        """Return terms of other forms of the effect near this shape, too many to be tried at every shape."""
+        return [replace(self, start=effect) for effect in self.start.related()]
 
     def columns(self, problem: Problem) -> Array:
         """Return columns (K, 3, p), one for each amplitude."""
