@@ -18,7 +18,7 @@ from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficien
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import cut_at
-from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, NoiseLikelihood
+from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, NoiseLikelihood, pseudo_inverse
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.selected_inverse import inverse_band
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
@@ -156,3 +156,16 @@ def test_a_coefficient_that_nothing_bounds_is_profiled_no_further_than_a_coeffic
     low, high = (confidence_intervals._edge(flat, start, 0, way, 0.0) for way in (-1.0, 1.0))
     assert (low, high) == (0.0, np.inf)
     assert Interval("rot_rot", 0.5, low, high).standard_error == pytest.approx(0.5 / 1.96)
+
+
+def test_a_parameter_on_which_no_data_depend_has_no_covariance():
+    # a place that one half of a drive does not reach, beside parameters of very different units
+    others = np.array([[1.481, -3.337, -233.459], [0.0, 1.161e6, -503.137], [0.0, 0.0, 1.131e5]])
+    others = others + np.triu(others, 1).T
+    used = [0, 2, 3]
+    normal = np.zeros((4, 4))
+    normal[np.ix_(used, used)] = others
+    covariance = pseudo_inverse(normal)
+    assert not covariance[1].any()
+    assert not covariance[:, 1].any()
+    assert covariance[np.ix_(used, used)] == pytest.approx(np.linalg.inv(others), rel=1e-9)

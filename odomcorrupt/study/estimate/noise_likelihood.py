@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
-__all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseLikelihood", "by_column", "estimated"]
+__all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseLikelihood", "by_column", "estimated", "pseudo_inverse"]
 
 LOWEST = 1e-5
 """Lower bound of the coefficients, treated as zero."""
@@ -332,7 +332,7 @@ def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
     r, b = whitened[:, 0], whitened[:, 1:]
     theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
     if b.shape[1]:
-        covariance = _inverse(b.T @ b)
+        covariance = pseudo_inverse(b.T @ b)
         theta = covariance @ (b.T @ r)
         r = r - b @ theta
     return replace(
@@ -345,9 +345,13 @@ def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
     )
 
 
-def _inverse(normal: Array) -> Array:
-    """Return the pseudo-inverse of a normal matrix, scaled for mixed units; aliased columns share their estimate."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+def pseudo_inverse(normal: Array) -> Array:
+    """Return the pseudo-inverse of a normal matrix, scaled for mixed units; aliased columns share their estimate.
+
+    Rows and columns of a parameter on which no data depend are zero: its estimate does not move.
+    """
+    length = np.sqrt(np.diag(normal))
+    scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
     both = np.outer(scale, scale)
     inverse: Array = np.linalg.pinv(normal * both, rcond=1e-10, hermitian=True) * both
     return inverse
