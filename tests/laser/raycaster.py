@@ -11,6 +11,8 @@ ROOM = [(-3.2, -2.5), (4.1, -2.5), (4.1, 1.6), (2.6, 1.6), (2.6, 3.1), (-3.2, 3.
 BOXES = [[(-2.6, 1.7), (-1.7, 1.7), (-1.7, 2.4), (-2.6, 2.4)], [(2.4, -2.0), (3.2, -1.7), (3.0, -1.2), (2.2, -1.5)]]
 CORRIDOR = [(-60.0, -1.1), (60.0, -1.1), (60.0, 1.1), (-60.0, 1.1)]
 
+PERSON = 0.22 * np.stack([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4])
+
 
 def closed(corners):
     points = np.array(corners, dtype=float)
@@ -51,6 +53,7 @@ def ranges(
     """Ranges (n, beams): each beam from where the laser is then; a flipped laser turns clockwise seen from above.
 
     backwards : the last beam is measured first, as by a laser whose driver reverses the order
+    walls : (s, 2, 2), or a function that returns them for the start of a sweep
     """
     rng = np.random.default_rng(1)
     bearing = -np.pi + 2 * np.pi * np.arange(beams) / beams
@@ -60,7 +63,8 @@ def ranges(
         pose = pose_at(start + sweep_s * beam / beams)
         angle = pose[:, 2] + (-bearing if flipped else bearing)
         way = np.stack((np.cos(angle), np.sin(angle)), axis=1)
-        a, along = walls[:, 0], walls[:, 1] - walls[:, 0]
+        there = walls(start) if callable(walls) else walls
+        a, along = there[:, 0], there[:, 1] - there[:, 0]
         to = a[None] - pose[:, None, :2]
         cross = way[:, None, 0] * along[:, 1] - way[:, None, 1] * along[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -71,15 +75,24 @@ def ranges(
     return np.array(out)
 
 
+def with_people(walls, pose, start_s, people_m):
+    """Walls and people at distances ahead of a pose (3,), who sway from side to side."""
+    way = pose[2] + 0.3 * np.sin(0.8 * start_s)
+    places = [pose[:2] + far * np.array([np.cos(way), np.sin(way)]) for far in people_m]
+    return np.concatenate([walls, *(closed(place + PERSON) for place in places)])
+
+
 def drive(
     where, *, mount=(0.1, 0.0, 0.0), stated=None, rate_hz=5.0, sweep_s=0.15, flipped=False, corridor=False,
     jitter_s=0.0, blind=False, cloud=False, twice=False, off=1.02, spin=False, backwards=False, gyro=False,
-    returns=False, scan_time_s=None, missing_s=(0.0, 0.0),
+    returns=False, scan_time_s=None, missing_s=(0.0, 0.0), people_m=(), field=False,
 ):  # fmt: skip
     """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them.
 
     scan_time_s : what the scans say in scan_time, with a time_increment of 0
     missing_s : when no scans are recorded, from and to
+    people_m : distances ahead of the laser at which people walk with it
+    field : no walls within reach
     """
     t_s, poses, fine, every = path(straight=corridor)
     if returns:
@@ -95,8 +108,15 @@ def drive(
 
     starts = np.arange(0.1, t_s[-1] - (0.3 if returns else 1.5), 1.0 / rate_hz)
     starts = starts[(starts < missing_s[0]) | (starts > missing_s[1])]
-    walls = closed(CORRIDOR) if corridor else WALLS
-    seen = ranges(laser_at, starts, walls=walls, sweep_s=sweep_s, flipped=flipped, backwards=backwards)
+    walls = 10.0 * closed(ROOM) if field else closed(CORRIDOR) if corridor else WALLS
+    seen = ranges(
+        laser_at,
+        starts,
+        walls=lambda start: with_people(walls, laser_at(np.array([start]))[0], start, people_m),
+        sweep_s=sweep_s,
+        flipped=flipped,
+        backwards=backwards,
+    )
     if blind:
         seen = 0.3 + 0.002 * np.random.default_rng(2).standard_normal(seen.shape)
     odometry = poses.copy()

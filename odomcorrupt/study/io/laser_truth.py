@@ -10,6 +10,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.closure import end_by_scans
+from odomcorrupt.laser.moving import without_moving
 from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
 from odomcorrupt.laser.stamps import white_noise, with_noise, with_view_errors, without_spikes
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.laser.deskewing import Motion
     from odomcorrupt.laser.sweep import Sweeps
+    from odomcorrupt.laser.trajectory import LaserPath
     from odomcorrupt.study.io.topic_selection import Address
 
 __all__ = ["NO_SCAN", "SCALE_ACCURACY", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
@@ -40,6 +43,8 @@ _LAG_SAID_S = 0.02
 _FEWEST = 20
 _BLIND = 0.9
 _JITTER_SAID_S = 3e-3
+_COMPARED_M, _LEAST_TRAVEL = 0.5, 0.5
+"""Travel over which laser and odometry are compared, m, and the least ratio: no odometry of wheels doubles travel."""
 _GAP_SAID_S, _GAP_PERIODS = 2.0, 5.0
 
 
@@ -102,7 +107,7 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
     guide = calm.trajectory()
     origin_ns = int(guide.stamps_ns[0])
     _check_overlap(sweeps, odometry)
-    calibration = calibrate(sweeps, guide, origin_ns)
+    calibration = without_moving(calibrate(sweeps, guide, origin_ns))
     sweeps = calibration.sweeps
     tracked = make_map(sweeps, calibration, _part(progress, "matching scans", 0.0, 0.8))
     found = relocalised(calibration, tracked, _part(progress, "placing scans in the map", 0.8, 1.0))
@@ -111,6 +116,7 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
             f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
             "--scan"
         )
+    _check_travel(found, calibration.motion, sweeps.place)
     found = with_view_errors(without_spikes(found, calibration.motion), calibration.motion)
     noise = white_noise(found, calibration.motion)
     return LaserRun(
@@ -207,6 +213,29 @@ def _check_overlap(sweeps: Sweeps, odometry: Samples) -> None:
         raise RecordingError(
             f"{sweeps.place} and {odometry.name} share {max(last - first, 0) * 1e-9:.1f} s: one of their clocks is "
             "simulated or unset; record both with one clock"
+        )
+
+
+def _check_travel(path: LaserPath, motion: Motion, place: str) -> None:
+    """Refuse a laser that sees the robot travel far less than its odometry does.
+
+    Distances between poses are compared, in which the mounting and the axes of the map do not matter.
+    """
+    own = motion.robot(path.t_s)[:, :2]
+    gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(own, axis=0), axis=1))))
+    ahead = np.searchsorted(gone, gone + _COMPARED_M)
+    rows = np.flatnonzero(ahead < len(path))
+    rows = rows[path.part[ahead[rows]] == path.part[rows]]
+    travelled = np.linalg.norm(own[ahead[rows]] - own[rows], axis=1)
+    rows, travelled = rows[travelled > 0.5 * _COMPARED_M], travelled[travelled > 0.5 * _COMPARED_M]
+    if len(rows) < _FEWEST:
+        return
+    seen = np.linalg.norm(path.xyt[ahead[rows], :2] - path.xyt[rows, :2], axis=1)
+    ratio = float(np.median(seen / travelled))
+    if ratio < _LEAST_TRAVEL:
+        raise RecordingError(
+            f"{place}: shows {ratio:.0%} of the odometry's travel: it sees mainly what moves with the robot, such as a "
+            "person who follows or leads it; drive alone, with walls in reach"
         )
 
 
