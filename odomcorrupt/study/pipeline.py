@@ -97,15 +97,16 @@ def learn_robot(
     judged_on = held_out or recordings
     comparison = compare(judged_on, models, clocks=None if held_out else search.first_clocks)
     explained = contributions(search.fit, judged_on, comparison.clocks.clocks)
+    reproduction = reproduction_of(robot.fit, proof.model)
     return LearnedRobot(
         recordings=recordings,
         held_out=judged_on,
-        search=replace(search, contributions=explained),
+        search=replace(search, contributions=explained, drifts_too_far=reproduction.too_large),
         advice=advice,
         base=base,
         robot=robot,
         proof=proof,
-        reproduction=reproduction_of(robot.fit, proof.model),
+        reproduction=reproduction,
         dropped=tuple(part.remark for part in parts if part.failure),
         comparison=comparison,
     )

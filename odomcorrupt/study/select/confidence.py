@@ -132,12 +132,14 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
 def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
     """Return the evidence for a random effect; any dependence resembles a slow random gain, or heavy tails.
 
-    The misfit of a lag is large where speeds or steering angles change quickly, and resembles heavy tails.
+    The misfit of a lag is large where speeds or steering angles change quickly, and resembles heavy tails. A random
+    process with which the model drifts further than the recordings stands for an error that follows the motion.
     """
     left = 0.0 if gain.effect.layer == "record" else learned.left_nats
     own = held_out_limit(gain.effect.name, gain.nats, learned)
     late = [step.candidates[0].gain for step in learned.steps if step.added in _LATE]
     misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT_GAIN * max(late, default=0.0)
+    misfit |= gain.effect.name in CORRELATED_NOISE and learned.drifts_too_far
     return Evidence(own, (own,) if misfit else (), left=left)
 
 

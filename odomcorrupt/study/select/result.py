@@ -80,6 +80,7 @@ class Learned:
     held_out : gain of each part of the model on held-out data, nats, and its standard error
     contributions : displacement of the odometry by each systematic part, if it was computed
     first_clocks : clocks estimated before all else; None if lost increments were restored before that
+    drifts_too_far : whether the model drifts clearly more than the recordings, if it was tested
     """
 
     clocks: Clocks
@@ -97,6 +98,7 @@ class Learned:
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     contributions: Mapping[str, Contribution] = field(default_factory=dict)
     first_clocks: Clocks | None = None
+    drifts_too_far: bool = False
 
     def is_negligible(self, name: str) -> bool:
         """Return whether the part of the model with this name is present but negligible in practice."""
