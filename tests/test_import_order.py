@@ -1,4 +1,4 @@
-"""Imports between packages point one way, in the order of the table in docs/architecture.md."""
+"""Imports between packages point one way, in the order of the table in docs/architecture.md; names are assigned once."""
 
 from __future__ import annotations
 
@@ -51,3 +51,13 @@ def test_a_package_imports_only_packages_above_it_in_the_table():
     found = {one for one in imports() if one[0] not in ENTRIES and one[1] != one[2]}
     assert len(found) > 500
     assert [(file, used) for file, own, used in found if order.get(used, 0) >= max(order.get(own, 0), 1)] == []
+
+
+def test_a_module_assigns_each_of_its_names_once():
+    # a second value silently replaces the first one, also for the functions above it
+    twice = []
+    for file in (ROOT / "odomcorrupt").rglob("*.py"):
+        targets = [t for node in ast.parse(file.read_text(encoding="utf8")).body for t in getattr(node, "targets", ())]
+        names = [part.id for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)]
+        twice += [f"{file.relative_to(ROOT)}: {name}" for name in set(names) if names.count(name) > 1]
+    assert twice == []

@@ -226,7 +226,7 @@ _REACH_S = 20.0
 """Half the window of the running medians, seconds; departures that last longer are no excursions."""
 _MIN_POSES = 7
 """Fewest poses in a window for a running median."""
-_SIGMAS, _STILL_SIGMAS = 5.0, 3.0
+_PEAK_SIGMAS, _STILL_SIGMAS = 5.0, 3.0
 """Thresholds of a departure, in standard deviations of usual poses: at its peak, and at its beginning and end."""
 _MIN_APART = np.array([0.05, 0.03])
 """Smallest departure of an excursion, metres and radians."""
@@ -260,7 +260,7 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     apart = np.zeros((len(truth), 2))
     apart[inside], difference = _departures(odometry, own_s, truth, t_s, inside)
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
-    far = apart > np.maximum(_SIGMAS * usual, _MIN_APART)
+    far = apart > np.maximum(_PEAK_SIGMAS * usual, _MIN_APART)
     out, near = far.any(axis=1), (apart > np.maximum(_STILL_SIGMAS * usual, _MIN_APART)).any(axis=1)
     sudden = None if truth.localised else _Sudden(reach_of(odometry, truth), t_s[inside], difference)
     # An excursion includes its way out and back, and interruptions by noise.
