@@ -23,6 +23,7 @@ class Unfit:
     """A fit beside which no further term can be fitted."""
 
     effects = ()
+    noise = SimpleNamespace(weights=None)
 
     def refit(self, effects, **_):
         raise FitError(f"{effects}: the covariance of the residuals is not positive definite")
@@ -50,6 +51,43 @@ def test_a_basis_function_that_explains_nearly_as_much_is_a_rival_and_replaces_n
     assert ModelComparison(effects=(), bare=None, nats=30.0, penalty=3.0, scores=[near]).better(
         DECISIONS, DECISIONS.replacement_nats
     ) == [near]
+
+
+class Weighted:
+    """A fit with the gain of its effect; the hinge gains 60 nats more if the outliers that it leaves lose weight."""
+
+    GAINS: ClassVar = {"hinge": 120.0, "step": 144.0}
+
+    def __init__(self, weights, effects=()):
+        self.noise, self.effects = SimpleNamespace(weights=weights), effects
+        self.log_likelihood = sum(self.GAINS[effect] for effect in effects)
+        if "hinge" in effects and weights == "re-estimated":
+            self.log_likelihood += 60.0
+
+    def refit(self, effects=None, *, weights="re-estimated"):
+        return Weighted(weights, self.effects if effects is None else effects)
+
+
+def test_dependences_are_compared_by_refits_with_the_same_outliers(monkeypatch):
+    def found(name, nats):
+        form = SimpleNamespace(term=SimpleNamespace(name=name), estimated=name, penalty=10.0)
+        return SimpleNamespace(best=SimpleNamespace(score=form, others=()), name=name, nats=nats)
+
+    def refitted(_, with_it, score, __, *, gain, least):
+        return Candidate(score=score, fit=with_it, gain=gain, refused="" if gain > least else "gains less")
+
+    monkeypatch.setattr(model_comparison, "tried", refitted)
+    monkeypatch.setattr(model_comparison, "with_shape_refined", lambda fit, score, *_: (fit, score))
+    monkeypatch.setattr(model_comparison, "_reshaped", lambda one, _: one)
+    larger, smaller = found("hinge", 77.0), found("step", 70.0)
+    best = best_dependence(Weighted("before"), [larger, smaller], DECISIONS)
+    # the score test of the hinge is larger by 7 nats, and its fit has more outliers without weight
+    assert best.dependence is smaller
+    assert best.candidate.gain == 134.0
+    # the fit that is continued from has weights of its own
+    assert best.candidate.fit.noise.weights == "re-estimated"
+    monkeypatch.setitem(Weighted.GAINS, "step", 122.0)
+    assert best_dependence(Weighted("before"), [larger, smaller], DECISIONS).dependence is larger
 
 
 class Fitted:

@@ -10,6 +10,7 @@ from hidden import as_recording
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import parameters
+from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
@@ -20,7 +21,7 @@ from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.basis import basis_functions
-from odomcorrupt.study.terms.channels import actions_on
+from odomcorrupt.study.terms.channels import actions_on, every_action
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, neighbours
 
 
@@ -108,3 +109,11 @@ def test_a_refit_of_the_same_model_is_the_same_fit_and_keeps_its_clocks(fitted):
     held = free.refit(free_clocks=[(False, False)])
     assert held.design_matrix.shape[2] == 0
     assert replace(free, free_clocks=((False, False),)).design_matrix.shape[2] == 0
+
+
+def test_no_patch_of_floor_pushes_a_robot_to_its_side():
+    motion = motion_of(np.arange(401) * 0.05, np.column_stack((np.linspace(0.0, 8.0, 401), *np.zeros((2, 401)))))
+    places = [f for f in basis_functions([motion]) if f.regressor == "position"]
+    targets = {a.target for f in places for a in every_action() if not a.reaches.isdisjoint(f.reaches)}
+    assert {"along", "yaw", "ground"} <= targets
+    assert "across" not in targets

@@ -328,12 +328,13 @@ def include(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
     return with_shape_refined(fit.refit((*fit.effects, score.estimated)), score, decisions)
 
 
-def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
+def with_shape_refined(fit: Fit, score: Score, decisions: Decisions, weights: Array | None = None) -> tuple[Fit, Score]:
     """Return the fit with the shape of one of its terms refined, beside noise estimated with the term in the model.
 
     Word-valued parameters with the same first-order effect (filter or delay) are compared by refits.
 
     score : the term in its present shape; fit and score are returned unchanged if another shape gains too little
+    weights : (K,) robust weights of the fit, kept for comparison with other fits; default: re-estimated
     """
     fit, score = _with_words_refined(fit, score, decisions)
     if not len(score.term.shape):
@@ -346,7 +347,7 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
     values = [getattr(effect, p.name) for p in amplitudes(effect)]
     others = [e for e in fit.effects if e is not effect]
     try:
-        shaped = fit.refit((*others, moved.effect(values)))
+        shaped = fit.refit((*others, moved.effect(values)), weights=weights)
     except FitError:  # too far off to start from
         return fit, score
     if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:

@@ -70,8 +70,8 @@ class Decisions:
     level : probability of including any library effect on data without one, by the larger p of two tests (under the
         noise model, and cluster-robust). In the benchmark's 200 drives without a fault one effect was included
     shortlist : largest number of candidates, and of dependences, that are refitted in one step
-    shortlist_share : a candidate with less than this fraction of the best robust gain is not refitted, because the
-        refit would not change the order
+    shortlist_share : a candidate or dependence with less than this fraction of the best robust gain is not refitted,
+        because the refit would not change the order
     testable_errors : an effect is testable if half of its physical range exceeds this many standard errors; the
         benchmark detects effects from about 4 to 5 standard errors on
     max_share : largest fraction of the robot's own motion that a basis function may explain as odometry error

@@ -206,6 +206,10 @@ def best_dependence(
 ) -> Proposal | None:
     """Return the dependence with the largest gain that does not increase the drift, among the most significant ones.
 
+    They are compared by refits: a score test takes the noise as it is without the term, and differs from the gain by
+    more than the gains from each other. Robust weights stay fixed, because a fit that excludes more intervals as
+    outliers has a larger likelihood; only the fit that is returned has weights of its own.
+
     instead_of : effects that it replaces, whose gain it has to exceed by `replacement_nats`
     """
     others, spared, least = fit.effects, 0.0, 0.0
@@ -214,24 +218,28 @@ def best_dependence(
         spared, least = instead_of.penalty, decisions.replacement_nats
     have = {effect.name for effect in others}
     possible = [(one, one.best) for one in found if one.best is not None and one.name not in have]
-    best, largest = None, -np.inf
+    best, largest, weights = None, -np.inf, fit.noise.weights
     for one, basis in possible[: decisions.shortlist]:
-        if one.nats < largest - decisions.alternative_nats:
+        if one.nats < decisions.shortlist_share * largest:
             break
         forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
-        fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*others, score.estimated)))]
+        fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*others, score.estimated), weights))]
         if not fits:
             continue
         # a step and a hinge are compared with their thresholds refined
         most = max(map(_worth, fits))
         near = max(decisions.replacement_nats, _NEAR_FORM * (most - fit.log_likelihood))
-        refined = [with_shape_refined(*pair, decisions) for pair in fits if _worth(pair) >= most - near]
+        refined = [with_shape_refined(*pair, decisions, weights) for pair in fits if _worth(pair) >= most - near]
         with_it, score = max(refined, key=_worth)
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + spared
-        candidate = tried(fit, with_it, score, decisions, gain=gain, least=best.candidate.gain if best else least)
+        # what the data do not separate stays in the order of the robust score tests
+        more = best.candidate.gain + decisions.alternative_nats if best else least
+        candidate = tried(fit, with_it, score, decisions, gain=gain, least=more)
         if not candidate.refused:
             best, largest = Proposal(_reshaped(one, score), candidate), max(largest, one.nats)
-    return best
+    if best is None or best.candidate.fit is None:
+        return best
+    return replace(best, candidate=replace(best.candidate, fit=best.candidate.fit.refit()))
 
 
 def _with(fit: Fit, effects: Sequence[Effect], weights: Array | None = None) -> Fit | None:

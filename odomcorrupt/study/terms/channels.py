@@ -54,9 +54,11 @@ class Action:
 
     @property
     def reaches(self) -> frozenset[str]:
-        """Classes of the target: "body", "one" wheel, "both", "bias", "ground", "twist" or "heading".
+        """Classes of the target: "body", "floor", "one" wheel, "both", "bias", "ground", "twist" or "heading".
 
         "bias" is a heading error over time; "heading" is a yaw error per travel, which an error of a compass may cause.
+        "floor" is what wheels that slip on a patch can cause. They do not push a robot to one of its sides, both
+        forwards and in reverse: where it seems so, the headings of the truth are wrong.
         """
         if self.move == "1":
             return frozenset({"bias"})
@@ -64,7 +66,9 @@ class Action:
             return frozenset({"both" if self.target == "wheels" else "one"})
         if self.target in (_GROUND, _TWIST):
             return frozenset({self.target})
-        return frozenset({"body", "heading"} if (self.target, self.move) == ("yaw", "v") else {"body"})
+        if self.target == "across":
+            return frozenset({"body"})
+        return frozenset({"body", "floor", *(["heading"] if (self.target, self.move) == ("yaw", "v") else [])})
 
     @property
     def channel(self) -> str:
