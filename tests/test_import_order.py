@@ -1,4 +1,4 @@
-"""Imports between packages point one way, in the order of the table in docs/architecture.md; names are assigned once."""
+"""Imports between packages point one way, as in the table of docs/architecture.md; names are assigned once."""
 
 from __future__ import annotations
 
