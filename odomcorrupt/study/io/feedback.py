@@ -11,9 +11,9 @@ towards the positions, wheels never do. This does not separate them for a robot 
 not pass for a filter: the decay has to occur all along the drive, so standard errors are those of clustered data
 (Liang & Zeger 1986), with stretches of the drive as clusters.
 
-Play of gears and castors that swing round turn the odometry forth and back by a bounded angle, so that its heading seems
-to decay, too. They do so only on the way after a reversal of a wheel or of the robot; a filter corrects everywhere. A
-decay of the heading must therefore also occur away from reversals.
+Play of gears and castors that swing round turn the odometry forth and back by a bounded angle, so that its error of
+heading seems to decay, too. They act only on the way after a reversal of a wheel or of the robot, a filter everywhere.
+A decay of the heading must therefore also occur away from reversals.
 
 An occasional pose moves the odometry within one message, which wheels never do. If such steps lead towards the truth
 they are removed; the rest is free odometry, from which everything can be learned.
