@@ -101,10 +101,10 @@ class Problem:
         sideways = dl if drives_sideways(self.motions) else np.zeros_like(dl)
         return Increments(np.ascontiguousarray(ds), sideways, np.ascontiguousarray(dtheta))
 
-    def columns(self, effect: Effect) -> Array:
-        """Return the derivatives (K, 3, p) of the residuals by the effect's p amplitudes."""
+    def columns(self, effect: Effect, by: Sequence[Parameter] | None = None) -> Array:
+        """Return the derivatives (K, 3, p) of the residuals by p parameters of an effect, default its amplitudes."""
         blocks = []
-        for p in amplitudes(effect):
+        for p in amplitudes(effect) if by is None else by:
             error = [self._shown(effect, p, m).T * -m.dt_s for m in self.motions]
             blocks.append(self.nodes.column(np.concatenate(error, axis=1).T))
         # an expression of constants has no amplitudes

@@ -11,6 +11,10 @@ towards the positions, wheels never do. This does not separate them for a robot 
 not pass for a filter: the decay has to occur all along the drive, so standard errors are those of clustered data
 (Liang & Zeger 1986), with stretches of the drive as clusters.
 
+Play of gears and castors that swing round turn the odometry forth and back by a bounded angle, so that its error of
+heading seems to decay, too. They act only on the way after a reversal of a wheel or of the robot, a filter everywhere.
+A decay of the heading must therefore also occur away from reversals.
+
 An occasional pose moves the odometry within one message, which wheels never do. If such steps lead towards the truth
 they are removed; the rest is free odometry, from which everything can be learned.
 """
@@ -23,6 +27,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.correction.pose_corrections import pose_corrections
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.backlash import AT_REST, crossed
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.wheels import TRACKS_M, rims_of
 from odomcorrupt.geometry.se2 import between, rotate, wrap
 
 if TYPE_CHECKING:
@@ -147,7 +155,10 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
         if both.plain(at.span_s) and (not truth.localised if omni else itself):
             position = max(position, both.rate)
         if alone.plain(at.span_s):
-            heading = max(heading, alone.rate)
+            away = rows[~_after_reversals(odometry, at)[rows]]
+            alone = _fading(error[away, 2:], at.off_before(away, earlier)[:, 2:], aside[away], dt_s[away])
+            if len(away) >= _FEW and alone.plain(at.span_s):
+                heading = max(heading, alone.rate)
     return Pull(position, heading if position or not (truth.localised or truth.covariance is not None) else 0.0)
 
 
@@ -196,6 +207,22 @@ def _sideways(xyt: Array) -> Array:
     step = between(xyt[:-1], xyt[1:])
     moved = rotate(step[:, :2], -0.5 * wrap(step[:, 2]))[:, 1]
     return np.concatenate(([0.0], np.cumsum(moved)))
+
+
+def _after_reversals(odometry: Samples, at: _Aligned) -> NDArray[np.bool_]:
+    """Return whether a wheel's play or a castor may turn the odometry within each step (m - 1,) between the times.
+
+    Both end within a travel after a reversal, of which the largest possible is taken, on each trial track of the robot.
+    """
+    path = odometry.trajectory()
+    steps = between(path.xyt[:-1], path.xyt[1:])
+    travel, turn = steps[:, 0], wrap(steps[:, 2])
+    ways_m = {p.name: p.high for name in ("backlash", "castor_kick") for p in parameters(registry()[name])}
+    moved = [(travel, ways_m["way"])]
+    moved += [(rim, ways_m["travel"]) for track_m in TRACKS_M for rim in rims_of(travel, turn, track_m)]
+    inside = np.any([crossed(one, AT_REST, way_m)[0] != 0.0 for one, way_m in moved], axis=0)
+    so_far = np.concatenate(([0.0], np.cumsum(inside)))
+    return np.diff(np.interp(at.t_s, path.seconds_since(int(odometry.stamps_ns[0])), so_far)) > 0.0
 
 
 def _off(own_xyt: Array, real_xyt: Array) -> Array:

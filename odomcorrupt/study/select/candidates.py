@@ -32,6 +32,7 @@ from odomcorrupt.study.select.closed_loop import (
 )
 from odomcorrupt.study.select.decisions import error_shares
 from odomcorrupt.study.select.elimination import drift_grows, drop_term
+from odomcorrupt.study.select.fitted_size import with_shape_at_size
 from odomcorrupt.study.select.integration import euler_clause
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
@@ -337,8 +338,13 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions, weights: Ar
     weights : (K,) robust weights of the fit, kept for comparison with other fits; default: re-estimated
     """
     fit, score = _with_words_refined(fit, score, decisions)
-    if not len(score.term.shape):
-        return fit, score
+    if len(score.term.shape):
+        fit, score = with_shape_at_size(*_with_shape_moved(fit, score, decisions), decisions)
+    return fit, score
+
+
+def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
+    """Return the fit with the shape of one of its terms at the maximum by the columns of a small effect."""
     effect = next(e for e in fit.effects if e.name == score.term.name)
     search = ShapeSearch(drop_term(fit, effect), decisions)
     moved = search.maximise(_nearby(search, score.term, fit))

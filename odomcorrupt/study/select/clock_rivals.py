@@ -15,17 +15,32 @@ from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.candidates import tried, with_shape_refined
+from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
+    from collections.abc import Container, Sequence
+
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.dependence import Dependence
 
-__all__ = ["InPlaceOfClock", "beside_lags", "lag_in_place", "more_nats"]
+__all__ = [
+    "CLOCK_LIKE_EFFECTS",
+    "InPlaceOfClock",
+    "beside_lags",
+    "lag_in_place",
+    "more_nats",
+    "penalised_nats",
+    "without_clock",
+]
+
+CLOCK_LIKE_EFFECTS = ("accel_slip", "backlash")
+"""Names of wheel effects at changes of speed, which resemble a clock offset."""
 
 _LEAST_S = 0.04
 """Least offset of the odometry's clock at which a lag is tested, seconds: motors and filters lag by 50 ms and more."""
@@ -81,6 +96,41 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> InPl
         (score,) = score_terms(drop_term(other, effect), [LibraryTerm.of(effect, other.problem.motions)], decisions)
         other = with_shape_refined(other, score, decisions)[0]
     return InPlaceOfClock(candidate, other, more_nats(other, fit))
+
+
+def without_clock(fit: Fit, given: Container[str]) -> Fit | None:
+    """Return a fit without clocks if they gain nothing beside a wheel effect that resembles them; else None.
+
+    Clocks are estimated before all effects. Once the wheel effect is in the model, and its track has been refined, an
+    offset may be superfluous.
+
+    given : names of effects that were in the model from the beginning
+    """
+    like = [e for e in fit.effects if e.name in CLOCK_LIKE_EFFECTS and e.name not in given]
+    if not like or not np.any(fit.free_clocks):
+        return None
+    count = len(fit.free_clocks)
+    other = fit.refit(clocks=(Clock(),) * count, free_clocks=((False, False),) * count)
+    return other if more_nats(other, fit) + _clock_penalty(fit) > 0.0 else None
+
+
+def penalised_nats(here: Fit, there: Fit, included: Sequence[Dependence], decisions: Decisions) -> float:
+    """Return `more_nats` minus the difference of the penalties of effects and free clocks, nats.
+
+    included : dependences that are in one of the models
+    """
+    forms = {one.name: one.best.score.penalty for one in included if one.best is not None}
+
+    def price(fit: Fit) -> float:
+        motions, count = fit.problem.motions, len(fit.problem.nodes)
+        library = (penalty(LibraryTerm.of(e, motions), count, decisions) for e in fit.effects if e.name not in forms)
+        return _clock_penalty(fit) + sum(library) + sum(forms[e.name] for e in fit.effects if e.name in forms)
+
+    return more_nats(here, there) + price(there) - price(here)
+
+
+def _clock_penalty(fit: Fit) -> float:
+    return 0.5 * float(np.log(len(fit.problem.nodes)) * np.sum(fit.free_clocks))
 
 
 def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:

@@ -23,6 +23,7 @@ from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
+from odomcorrupt.study.select import clock_rivals
 from odomcorrupt.study.select.candidates import (
     Candidate,
     channels_of,
@@ -30,9 +31,8 @@ from odomcorrupt.study.select.candidates import (
     terms_of,
     with_shape_refined,
 )
-from odomcorrupt.study.select.clock_rivals import beside_lags, lag_in_place, more_nats
 from odomcorrupt.study.select.closed_loop import is_pulled, may_be_of_lags, of_pulls
-from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
+from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
     continued,
@@ -61,7 +61,6 @@ from odomcorrupt.study.select.random_effects import (
 )
 from odomcorrupt.study.select.result import Learned, Step
 from odomcorrupt.study.select.screening import CoarseDesign
-from odomcorrupt.study.terms.term import LibraryTerm
 from odomcorrupt.study.work import Work
 
 if TYPE_CHECKING:
@@ -73,7 +72,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Learned", "Step", "learn"]
 
-_CLOCK_LIKE_EFFECTS = ("accel_slip", "backlash")  # wheel effects at changes of speed
 _AMBIGUOUS_CLOCK_S = 0.02  # largest clock offset that these can imitate, seconds
 
 
@@ -125,7 +123,7 @@ def learn(
     final = with_robust_errors(found.fit, kept - given)
     errors = with_rounding(final.clock_errors.tolist(), found.clocks.free, recordings)
     return Learned(
-        clocks=replace(beside_lags(found.clocks, final), errors=errors, left_nats=late_nats),
+        clocks=replace(clock_rivals.beside_lags(found.clocks, final), errors=errors, left_nats=late_nats),
         first_clocks=clocks if same_data else None,
         rounds=tuple(with_final_rivals(found.steps, found.fit, decisions)),
         noise=tuple(found.noise),
@@ -179,7 +177,8 @@ class _Selection:
     def run(self) -> _Selection:
         """Take steps until the model no longer changes, then finish; return self."""
         self._replace_clock_by_lag(first=True)
-        while self._step() or self._name_laws() or self._swap_clock() or self._replace_clock_by_lag():
+        kinds = (self._step, self._name_laws, self._swap_clock, self._drop_clock, self._replace_clock_by_lag)
+        while any(change() for change in kinds):
             pass
         self._finish()
         if self.over_lag is not None:
@@ -338,7 +337,7 @@ class _Selection:
     def _replace_clock_by_lag(self, *, first: bool = False) -> bool:
         """Replace the offset of the odometry's clock by a lag with a larger gain; return whether it was replaced."""
         self.over_lag = None
-        found = lag_in_place(self.fit, self.decisions, first=first)
+        found = clock_rivals.lag_in_place(self.fit, self.decisions, first=first)
         if found is None:
             return False
         better = found.more_nats > self.decisions.replacement_nats and not self._already_seen(found.fit)
@@ -352,6 +351,15 @@ class _Selection:
         self._continue_from(without_redundant(found.fit, self.given, self.decisions))
         return True
 
+    def _drop_clock(self) -> bool:
+        """Drop a clock offset that gains nothing beside a selected wheel effect; return whether it was dropped."""
+        other = clock_rivals.without_clock(self.fit, self.given)
+        if other is None or self._already_seen(other):
+            return False
+        self.clocks = replace(self.clocks, clocks=other.problem.clocks, free=other.free_clocks)
+        self._continue_from(without_redundant(other, self.given, self.decisions))
+        return True
+
     def _swap_clock(self) -> bool:
         """Replace a clock offset by a wheel effect at changes of speed, or conversely, if that gains more.
 
@@ -362,7 +370,7 @@ class _Selection:
         """
         fit, clocked = self.fit, bool(np.any(self.fit.free_clocks))
         late = {one.name for one in (*self.included, *self.open) if one.follows_acceleration}
-        like = {e.name for e in fit.effects if e.name in _CLOCK_LIKE_EFFECTS and e.name not in self.given}
+        like = {e.name for e in fit.effects if e.name in clock_rivals.CLOCK_LIKE_EFFECTS and e.name not in self.given}
         small = max(abs(clock.offset_s) for clock in fit.problem.clocks) < _AMBIGUOUS_CLOCK_S
         if not (late and small if clocked else like):
             return False
@@ -373,7 +381,7 @@ class _Selection:
         best = candidates[0] if candidates and not candidates[0].refused else None
         if best is not None and best.fit is not None:
             other = with_shape_refined(best.fit.refit(), best.score, self.decisions)[0]
-        more = more_nats(other, fit) + self._penalty(fit) - self._penalty(other)
+        more = clock_rivals.penalised_nats(other, fit, self.included, self.decisions)
         better = more > 0.0 and not self._already_seen(other)
         if better:
             self.clocks = replace(self.clocks, clocks=other.problem.clocks, free=free, ambiguous_nats=0.0)
@@ -384,17 +392,7 @@ class _Selection:
         if np.any(self.fit.free_clocks):
             self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, abs(more)))
         else:
-            gains = (step.candidates[0].gain for step in self.steps if step.added in _CLOCK_LIKE_EFFECTS)
+            gains = (step.candidates[0].gain for step in self.steps if step.added in clock_rivals.CLOCK_LIKE_EFFECTS)
             nats = max(gains, default=0.0) - abs(more)
             self.clocks = replace(self.clocks, ambiguous_nats=max(nats, self.clocks.ambiguous_nats, 0.0))
         return better
-
-    def _penalty(self, fit: Fit) -> float:
-        """Return the sum of the penalties of the effects and free clocks of a model, nats."""
-        forms = {one.name: one.best.score.penalty for one in self.included if one.best is not None}
-        motions, count = fit.problem.motions, len(fit.problem.nodes)
-        clocks = 0.5 * float(np.log(count) * np.sum(fit.free_clocks))
-        return clocks + sum(
-            forms[e.name] if e.name in forms else penalty(LibraryTerm.of(e, motions), count, self.decisions)
-            for e in fit.effects
-        )

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from sourcebags import topic, write
 from sourcedrive import Rows, path
 
+from odomcorrupt.effects.backlash import AT_REST, crossed
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.report.json.diagnosis import recordings_json
 from odomcorrupt.study.io import Source, read_runs
@@ -149,6 +150,24 @@ def test_headings_that_a_map_of_scans_corrects_are_no_filter_of_the_odometry():
     assert pull_of(wheels, scans).heading > 0.0
     matched = replace(scans, covariance=np.tile(1e-6 * np.eye(3), (len(times), 1, 1)))
     assert pull_of(wheels, matched) == (0.0, 0.0)
+
+
+def test_castors_that_turn_the_robot_forth_and_back_are_no_filter():
+    """A kick after each reversal undoes the last one, as if the error of the heading faded; a real fading is found."""
+    times, none, rng = np.arange(0.0, 2000.0, 0.1), np.zeros(0), np.random.default_rng(5)
+    turn = np.cumsum(0.2 * np.sin(0.13 * times) + 0.15 * np.sin(0.31 * times)) * 0.1
+    ends_s = np.cumsum(0.5 + rng.exponential(3.0, 1000))
+    travel = 0.06 * (-1.0) ** np.searchsorted(ends_s, times)
+    xy = np.cumsum(np.column_stack((np.cos(turn), np.sin(turn))) * travel[:, None], axis=0)
+    stamps, positions = (1e9 * times).astype(np.int64), np.column_stack((xy, 0.0 * times))
+    kicked = np.cumsum(0.5 * crossed(travel, AT_REST, 0.1)[0])
+    faded = lfilter([1.0], [1.0, -np.exp(-0.1 * 0.2)], rng.normal(0.0, 0.01, len(times)))
+    real, castors, filtered = (
+        Samples("run", "/odom", "odom", stamps, positions, turn + error, none, none)
+        for error in (rng.normal(0.0, 0.001, len(times)), kicked, kicked + faded)
+    )
+    assert pull_of(castors, real).heading == 0.0
+    assert pull_of(filtered, real).heading > 0.1
 
 
 @pytest.mark.slow
