@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
@@ -20,6 +21,38 @@ if TYPE_CHECKING:
 
 _ELASTIC = 0.05
 """Elastic range before the play opens, as a fraction of the play, so that jitter of the steering does not cross it."""
+_AVERAGED_S = 2.0
+"""Time over which the noise of the steering angle is averaged."""
+_RANGE = 4.0
+"""Range of a noise over its mean second difference: 8 standard deviations, and the mean is 1.95 of them."""
+
+
+class _Noise:
+    """Noise of single intervals in the odometry's steering angle, which must not cross the play.
+
+    It is taken to be one of the heading that grows with the root of the way, as that of the ground.
+    """
+
+    __slots__ = ("_angle", "_change", "_mean")
+
+    def __init__(self, angle: float | None = None, change: float = 0.0, mean: float = 0.0) -> None:
+        self._angle, self._change, self._mean = angle, change, mean
+
+    @property
+    def state(self) -> tuple[float | None, float, float]:
+        """The last angle and its change, rad/m, and the mean second difference times the root of the way."""
+        return self._angle, self._change, self._mean
+
+    def reach(self, way_m: float) -> float:
+        """Return the angle, rad/m, by which noise alone steers back over an interval of this way."""
+        return _RANGE * self._mean / sqrt(abs(way_m)) if way_m else 0.0
+
+    def add(self, angle: float, way_m: float, dt_s: float) -> None:
+        """Take in the angle, rad/m, of the next interval."""
+        change = 0.0 if self._angle is None else angle - self._angle
+        second = abs(change - self._change) * sqrt(abs(way_m))
+        self._mean += min(dt_s / _AVERAGED_S, 1.0) * (second - self._mean)
+        self._angle, self._change = angle, change
 
 
 class _Linkage(NamedTuple):
@@ -29,20 +62,23 @@ class _Linkage(NamedTuple):
     place : position of the linkage in its play, rad/m from the middle; for a true motion, in its elastic range
     side : 1 if the linkage pushes the wheels to the left, -1 to the right, 0 before it has moved
     last_s : end of the last increment, s
+    noise : arguments of `_Noise`
     """
 
     angle: float | None = None
     place: float = 0.0
     side: float = 0.0
     last_s: float = 0.0
+    noise: tuple[float | None, float, float] = (None, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class SteeringPlay(Effect):
-    """f = (0, 0, v tan(L delta) / L - omega): delta is the play operator applied to the odometry's atan(L omega / v) / L.
+    """f = (0, 0, v tan(L delta) / L - omega): the wheels' angle L delta follows that of the odometry's through the play.
 
-    With L the distance between the axles; without it angles are assumed small, and the play is one of the curvature. The wheels keep their angle until the linkage, which begins in the middle of the play, has crossed it. Corruption
-    crosses the play at once when the clean robot begins to steer back.
+    With L the distance between the axles; without it angles are assumed small. The wheels keep their angle until the
+    linkage, which begins in the middle of the play, has crossed it. Corruption crosses the play at once when the clean
+    robot begins to steer back by more than the noise of its path.
     """
 
     name = "steering_play"
@@ -61,7 +97,12 @@ class SteeringPlay(Effect):
     )
 
     play: float = parameter(
-        "rad/m", "range of the odometry's steering angle that moves nothing, per distance between the axles", low=0.0, high=1.0, typical=0.05, step=0.02
+        "rad/m",
+        "range of the odometry's steering angle that moves nothing, per distance between the axles",
+        low=0.0,
+        high=1.0,
+        typical=0.05,
+        step=0.02,
     )
     axles: float = axles_parameter()
 
@@ -77,21 +118,25 @@ class SteeringPlay(Effect):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the turn lost in the play; for play < 0, needed for slopes, the opposite."""
         f, sign, half = np.zeros(len(motion)), float(np.sign(self.play)), 0.5 * abs(self.play)
-        top = half + _ELASTIC * abs(self.play)
-        before, place = state.angle, state.place
-        for i, (v, omega) in enumerate(zip(motion.v.tolist(), motion.omega.tolist(), strict=True)):
+        before, place, noise = state.angle, state.place, _Noise(*state.noise)
+        rows = zip(motion.v.tolist(), motion.omega.tolist(), motion.dt_s.tolist(), strict=True)
+        for i, (v, omega, dt_s) in enumerate(rows):
             if abs(v) < CREEP_MPS:
                 continue
             angle = steered(omega / v, self.axles)
+            top = half + max(_ELASTIC * 2.0 * half, noise.reach(v * dt_s))
             place = min(max(place + angle - (angle if before is None else before), -top), top)
             followed = angle - min(max(place, -half), half)
             f[i], before = sign * v * (curvature_at(followed, self.axles) - curvature_at(angle, self.axles)), angle
-        return TwistError(stacked(0.0, 0.0, f, f), state._replace(angle=before, place=place))
+            noise.add(angle, v * dt_s, dt_s)
+        after = state._replace(angle=before, place=place, noise=noise.state)
+        return TwistError(stacked(0.0, 0.0, f, f), after)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the increments (n, 3) computed from the linkage that steers the wheels through these."""
-        reported, top = steps.copy(), _ELASTIC * self.play
-        before, place, side, last_s = state
+        reported = steps.copy()
+        before, place, side, last_s, last_noise = state
+        noise = _Noise(*last_noise)
         rows = zip(steps[:, 0].tolist(), steps[:, 2].tolist(), t_s.tolist(), strict=True)
         for i, (ds, turn, now_s) in enumerate(rows):
             dt_s, last_s = now_s - last_s, now_s
@@ -100,8 +145,10 @@ class SteeringPlay(Effect):
             if not dt_s > 0.0 or abs(ds) < CREEP_MPS * dt_s:
                 continue
             true = steered(turn / ds, self.axles)
+            top = max(_ELASTIC * self.play, noise.reach(ds))
             place = min(max(place + true - (true if before is None else before), -top), top)
             side, before = float(np.sign(place)) or side, true
             moved = true + 0.5 * self.play * side
             reported[i, 2] += (curvature_at(moved, self.axles) - curvature_at(true, self.axles)) * ds
-        return Recorded(reported, _Linkage(before, place, side, last_s))
+            noise.add(moved, ds, dt_s)  # of the reported angle, which correction knows
+        return Recorded(reported, _Linkage(before, place, side, last_s, noise.state))
