@@ -74,7 +74,7 @@ class _Linkage(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SteeringPlay(Effect):
-    """f = (0, 0, v tan(L delta) / L - omega): the wheels' angle L delta follows that of the odometry's through the play.
+    """f = (0, 0, v tan(L delta) / L - omega): the wheels' angle L delta follows the odometry's through the play.
 
     With L the distance between the axles; without it angles are assumed small. The wheels keep their angle until the
     linkage, which begins in the middle of the play, has crossed it. Corruption crosses the play at once when the clean
