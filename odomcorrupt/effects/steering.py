@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import atan, tan
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -53,11 +52,11 @@ def steepness(v: Array, omega: Array, axles_m: float) -> Array:
     return steep
 
 
-def steered(curvature: float, axles_m: float) -> float:
-    """Return the steering angle of a path per distance between the axles, rad/m; without it angles are small."""
-    return atan(axles_m * curvature) / axles_m if axles_m else curvature
+def steered(curvature: Array, axles_m: float) -> Array:
+    """Return the steering angles (n,) of a path per distance between the axles, rad/m; without it angles are small."""
+    return np.arctan(axles_m * curvature) / axles_m if axles_m else curvature
 
 
-def curvature_at(angle: float, axles_m: float) -> float:
-    """Return the curvature, 1/m, of a path steered with an angle of `steered`, rad/m."""
-    return tan(min(max(axles_m * angle, -_LOCK_RAD), _LOCK_RAD)) / axles_m if axles_m else angle
+def curvature_at(angle: Array, axles_m: float) -> Array:
+    """Return the curvatures (n,), 1/m, of a path steered with angles of `steered`, rad/m."""
+    return np.tan(np.clip(axles_m * angle, -_LOCK_RAD, _LOCK_RAD)) / axles_m if axles_m else angle

@@ -27,34 +27,6 @@ _RANGE = 4.0
 """Range of a noise over its mean second difference: 8 standard deviations, and the mean is 1.95 of them."""
 
 
-class _Noise:
-    """Noise of single intervals in the odometry's steering angle, which must not cross the play.
-
-    It is taken to be one of the heading that grows with the root of the way, as that of the ground.
-    """
-
-    __slots__ = ("_angle", "_change", "_mean")
-
-    def __init__(self, angle: float | None = None, change: float = 0.0, mean: float = 0.0) -> None:
-        self._angle, self._change, self._mean = angle, change, mean
-
-    @property
-    def state(self) -> tuple[float | None, float, float]:
-        """The last angle and its change, rad/m, and the mean second difference times the root of the way."""
-        return self._angle, self._change, self._mean
-
-    def reach(self, way_m: float) -> float:
-        """Return the angle, rad/m, by which noise alone steers back over an interval of this way."""
-        return _RANGE * self._mean / sqrt(abs(way_m)) if way_m else 0.0
-
-    def add(self, angle: float, way_m: float, dt_s: float) -> None:
-        """Take in the angle, rad/m, of the next interval."""
-        change = 0.0 if self._angle is None else angle - self._angle
-        second = abs(change - self._change) * sqrt(abs(way_m))
-        self._mean += min(dt_s / _AVERAGED_S, 1.0) * (second - self._mean)
-        self._angle, self._change = angle, change
-
-
 class _Linkage(NamedTuple):
     """State of the linkage.
 
@@ -62,14 +34,18 @@ class _Linkage(NamedTuple):
     place : position of the linkage in its play, rad/m from the middle; for a true motion, in its elastic range
     side : 1 if the linkage pushes the wheels to the left, -1 to the right, 0 before it has moved
     last_s : end of the last increment, s
-    noise : arguments of `_Noise`
+    reported : last angle that the odometry reported, rad/m
+    change : of that angle, rad/m
+    noise : mean second difference of that angle times the root of the way: a noise of the heading, as of the ground
     """
 
     angle: float | None = None
     place: float = 0.0
     side: float = 0.0
     last_s: float = 0.0
-    noise: tuple[float | None, float, float] = (None, 0.0, 0.0)
+    reported: float | None = None
+    change: float = 0.0
+    noise: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,37 +94,49 @@ class SteeringPlay(Effect):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the turn lost in the play; for play < 0, needed for slopes, the opposite."""
         f, sign, half = np.zeros(len(motion)), float(np.sign(self.play)), 0.5 * abs(self.play)
-        before, place, noise = state.angle, state.place, _Noise(*state.noise)
-        rows = zip(motion.v.tolist(), motion.omega.tolist(), motion.dt_s.tolist(), strict=True)
-        for i, (v, omega, dt_s) in enumerate(rows):
-            if abs(v) < CREEP_MPS:
-                continue
-            angle = steered(omega / v, self.axles)
-            top = half + max(_ELASTIC * 2.0 * half, noise.reach(v * dt_s))
-            place = min(max(place + angle - (angle if before is None else before), -top), top)
-            followed = angle - min(max(place, -half), half)
-            f[i], before = sign * v * (curvature_at(followed, self.axles) - curvature_at(angle, self.axles)), angle
-            noise.add(angle, v * dt_s, dt_s)
-        after = state._replace(angle=before, place=place, noise=noise.state)
+        rolls = np.abs(motion.v) >= CREEP_MPS
+        if not rolls.any():
+            return TwistError(stacked(0.0, 0.0, f, f), state)
+        v, dt_s = motion.v[rolls], motion.dt_s[rolls]
+        angle, root = steered(motion.omega[rolls] / v, self.axles), np.sqrt(np.abs(v * dt_s))
+        changes = np.diff(angle, prepend=angle[0] if state.angle is None else state.angle)
+        second = np.abs(np.diff(changes, prepend=state.change)) * root
+        reach = np.divide(_RANGE, root, out=np.zeros_like(root), where=root > 0.0)
+        gains = np.minimum(dt_s / _AVERAGED_S, 1.0)
+        place, noise, places, elastic = state.place, state.noise, [], _ELASTIC * abs(self.play)
+        rows = zip(*(column.tolist() for column in (changes, second, reach, gains)), strict=True)
+        for change, rough, per_noise, gain in rows:
+            top = half + max(elastic, per_noise * noise)
+            place = min(max(place + change, -top), top)
+            noise += gain * (rough - noise)
+            places.append(place)
+        followed = angle - np.clip(places, -half, half)
+        f[rolls] = sign * v * (curvature_at(followed, self.axles) - curvature_at(angle, self.axles))
+        last = float(angle[-1])
+        after = state._replace(angle=last, place=place, reported=last, change=float(changes[-1]), noise=noise)
         return TwistError(stacked(0.0, 0.0, f, f), after)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the increments (n, 3) computed from the linkage that steers the wheels through these."""
-        reported = steps.copy()
-        before, place, side, last_s, last_noise = state
-        noise = _Noise(*last_noise)
-        rows = zip(steps[:, 0].tolist(), steps[:, 2].tolist(), t_s.tolist(), strict=True)
-        for i, (ds, turn, now_s) in enumerate(rows):
+        ds = steps[:, 0]
+        true = steered(np.divide(steps[:, 2], ds, out=np.zeros_like(ds), where=ds != 0.0), self.axles)
+        moved, elastic = true.copy(), _ELASTIC * self.play
+        before, place, side, last_s, reported, change, noise = state
+        for i, (way, angle, now_s) in enumerate(zip(ds.tolist(), true.tolist(), t_s.tolist(), strict=True)):
             dt_s, last_s = now_s - last_s, now_s
             if dt_s < 0.0:  # time was reset
                 before, place, side = None, 0.0, 0.0
-            if not dt_s > 0.0 or abs(ds) < CREEP_MPS * dt_s:
+            if not dt_s > 0.0 or abs(way) < CREEP_MPS * dt_s:
                 continue
-            true = steered(turn / ds, self.axles)
-            top = max(_ELASTIC * self.play, noise.reach(ds))
-            place = min(max(place + true - (true if before is None else before), -top), top)
-            side, before = float(np.sign(place)) or side, true
-            moved = true + 0.5 * self.play * side
-            reported[i, 2] += (curvature_at(moved, self.axles) - curvature_at(true, self.axles)) * ds
-            noise.add(moved, ds, dt_s)  # of the reported angle, which correction knows
-        return Recorded(reported, _Linkage(before, place, side, last_s, noise.state))
+            root = sqrt(abs(way))
+            top = max(elastic, _RANGE / root * noise)
+            place = min(max(place + angle - (angle if before is None else before), -top), top)
+            side, before = float(np.sign(place)) or side, angle
+            # the noise is that of the reported angle, which correction knows
+            earlier, moved[i] = reported, angle + 0.5 * self.play * side
+            reported, last = float(moved[i]), change
+            change = 0.0 if earlier is None else reported - earlier
+            noise += min(dt_s / _AVERAGED_S, 1.0) * (abs(change - last) * root - noise)
+        turned = steps.copy()
+        turned[:, 2] += (curvature_at(moved, self.axles) - curvature_at(true, self.axles)) * ds
+        return Recorded(turned, _Linkage(before, place, side, last_s, reported, change, noise))
