@@ -15,13 +15,15 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["CREEP_MPS", "axles_parameter", "on_every_axle_distance", "steepness"]
+__all__ = ["CREEP_MPS", "axles_parameter", "curvature_at", "on_every_axle_distance", "steepness", "steered"]
 
 CREEP_MPS = 0.05 - 1e-9
 """Speed below which a path does not show the steering angle, m/s; just below a round 0.05, which rounding may reach."""
 _STEEP = (0.3, 0.55)
 """Tangents of the largest steering angle that give trial distances between the axles: 17 and 29 degrees."""
 _TIGHTEST = 0.99
+_LOCK_RAD = 1.4
+"""Steering angle beyond which its tangent is no path of a car."""
 
 E = TypeVar("E", bound=Effect)
 
@@ -48,3 +50,13 @@ def steepness(v: Array, omega: Array, axles_m: float) -> Array:
     tangent = np.divide(axles_m * np.abs(omega), np.abs(v), out=np.zeros_like(v), where=np.abs(v) > CREEP_MPS)
     steep: Array = np.minimum(tangent, 1.0)
     return steep
+
+
+def steered(curvature: Array, axles_m: float) -> Array:
+    """Return the steering angles (n,) of a path per distance between the axles, rad/m; without it angles are small."""
+    return np.arctan(axles_m * curvature) / axles_m if axles_m else curvature
+
+
+def curvature_at(angle: Array, axles_m: float) -> Array:
+    """Return the curvatures (n,), 1/m, of a path steered with angles of `steered`, rad/m."""
+    return np.tan(np.clip(axles_m * angle, -_LOCK_RAD, _LOCK_RAD)) / axles_m if axles_m else angle

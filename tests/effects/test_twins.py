@@ -50,7 +50,7 @@ def test_no_other_two_effects_of_a_drive_type_have_the_same_regressor(drive_type
     assert likeness.max() < 0.999
 
 
-STEERING = ("steering_offset", "steering_scale", "flat_spot")
+STEERING = ("steering_offset", "steering_play", "steering_scale", "flat_spot")
 SHAPED = [n for n, k in KINDS.items() if any(not p.amplitude and not p.optional for p in parameters(k))]
 SHAPED.append("hard_iron")  # its filter is optional, and tried
 SHAPED.remove("flat_spot")  # its circumference is a line of a spectrum

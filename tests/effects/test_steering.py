@@ -1,0 +1,56 @@
+"""Play of a steering linkage: in tight curves, and under noise of the path."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from manoeuvres import motion
+
+from odomcorrupt.effects.steering_play import SteeringPlay
+
+RATE_HZ, SECONDS, SPEED_MPS = 50.0, 60.0, 2.0
+PLAY, AXLES_M = 0.02, 1.65
+
+
+def steered_path(rad_per_root_m=0.0, top=0.2):
+    """Return increments (n, 3) and ends (n,), s, of a path that steers to both sides, with noise of its heading."""
+    t_s = np.arange(1, int(SECONDS * RATE_HZ) + 1) / RATE_HZ
+    way = np.full(len(t_s), SPEED_MPS / RATE_HZ)
+    turn = way * top * np.sin(0.5 * t_s)
+    noise = rad_per_root_m * np.sqrt(way) * np.random.default_rng(1).standard_normal(len(way))
+    return np.stack((way, np.zeros_like(way), turn + noise), axis=1), t_s
+
+
+def added(effect, steps, t_s):
+    """Return the turn (n,), rad, that corruption adds so far."""
+    start = effect.start(np.random.default_rng(0))
+    return np.cumsum(effect.recorded(steps, t_s, None, start).steps[:, 2] - steps[:, 2])
+
+
+def test_play_is_one_of_the_steering_angle():
+    steps, t_s = steered_path()
+    effect = SteeringPlay(play=PLAY, axles=AXLES_M)
+    reported = effect.recorded(steps, t_s, None, effect.start(np.random.default_rng(0))).steps
+    angles = [np.arctan(AXLES_M * path[:, 2] / path[:, 0]) for path in (steps, reported)]
+    assert np.abs(angles[1] - angles[0])[1:] == pytest.approx(0.5 * AXLES_M * PLAY)
+    assert np.ptp(np.abs(reported[1:, 2] - steps[1:, 2])) > 0.05 * 0.5 * PLAY * steps[0, 0]
+
+
+def test_noise_of_the_path_does_not_remove_the_play():
+    # breaks where the noise of single intervals crosses the play: its path drifted by a tenth
+    effect = SteeringPlay(play=PLAY, axles=AXLES_M)
+    drift = np.ptp(added(effect, *steered_path()))
+    noisy = np.ptp(added(effect, *steered_path(0.0008)))
+    assert noisy == pytest.approx(drift, rel=0.1)
+
+
+@pytest.mark.parametrize("axles", [0.0, AXLES_M])
+@pytest.mark.parametrize("rad_per_root_m", [0.0, 0.0008, 0.003])
+def test_correction_follows_the_linkage_of_corruption_under_noise(axles, rad_per_root_m):
+    effect = SteeringPlay(play=PLAY, axles=axles)
+    steps, t_s = steered_path(rad_per_root_m)
+    reported = effect.recorded(steps, t_s, None, effect.start(np.random.default_rng(0))).steps
+    seen = motion(reported[:, 0] * RATE_HZ, reported[:, 2] * RATE_HZ, seconds=SECONDS)
+    f = effect.twist_error(seen, effect.start(np.random.default_rng(0))).f[:, 2]
+    left = np.cumsum(reported[:, 2] + f / RATE_HZ - steps[:, 2])
+    assert np.ptp(left[int(RATE_HZ) * 10 :]) < 1e-9
