@@ -339,11 +339,11 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions, weights: Ar
     """
     fit, score = _with_words_refined(fit, score, decisions)
     if len(score.term.shape):
-        fit, score = with_shape_at_size(*_with_shape_moved(fit, score, decisions), decisions)
+        fit, score = with_shape_at_size(*_with_shape_moved(fit, score, decisions, weights), decisions)
     return fit, score
 
 
-def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
+def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions, weights: Array | None) -> tuple[Fit, Score]:
     """Return the fit with the shape of one of its terms at the maximum by the columns of a small effect."""
     effect = next(e for e in fit.effects if e.name == score.term.name)
     search = ShapeSearch(drop_term(fit, effect), decisions)
