@@ -19,6 +19,7 @@ from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.select import elimination
 from odomcorrupt.study.select.candidates import library_candidates, objection
 from odomcorrupt.study.select.closed_loop import may_be_of_lags, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS
@@ -67,6 +68,18 @@ def test_an_effect_that_others_explain_in_full_leaves_and_a_true_one_stays():
     run = with_truth(drive(4, wide=1.03, seconds=120.0), 5)
     both = [registry()["wheelbase"](), effect_from_values("speed_scale", {})]
     fitted = fit([run], both, approach=choose_approach([run]))
+    assert [e.name for e in eliminate_untested(fitted, (), DECISIONS).effects] == ["wheelbase"]
+
+
+def test_an_effect_that_the_drift_needs_stays_although_blocks_contradict_each_other(monkeypatch):
+    run = with_truth(drive(4, wide=1.03, seconds=120.0), 5)
+    both = [registry()["wheelbase"](), effect_from_values("speed_scale", {})]
+    fitted = fit([run], both, approach=choose_approach([run]))
+
+    def contradictory(fit, terms, decisions):
+        return [replace(score, inflation=1e6) for score in score_terms(fit, terms, decisions)]
+
+    monkeypatch.setattr(elimination, "score_terms", contradictory)
     assert [e.name for e in eliminate_untested(fitted, (), DECISIONS).effects] == ["wheelbase"]
 
 
