@@ -120,7 +120,7 @@ def test_places_are_those_of_the_frame_that_effects_read():
 
 def test_effects_that_ask_for_places_are_known():
     asking = {name for name in SYSTEMATIC if usual(name).reads_places}
-    assert asking == {"slope", "region_slip"}
+    assert asking == {"slope", "region_slip", "hard_iron"}
     assert user_effect("bend", "yaw += k * sin(theta)", {"k": 0.01}).reads_places
     assert not user_effect("skid", "along += k * a", {"k": 0.01}).reads_places
 

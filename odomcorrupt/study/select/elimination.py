@@ -98,8 +98,8 @@ def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> 
 
     An early effect was tested beside few others; a later term or basis function may explain the same completely. Gains
     are cluster-robust, as at inclusion, but the threshold is lower: the penalty alone. The weakest effect is dropped
-    first and the others are tested again. One whose removal makes the 10 s error plainly larger stays: gains of a lag in
-    long and in short manoeuvres differ by orders of magnitude, which the robust test takes for contradictions.
+    first and the others are tested again. One whose removal makes the 10 s error plainly larger stays: gains of a lag
+    differ by orders of magnitude between manoeuvres, which the robust test takes for contradictions.
 
     keep : names of effects that stay in any case
     """
