@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, State
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["ContractError", "Drive", "check_effect", "contract_drive"]
-
 TRACK_M = 0.4
 _BACK_M = 1e-6
 _RESTORED = 0.2
@@ -82,7 +80,6 @@ def check_effect(effect_class: type[Effect]) -> None:
     ------
     ContractError
         If it does not; the message names the violation.
-
     """
     _check_facts(effect_class)
     still = effect_class()

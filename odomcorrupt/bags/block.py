@@ -23,23 +23,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = [
-    "TABLE",
-    "BagReader",
-    "BagWriter",
-    "Block",
-    "Channel",
-    "Framing",
-    "Kind",
-    "Message",
-    "PartContents",
-    "PartFraming",
-    "Unframed",
-    "own_framing",
-    "require_all",
-    "without",
-]
-
 Kind = Literal["ros1", "mcap", "sqlite3"]
 """What a bag is stored as."""
 

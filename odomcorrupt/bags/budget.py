@@ -17,8 +17,6 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["VARIABLE", "Budget", "limited", "size_of"]
-
 VARIABLE = "ODOMCORRUPT_MAX_UNPACKED"
 """Environment variable that sets the allowance of a chunk and of a bag; processes of a batch inherit it."""
 
@@ -47,7 +45,6 @@ def size_of(text: str) -> int:
     ------
     ValueError
         If it is none, or zero.
-
     """
     found = _SIZE.fullmatch(text.strip())
     size = int(float(found[1]) * _UNITS[found[2][0].upper()]) if found else 0

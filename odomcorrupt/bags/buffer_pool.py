@@ -13,8 +13,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["SHELF_BYTES", "BufferPool"]
-
 SHELF_BYTES = 12 << 20
 """What is put side by side: more would save no more time."""
 

@@ -29,7 +29,6 @@ def crc_of_both(first: int, second: int, piece: bytes | memoryview) -> int:
         CRC-32 of each of them.
     piece : bytes | memoryview
         The second one; only its length is used if `CAN_COMBINE`, else its bytes are.
-
     """
     if CAN_COMBINE:
         both: int = crc32_combine(first, second, len(piece))
@@ -46,7 +45,6 @@ def combined(first: int, second: int, length: int) -> int:
         CRC-32 of each of them.
     length : int
         Length of the second one, bytes; without isal the time grows with it.
-
     """
     if CAN_COMBINE:
         both: int = crc32_combine(first, second, length)

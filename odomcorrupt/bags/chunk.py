@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     RecordBytes = Callable[[memoryview, int], int]
 
-__all__ = ["Chunk", "ChunkHead", "beginning_of_chunk", "read_chunks", "record_blocks"]
-
 LARGE_BYTES = 32 << 20
 """Decompressed size of a chunk beyond which it is read as several: recorders write 0.8 to 4 MB."""
 
@@ -172,7 +170,6 @@ def record_blocks(
     ------
     BagError
         If there is no memory for one of its records.
-
     """
     piece, rest, wanted, behind = memoryview(b""), np.empty(0, dtype=np.uint8), _BLOCK_BYTES, 0
     while True:

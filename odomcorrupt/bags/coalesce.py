@@ -12,8 +12,6 @@ from odomcorrupt.bags.block import TABLE, Block, Framing
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-__all__ = ["joined"]
-
 _ENOUGH_MESSAGES = 20_000
 """More at once would save no more time."""
 

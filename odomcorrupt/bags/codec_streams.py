@@ -17,17 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.budget import Budget
     from odomcorrupt.bags.source import Source
 
-__all__ = [
-    "DAMAGE",
-    "Packed",
-    "PackedInMemory",
-    "PackedInSource",
-    "beginning",
-    "end_of_frame",
-    "require_size",
-    "unpacked",
-]
-
 _PIECE_BYTES = 1 << 20
 _SKIPPABLE_MAGIC = 0x184D2A50
 _RUN_LENGTH_BLOCK = 1
@@ -78,7 +67,6 @@ class PackedInSource:
         How many there are.
     what : str
         Name of the chunk in error messages.
-
     """
 
     def __init__(self, source: Source, size: int, what: str) -> None:
@@ -116,7 +104,6 @@ def unpacked(codec: str, packed: Packed, size: int, what: str, budget: Budget | 
     ------
     BagError
         If the chunk is damaged, is not of that size, or exceeds the budget.
-
     """
     if codec == "none":
         budget = None
@@ -204,7 +191,6 @@ def end_of_frame(data: memoryview) -> int:
     ------
     zstandard.ZstdError
         If they do not begin as a frame does.
-
     """
     parameters = zstandard.get_frame_parameters(data)
     at = zstandard.frame_header_size(data)

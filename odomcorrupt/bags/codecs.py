@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.buffer_pool import BufferPool
 
-__all__ = ["compress", "compress_for_ros1", "decompress", "pack_summed", "require_level", "unpack"]
-
 _MAGIC = b"\x04\x22\x4d\x18"
 _SUMMED, _SIZED, _HAS_DICTIONARY = 0x04, 0x08, 0x01
 """Flags of a frame: a checksum at its end; the size, or a dictionary's id, in its head."""
@@ -47,7 +45,6 @@ def unpack(data: memoryview, size: int) -> bytearray:
     ------
     EOFError, RuntimeError, ValueError
         If the frame is truncated or invalid, or a checksum does not match.
-
     """
     head, sums = _head_without_sum(data) if data[:4] == _MAGIC and len(data) > 7 else (b"", False)
     context = lz4.frame.create_decompression_context()

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader
 
-__all__ = ["Definition", "RosType", "md5sum_of", "retyped", "ros_type", "with_common_text"]
-
 
 class Definition(NamedTuple):
     """Message definition and metadata of a topic.

@@ -13,8 +13,6 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["FileCopy", "FileState"]
-
 _AT_ONCE_BYTES = 16 << 20
 """Bytes copied by one system call; an interrupt waits for the end of a call."""
 
@@ -54,7 +52,6 @@ class FileCopy:
     ------
     OSError
         If the source cannot be opened, or is not the file that was read.
-
     """
 
     def __init__(self, source: Path, target: int, begin: int = 0, state: FileState | None = None) -> None:

@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["gaps_between", "windows"]
-
 
 def gaps_between(starts: NDArray[np.int64], ends: NDArray[np.int64], size: int) -> list[tuple[int, int]] | None:
     """Return the spans of [0, size) not covered by records (n,), sorted by start; None where these overlap.

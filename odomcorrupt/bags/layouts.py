@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["PROGRAMS", "Item", "Template", "UnreadableEncodingError", "read_template"]
-
 _PLAIN_CDR = {0x00: (">", 8), 0x01: ("<", 8), 0x06: (">", 4), 0x07: ("<", 4), 0x10: (">", 4), 0x11: ("<", 4)}
 """Representation identifiers of plain encodings: byte order and largest alignment. XCDR2 aligns doubles to 4 bytes."""
 _OTHER_CDR = frozenset({0x02, 0x03, 0x04, *range(0x08, 0x0C), *range(0x12, 0x16)})

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["MCAP", "ROS1", "SQLITE", "ZSTD"]
-
 MCAP: Final = b"\x89MCAP0\r\n"
 ROS1: Final = b"#ROSBAG V2.0\n"
 SQLITE: Final = b"SQLite format 3\0"

@@ -67,7 +67,6 @@ def locate(block: Block, channel: Channel) -> list[Layout]:
     ------
     BagError
         If a message is shorter than its strings and numbers require, or its type or encoding is unknown.
-
     """
     return list(_layouts(block, channel))
 
@@ -166,7 +165,6 @@ def scatter_stamps_ns(block: Block, layout: Layout, item: Item, stamps_ns: NDArr
     ------
     BagError
         If a stamp does not fit into the message's 32 bits of seconds.
-
     """
     seconds, nanoseconds = np.divmod(stamps_ns, _SECOND_NS)
     kind = _stamp_type(layout)

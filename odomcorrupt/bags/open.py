@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.rosbag2.compression import Mode
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
 
-__all__ = ["Form", "Target", "form_of", "open_reader", "open_writer", "target_of"]
-
 _CODECS: dict[Kind, tuple[str, ...]] = {
     "mcap": ("none", "lz4", "zstd"),
     "ros1": ("none", "lz4", "bz2"),
@@ -63,7 +61,6 @@ def open_reader(
     ------
     BagError
         If it is no bag, or its beginning or end is damaged.
-
     """
     try:
         if path is None or str(path) == "-":
@@ -153,7 +150,6 @@ def form_of(path: Path | None, reader: BagReader, *, ros: Generation | None = No
     ------
     BagError
         If the name is that of no format, or the format cannot have these messages or this storage.
-
     """
     if path is None or str(path) == "-":
         return _with_storage(Form("mcap", directory=False, ros=ros), storage, "stdout")
@@ -215,7 +211,6 @@ def target_of(
         If a topic's messages cannot be converted, or would become ROS 1 messages in an MCAP.
     TopicError
         If there is no such topic to be left out.
-
     """
     form = form_of(path, reader, ros=ros, storage=storage)
     strict = form.directory or form.kind != "mcap"
@@ -273,7 +268,6 @@ def open_writer(
     ------
     BagError
         If the output exists and overwrite is false, is the input, or its format cannot store the input's messages.
-
     """
     if form is None:
         form = form_of(path, reader)

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.file_copy import FileState
 
-__all__ = ["Original", "Output", "OutputContext"]
-
 _PIECE_BYTES = 1 << 16
 """Bytes of one write: for more the system allocates larger pages, which cost ten times as much."""
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-__all__ = ["MOST_THREADS", "OrderedResults", "Workers", "default_threads", "read_ahead"]
-
 MOST_THREADS = 4
 """Largest default number of threads: more help slow codecs only, and each uses memory."""
 
@@ -96,7 +94,6 @@ class Workers:
     ----------
     threads : int
         Total number of threads of the process: with one, `submit` makes the call itself.
-
     """
 
     def __init__(self, threads: int) -> None:
@@ -161,7 +158,6 @@ class OrderedResults:
     ----------
     workers : Workers | None
         Thread pool; None: the submitting thread makes the calls.
-
     """
 
     def __init__(self, workers: Workers | None) -> None:
@@ -185,7 +181,6 @@ class OrderedResults:
             Memory held until then, bytes.
         worth : bool
             Whether the call is worth a thread; else the submitting thread makes it in turn.
-
         """
         if self._workers is None or not worth:
             self.put_behind(lambda: then(call()), size)
@@ -237,7 +232,6 @@ def read_ahead(items: Generator[T, None, None], size_of: Callable[[T], int]) -> 
         Run and closed by the thread.
     size_of : Callable
         Memory of an item, bytes.
-
     """
     hall = _Hall[T]()
     thread = threading.Thread(target=_fill, args=(hall, items, size_of), name="read", daemon=True)

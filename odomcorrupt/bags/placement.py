@@ -21,8 +21,6 @@ from pathlib import Path
 
 from odomcorrupt.errors import BagError
 
-__all__ = ["beside", "is_stream", "place", "refuse_target", "remove", "sweep"]
-
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".db3-wal", ".db3-shm", ".zstd", ".zst")
 _LEFT = re.compile(r"\.(?P<name>.*)\.(?P<host>[0-9a-f]{8})\.(?P<pid>\d{1,9})\.[0-9a-f]{8}\.partial(?:-.*)?", re.DOTALL)
 """A hidden name, or that of what sqlite3 has beside it."""
@@ -82,7 +80,6 @@ def place(partial: Path, path: Path, *, overwrite: bool) -> None:
     ------
     BagError
         If the name is taken by now and overwrite is false.
-
     """
     try:
         _rename_new(partial, path)

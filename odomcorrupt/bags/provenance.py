@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block
 
-__all__ = ["NAME", "ProvenanceWatcher", "mapping_of"]
-
 NAME = "odomcorrupt"
 """Of the metadata record of an MCAP, and the prefix of keys in a rosbag2's custom_data."""
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Channel
     from odomcorrupt.bags.file_copy import FileState
 
-__all__ = ["RecordReader"]
-
 _CLOSE_BYTES = 1 << 13
 """Changed messages at most this many bytes apart are written at once, which takes no longer than two writes."""
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block, Channel
     from odomcorrupt.errors import BagError
 
-__all__ = ["Undecodable", "loss_of", "with_readable"]
-
 _ADVICE = re.compile(r"[;,]? *(?:try )?--recover\b.*\Z", re.DOTALL)
 
 

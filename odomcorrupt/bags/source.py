@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Source"]
-
 _BUFFER_BYTES = 1 << 16
 """What is read ahead: small records want some, and of a large one as much is copied twice."""
 _TRUSTED_BYTES = 1 << 24

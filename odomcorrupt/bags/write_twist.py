@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["START_NS", "write_twists"]
-
 START_NS = 1_000_000_000
 """Log time of the first command: 0 would be taken for no time at all."""
 _TYPE = "geometry_msgs/msg/Twist"
@@ -30,7 +28,6 @@ def write_twists(
     twist : (n, 3)
         Forward and leftward speed, m/s, and turn rate, rad/s.
     topic : of the commands
-
     """
     from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - only needed to plan a drive
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - as above

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["SpreadReport", "SpreadRow", "measure"]
-
 SHOWN_RUNS, BAND_POINTS = 60, 120
 """Paths, and points of the predicted band, that a picture shows."""
 
@@ -76,7 +74,6 @@ def measure(directory: Path) -> SpreadReport:
     ------
     BatchError
         If the directory has no batch of at least two runs.
-
     """
     begun = read_beginning(directory)
     records = list(read_records(directory).values())

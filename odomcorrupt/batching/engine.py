@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.runner import Failure
 
-__all__ = ["Audience", "Shard", "count_missing", "missing_runs", "run_local", "run_on_dask", "tasks_of"]
-
 GROUP = 32
 """Runs of one pass at most: each holds an open file and a path of its own."""
 
@@ -102,7 +100,6 @@ def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
         Number of processes; 1 for this process alone.
     audience : Audience
         Receives runs that are made or failed, and progress.
-
     """
     if jobs == 1:
         for task in tasks:
@@ -216,7 +213,6 @@ def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, aud
     ------
     BatchError
         If dask is not installed, or the scheduler cannot be reached.
-
     """
     try:
         distributed: Any = importlib.import_module("distributed")  # an optional extra

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block
     from odomcorrupt.batching.job import Job, Output
 
-__all__ = ["Estimate", "Need", "bytes_of", "estimate", "free_bytes", "require_space"]
-
 TRIED_BYTES = 32 << 20
 """How much of a bag is tried, decompressed."""
 

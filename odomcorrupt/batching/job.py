@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Job", "Output", "Task"]
-
 Output = Literal["full", "overlay", "trajectories"]
 
 

@@ -32,20 +32,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.batching.job import Job
 
-__all__ = [
-    "BatchError",
-    "Content",
-    "begin",
-    "content_of",
-    "fingerprint_of",
-    "locked",
-    "note",
-    "read_beginning",
-    "read_records",
-    "sweep_leftovers",
-    "write_manifest",
-]
-
 BEGINNING = "batch.json"
 MANIFEST = "manifest.jsonl"
 PARTS = ".parts"
@@ -144,7 +130,6 @@ def begin(job: Job, fingerprint: str) -> None:
     ------
     BatchError
         If that one has another configuration, or the directory holds other files.
-
     """
     now = _beginning(job, fingerprint)
     if not (job.directory / BEGINNING).exists():
@@ -187,7 +172,6 @@ def locked(job: Job, *, shared: bool) -> Iterator[None]:
     ------
     BatchError
         If another process holds the lock.
-
     """
     with (job.directory / BEGINNING).open("rb") as stream:
         try:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Spread", "draw_robot", "drawn_values", "fleet_model", "spreads_of", "stated_spreads"]
-
 TRIES = 1000
 """Maximum number of draws until a value is within its bounds: the distribution is a truncated normal."""
 
@@ -92,7 +90,6 @@ def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: 
     -------
     MotionModel
         The robot of this run.
-
     """
     named = {_name(model, spread): spread for spread in spreads}
     known = model.correlation.among(named)
@@ -189,7 +186,6 @@ def fleet_model(robots: Mapping[str, MotionModel]) -> MotionModel:
     ------
     ModelError
         If there are fewer than two, or their noise laws, steps or an effect's options differ.
-
     """
     if len(robots) < 2:
         raise ModelError(f"a fleet: {len(robots)} robots; a spread between robots takes two or more model files")

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.run_state import SharedTransform
     from odomcorrupt.corruption.reorder import Arrivals
 
-__all__ = ["LateTopic", "Portion", "portions"]
-
 PORTION_BYTES = 8 << 20
 """Blocks that wait for all runs to be patched hold about this much together."""
 
@@ -104,7 +102,6 @@ def portions(
     ------
     LateTopic
         If a channel turns out to change after some of its messages were skipped.
-
     """
     gatherer = _Gatherer(reader, keep=keep, whole=whole)
     for block in shared.blocks(reader, reader.name, writer):

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["BatchSpec", "Made", "plan", "require_odometry", "run_batch", "seed_of"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchSpec:
@@ -95,7 +93,6 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     ------
     BatchError
         If inputs would share a directory, or do not support the requested output.
-
     """
     stems = [source.stem for source in inputs]
     if len(set(stems)) < len(stems):
@@ -255,7 +252,6 @@ def run_batch(
     ------
     BatchError
         If a directory contains another batch.
-
     """
     require_odometry(jobs)
     fingerprints = {source: fingerprint_of(source) for source in {job.source for job in jobs}}

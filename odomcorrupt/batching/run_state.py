@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.transform import Options, _Held
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["MarkMeter", "RunState", "SharedTransform"]
-
 
 class _Reach(Curve):
     """Extent in time of every run's C(t), without its values: it depends on stamps alone."""

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.sinks import Sink
     from odomcorrupt.preview.forecast import CleanDrive
 
-__all__ = ["PAUSE_S", "Failure", "ProgressCallback", "Watched", "attempt", "make"]
-
 PAUSE_S = 0.3
 """Time between two beats."""
 

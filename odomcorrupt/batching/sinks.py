@@ -37,20 +37,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = [
-    "Added",
-    "BagSink",
-    "FullSink",
-    "MultiSink",
-    "OverlaySink",
-    "Sink",
-    "TumPath",
-    "TumSink",
-    "provenance",
-    "read_tum",
-    "write_npz",
-]
-
 _LINE = "%d.%09d %.9f %.9f 0 0 0 %.12f %.12f\n"
 
 
@@ -125,7 +111,6 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
         Numbers of the runs.
     files : sequence of Path
         Their TUM files, in the same order.
-
     """
     output = Output(path, overwrite=True)
     try:

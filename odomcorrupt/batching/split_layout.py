@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.sinks import Added
     from odomcorrupt.corruption.run import Container as BagContainer
 
-__all__ = ["Rests", "SplitSink", "assemble"]
-
 
 class Rests:
     """A portion's blocks without the messages that change, extracted and compressed once for all runs."""
@@ -183,7 +181,6 @@ def assemble(overlay: Path, source: Path, target: Path, container: BagContainer)
     ------
     BatchError
         If the overlay does not belong to this original.
-
     """
     with open_reader(source, recover=container.recover) as reader, open_reader(overlay) as changed:
         output = container.target(target, reader)

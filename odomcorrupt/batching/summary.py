@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.summary import Tone
 
-__all__ = ["brief", "sentences"]
-
 _NAMED = 8
 """Failed runs that are named."""
 

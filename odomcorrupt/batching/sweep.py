@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Range", "Variant", "parse_range", "sobol_points", "variants"]
-
 _MOST_POINTS = 1 << 14
 
 
@@ -49,7 +47,6 @@ def parse_range(text: str) -> Range | None:
     ------
     ModelError
         If its ends are not finite, not ascending, or not positive for `log`.
-
     """
     match = re.fullmatch(r"\s*([^=]+?)\s*=\s*([^,]+?)\.\.([^,:]+?)(:log)?\s*", text)
     if match is None:
@@ -71,7 +68,6 @@ def sobol_points(ranges: Sequence[Range], count: int) -> list[list[tuple[str, st
     ------
     ModelError
         If the count is out of bounds.
-
     """
     if not 1 <= count <= _MOST_POINTS:
         raise ModelError(f"--points {count}: must be 1 to {_MOST_POINTS}")
@@ -107,7 +103,6 @@ def variants(model: MotionModel, sweeps: Sequence[str], points: int = 0) -> list
     ------
     ModelError
         If a name is unknown, or a value is invalid.
-
     """
     axes = []
     ranges = [one for text in sweeps if (one := parse_range(text)) is not None]

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.correction import Curve
     from odomcorrupt.corruption.patch import Target
 
-__all__ = ["CorrectionEdge", "TruthTopic", "pack_transform"]
-
 TOPIC = re.compile(r"[/~]?[A-Za-z_]\w*(/\w+)*", re.ASCII)
 
 TF = "tf2_msgs/msg/TFMessage"
@@ -70,7 +68,6 @@ class CorrectionEdge:
         ------
         TopicError
             If the new frame is the odom frame itself, or empty.
-
         """
         if plain(self.frame) in ("", odom):
             raise TopicError(

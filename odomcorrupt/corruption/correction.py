@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["MEMORY_NS", "PATIENCE_NS", "Correction", "Curve"]
-
 PATIENCE_NS = 1_000_000_000
 """How far the odometry may lag behind a message, log time; putting it in order takes as long again."""
 

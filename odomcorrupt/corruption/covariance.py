@@ -21,21 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.noise_laws import Variances
 
-__all__ = [
-    "BODY_SUMS",
-    "FLOOR",
-    "RANDOM_SUMS",
-    "SUMS",
-    "Grown",
-    "NoiseSteps",
-    "RandomEffectCovariance",
-    "has_random_part",
-    "pose_covariance",
-    "random_effect_covariance",
-    "sum_terms",
-    "twist_covariance",
-]
-
 _FIRST, _SECOND = np.triu_indices(5)
 
 RANDOM_SUMS = len(_FIRST)
@@ -94,7 +79,6 @@ class RandomEffectCovariance:
             Noisy positions at the middle of each interval, metres from the path's start.
         travel_rad : (n,)
             Direction of the body's x axis during the translation, radians.
-
         """
         if not self._memories:
             self._memories = [_Memory(gain.start, np.zeros(5)) for gain in gains]

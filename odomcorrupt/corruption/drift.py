@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["LEG_M", "MARKS_M", "Drift", "DriftMeter", "PathWatcher"]
-
 LEG_M = 10.0
 """Length of a leg, metres: the drift of its end pose relative to its start pose is reported."""
 

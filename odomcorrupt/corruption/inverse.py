@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Drive", "EffectInverse", "Slowed", "acts"]
-
 TOLERANCE = 1e-12
 """An increment is solved when it moves by less than this between two rounds, metres or radians."""
 
@@ -139,7 +137,6 @@ class EffectInverse:
         EffectError
             Where the effects are so strong that no motion of the odometry explains the clean one, in a learned model
             not even at a lower speed.
-
         """
         added = self._error(drive)
         steps = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1) + added

@@ -22,21 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.bags.messages import Item, Layout
 
-__all__ = [
-    "ODOMETRY",
-    "TRANSFORMS",
-    "Frames",
-    "OdometrySource",
-    "Side",
-    "find_odometry",
-    "localisation_side_of",
-    "plain",
-    "resolve_frames",
-    "says_truth",
-    "side_of",
-    "stamps_or_log_ns",
-]
-
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 ENCODINGS = frozenset({"cdr", "ros1"})
@@ -90,7 +75,6 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usua
     ------
     TopicError
         If there is none, or several and none was chosen.
-
     """
     channels = tuple(channels)
     topics = sorted({c.topic for c in channels if c.msgtype == ODOMETRY and c.encoding in ENCODINGS})
@@ -139,7 +123,6 @@ def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame
     ------
     TopicError
         If the odometry's frame is a global one, and no odom frame was requested.
-
     """
     stated = plain(item.frame_id)
     if odom_frame is None and (not stated or _last(stated) in GLOBAL_FRAMES):
@@ -168,7 +151,6 @@ def side_of(parent: str, child: str, frames: Frames) -> Side | None:
     -------
     {"left", "right"} or None
         Side of the composition.
-
     """
     parent, child = plain(parent), plain(child)
     if parent == frames.odom and _last(child) not in GLOBAL_FRAMES:
@@ -239,7 +221,6 @@ class OdometrySource:
         ------
         TopicError
             If there is none, or several, or the channels of a pipe do not decide it yet.
-
         """
         if not reader.complete:
             if self._asked is None:

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Changes", "Patcher", "Target", "TopicTwist", "TwistChange"]
-
 STILL = 1e-9
 """What a step of a pose that stands still may be by rounding, metres or radians."""
 
@@ -76,7 +74,6 @@ class TopicTwist:
             Their clean poses, metres and radians.
         at : Correction
             The correction at these stamps.
-
         """
         n = len(stamps_ns)
         edges = np.flatnonzero(np.diff(at.stretch)) + 1

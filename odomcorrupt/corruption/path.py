@@ -25,17 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 
-__all__ = [
-    "JUMP_MIN_S",
-    "JUMP_SPEED",
-    "NoisyPath",
-    "Normals",
-    "PathSamples",
-    "PathSource",
-    "StepGrowth",
-    "noise_variances",
-]
-
 
 class StepGrowth(NamedTuple):
     """Progress of a path within its step: metres and radians since its start, now and at the start of the step."""
@@ -76,7 +65,6 @@ def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGr
     -------
     GrownVariances
         Variances of rot1, trans, across and rot2, (n,) each, and the state after them.
-
     """
     grown = GrownVariances(variances(noise.law, noise.coefficients, steps), growth)
     if noise.step is not None and len(steps):
@@ -262,7 +250,6 @@ class NoisyPath:
             Ascending, and not before the last one fed.
         clean_xyt : (n, 3)
             Clean poses, metres and radians, finite.
-
         """
         n = len(stamps_ns)
         if n and self._last is None:

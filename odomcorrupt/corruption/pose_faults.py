@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["FAR_M", "PoseFaults", "frame_faults"]
-
 FAR_M = 1e9
 """Where no robot is: a pose so far away is no number of use."""
 

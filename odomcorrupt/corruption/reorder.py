@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["WINDOW_NS", "Arrivals", "TimeOrder"]
-
 WINDOW_NS = 1_000_000_000
 """Messages swapped within this are sorted; a jump further back begins a new stretch."""
 

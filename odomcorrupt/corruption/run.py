@@ -30,17 +30,6 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = [
-    "Container",
-    "Outcome",
-    "TeeReader",
-    "corrupt_bag",
-    "may_stay",
-    "outcome_of",
-    "provenance",
-    "write_as_it_was",
-]
-
 _PIECE_BYTES = 1 << 16
 
 
@@ -243,7 +232,6 @@ def corrupt_bag(
         If there is no odometry source.
     EffectError
         If an effect is too strong for this drive.
-
     """
     transform = Transform(model, seed, run, options, path=path)
     silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
@@ -300,7 +288,6 @@ def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, s
     -------
     Outcome
         What was moved, the drift, and what is odd.
-
     """
     drift = transform.drift.result()
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry

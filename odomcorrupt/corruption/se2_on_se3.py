@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["SpatialPoses", "finite_rows", "from_left", "from_right", "inverted"]
-
 
 class SpatialPoses(NamedTuple):
     """n poses: position (n, 3) in metres, quat_xyzw (n, 4) of any length but zero."""

@@ -23,25 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel, Noise
 
-__all__ = [
-    "SIDEWAYS",
-    "brief",
-    "effect_words",
-    "holonomic_words",
-    "lost_lines",
-    "model_brief",
-    "model_words",
-    "moved_words",
-    "oddities",
-    "per_message",
-    "places_lines",
-    "size_words",
-    "stream_oddities",
-    "summary",
-    "topic_words",
-    "travel_words",
-]
-
 SIDEWAYS = 0.1
 """A robot that goes this part of its way to the left or right is holonomic."""
 
@@ -277,7 +258,6 @@ def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) ->
     -------
     list of str
         One sentence, or none.
-
     """
     law = model.noise.law
     if law.along_travel and not model.noise.coefficients.silent and sideways_m < STRAIGHT * distance_m:

@@ -49,8 +49,6 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.path import PathSource
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["WAIT_NS", "Options", "Transform"]
-
 WAIT_NS = PATIENCE_NS + WINDOW_NS
 """The longest that a block waits, log time."""
 
@@ -156,7 +154,6 @@ class Transform:
         ------
         TopicError
             If there is no odometry source, or a topic to be added exists already.
-
         """
         self.odometry.prepare(reader, name)
         if self.options.keep_truth is not None and writer is not None:

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block, Channel
 
-__all__ = ["frame_of", "may_be_placed", "topics_with_true_motion"]
-
 MOTION_TYPES = frozenset({
     "DynamicJointState", "GPSFix", "Imu", "JointState", "LinkStates", "MagneticField", "ModelStates", "NavSatFix",
     "Odometry", "ParticleCloud", "Path", "PointStamped", "Pose", "Pose2D", "PoseArray", "PoseStamped",

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["MAX_ROUNDS", "TOLERANCE", "corrected_increments", "corrected_twist", "error_of", "followed"]
-
 TOLERANCE = 1e-12
 """Largest change of an increment between two rounds at convergence of a correction, metres or radians."""
 
@@ -74,7 +72,6 @@ def corrected_twist(
     ------
     EffectError
         If no true motion explains the odometry: an effect of accelerations that counteracts them.
-
     """
     systematic = [e for e in effects if e.kind != "noise" and not e.clock]
     shown = [e for e in effects if e.layer == "record" and (e.kind != "noise" or e.restorable)]

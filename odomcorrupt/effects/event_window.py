@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["duration_parameter", "part_inside", "time_parameter"]
-
 
 def time_parameter() -> Any:
     """Declare the time at which an event begins."""

@@ -30,19 +30,6 @@ if TYPE_CHECKING:
 
     Term = Callable[[Mapping[str, Array]], Array]
 
-__all__ = [
-    "ACCELERATIONS",
-    "CHANNELS",
-    "FUNCTIONS",
-    "PAST",
-    "PLACES",
-    "SIDES",
-    "TRUTH_VARIABLES",
-    "VARIABLES",
-    "Expression",
-    "parse_expression",
-]
-
 CHANNELS = ("along", "across", "yaw")
 SIDES = ("left", "right", "wheels")
 """Further targets of a statement: the rim speeds of single wheels, or of both."""
@@ -140,7 +127,6 @@ class Expression(NamedTuple):
         ------
         EffectError
             If the result is not finite.
-
         """
         total = np.zeros(len(values["v"]))
         with np.errstate(all="ignore"):  # reported below
@@ -165,7 +151,6 @@ def parse_expression(text: str, parameters: tuple[str, ...]) -> Expression:
     ------
     EffectError
         If the text is not a list of valid statements.
-
     """
     reader = _Reader(text, parameters)
     if len(text) > _MOST_CHARACTERS:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ast
 
-__all__ = ["affine", "vanishes"]
-
 
 def affine(node: ast.expr, names: frozenset[str]) -> bool:  # noqa: PLR0911 - one for each kind of term
     """Whether a term is jointly affine in these parameters: no product of two of them, no function of any."""

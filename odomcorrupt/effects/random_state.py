@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["autoregression", "copied"]
-
 
 def copied(rng: np.random.Generator) -> np.random.Generator:
     """Return a copy of a generator, so that a state can be continued more than once."""

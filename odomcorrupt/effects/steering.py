@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["CREEP_MPS", "axles_parameter", "curvature_at", "on_every_axle_distance", "steepness", "steered"]
-
 CREEP_MPS = 0.05 - 1e-9
 """Speed below which a path does not show the steering angle, m/s; just below a round 0.05, which rounding may reach."""
 _STEEP = (0.3, 0.55)

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["amplitude_unit"]
-
 
 class _Dimension(NamedTuple):
     """Powers of metres, radians and seconds."""

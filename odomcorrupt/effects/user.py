@@ -40,8 +40,6 @@ from odomcorrupt.errors import EffectError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["UserEffect", "user_effect"]
-
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}")
 _TAKEN = {*VARIABLES, *CONSTANTS, *FUNCTIONS, *CHANNELS, *SIDES, "name", "expression", "heading"}
 _MAX = 1e9
@@ -109,7 +107,6 @@ def user_effect(
     ------
     EffectError
         If the name or the expression is invalid.
-
     """
     for word in (name, *values):
         if not _NAME.fullmatch(word) or keyword.iskeyword(word):

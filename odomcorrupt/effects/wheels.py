@@ -15,22 +15,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = [
-    "TRACKS_M",
-    "Rims",
-    "body_of",
-    "brings_track",
-    "driven_speeds",
-    "error_of_each_wheel",
-    "heading_choice",
-    "needed_track_m",
-    "on_every_track",
-    "rims_of",
-    "track_parameter",
-    "turning",
-    "wheel_motions",
-]
-
 _STILL_MPS = 1e-6
 TRACKS_M = (0.12, 0.22, 0.4, 0.7, 1.2)
 """Trial tracks of an effect of single wheels, metres, if the robot's track is unknown."""

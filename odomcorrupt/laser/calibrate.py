@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.laser.sweep import Sweeps
 
-__all__ = ["Calibration", "calibrate", "hand_eye"]
-
 _PAIRS = 240
 _APART_M, _APART_RAD = 0.25, 0.15
 _LAG_S, _LAG_STEP_S = 0.6, 0.01
@@ -86,7 +84,6 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     ------
     RecordingError
         If the sweeps cannot be matched with each other.
-
     """
     mount = np.zeros(3)
     stated, stated_s = sweeps, _stated_turn_s(sweeps)

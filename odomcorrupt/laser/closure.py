@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.laser.sweep import Sweeps
 
-__all__ = ["End", "end_by_scans"]
-
 _SWEEPS = 5
 _OVERLAP = 0.6
 _REACH_M, _STEP_M = 0.6, 0.2
@@ -45,7 +43,6 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
     ------
     RecordingError
         If the last sweeps do not match the first: the drive did not end near its start.
-
     """
     calibration = calibrate(sweeps, odometry, int(odometry.stamps_ns[0]))
     sweeps, motion, scans = calibration.sweeps, calibration.motion, calibration.deskewing()

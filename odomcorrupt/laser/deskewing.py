@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.laser.sweep import Sweeps
 
-__all__ = ["Deskewing", "Motion"]
-
 _KNOTS = 17
 """Number of poses per sweep, odd so that the middle is one of them; motion between them is uniform. With 5 in 0.2 s,
 heading errors are 2e-4 s^2 times the angular acceleration, which resembles slip at starts and stops."""

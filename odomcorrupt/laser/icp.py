@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["LEAST_PAIRS", "WEAK", "Match", "Surface", "best_guess", "match", "surface_of"]
-
 LEAST_PAIRS = 20
 """Minimum number of returns matched to a surface for a pose."""
 WEAK = 0.15

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.icp import Match
     from odomcorrupt.laser.surface import Lines
 
-__all__ = ["Edge", "KeyframeMap"]
-
 NEIGHBOURS = 8
 """Maximum number of nearest keyframes to which a new one is connected."""
 _NEAR_M = 3.0

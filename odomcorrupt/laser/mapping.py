@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.trajectory import LaserRun
     from odomcorrupt.mapping.scan_map import Survey
 
-__all__ = ["LaserMaps", "largest_part", "laser_maps", "tum_text"]
-
 _MOST_RAYS = 400_000
 _LEAST_SAID_S = 1.0
 

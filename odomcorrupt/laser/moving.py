@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.calibrate import Calibration
     from odomcorrupt.laser.sweep import Sweep
 
-__all__ = ["without_moving"]
-
 _APART_M, _APART_S = 0.5, 3.0
 """Travel between two compared sweeps, m, and largest time between them, s, for a robot that stands."""
 _GAP_M, _OBJECT_M = 0.3, 0.8

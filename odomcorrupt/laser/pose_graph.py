@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Edges", "optimise"]
-
 _ROUNDS = 12
 _STEP = 1e-4
 _KERNEL = 12.0

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.frames import Mount
     from odomcorrupt.mapping.messages import CloudMessage
 
-__all__ = ["only_scan_topic", "read_sweeps"]
-
 _FARTHEST_M = 200.0
 _SLICE_RAD = np.radians(2.0)
 _FLAT_M = 0.01
@@ -58,7 +56,6 @@ def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> S
         If there is no such topic, or the choice is ambiguous.
     RecordingError
         If there are too few sweeps or returns to match.
-
     """
     tree = FrameTree()
     rows: list[tuple[ScanMessage | CloudMessage, int]] = []

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.icp import Match
     from odomcorrupt.laser.sweep import Sweeps
 
-__all__ = ["Tracked", "make_map"]
-
 _TRACK_QUERY = 180
 _OVERLAP = 0.35
 _SURE_OVERLAP = 0.6

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.deskewing import Motion
     from odomcorrupt.laser.trajectory import LaserPath
 
-__all__ = ["WhiteNoise", "white_noise", "with_noise", "with_view_errors", "without_spikes"]
-
 _FEW = 60
 _EXTREME = 99.0
 _GAP = 1.6

@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Lines", "lines_of"]
-
 _REACH_M = 0.3
 """Largest distance of a return's neighbours, m."""
 _MOST_STEPS = 6

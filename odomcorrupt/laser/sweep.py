@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.frames import Mount
 
-__all__ = ["MOST_RETURNS", "Sweep", "Sweeps"]
-
 MOST_RETURNS = 720
 """Number of returns to which denser sweeps are thinned: more cost time and add little information."""
 _EVEN_OVER, _GAP = 10, 2.5

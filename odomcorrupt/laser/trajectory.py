@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.stamps import WhiteNoise
     from odomcorrupt.laser.sweep import Sweeps
 
-__all__ = ["UNKNOWN_M", "LaserPath", "LaserRun", "relocalised"]
-
 _QUERY = 450
 _OVERLAP = 0.35
 _GATES_M = (0.2, 0.15)

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["Generation", "MessageType", "convert_type"]
-
 Generation = Literal[1, 2]
 """Of ROS."""
 
@@ -87,7 +85,6 @@ def convert_type(msgtype: str, definition: Definition, ros: Generation) -> Messa
     ------
     BagError
         If the definition is missing, incomplete or invalid, or the type cannot exist in the other generation.
-
     """
     other: Generation = 1 if ros == 2 else 2
     new = _RENAMED.get(msgtype, msgtype) if ros == 2 else msgtype

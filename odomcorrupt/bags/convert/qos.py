@@ -10,8 +10,6 @@ from rosbags.rosbag2.metadata import dump_qos_v8
 
 from odomcorrupt.bags.rosbag2.bounded_yaml import load_plain
 
-__all__ = ["latched_qos", "stays_for_late_subscribers"]
-
 _TRANSIENT_LOCAL = (1, "1", "transient_local")
 """As metadata of all versions name it."""
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.bags.convert.message_types import Generation, MessageType
 
-__all__ = ["ConvertedReader"]
-
 _GENERATIONS: Mapping[str, Generation] = {"ros1": 1, "cdr": 2}
 _NAMED = 4
 """Topics named in an error."""

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["RewrittenReader", "Rule"]
-
 
 class Rule(NamedTuple):
     """What becomes of a channel.

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["Directory"]
-
 _LAST_ID = 0xFFFF
 _LAST_FOREIGN_ID = 0xFFFFFFFF
 

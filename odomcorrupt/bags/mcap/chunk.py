@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.source import Source
 
-__all__ = ["CODECS", "Loose", "McapFraming", "read_chunk_head", "read_pieces"]
-
 _PIECE_BYTES = 1 << 22
 CODECS = ("none", "lz4", "zstd")
 """Compressions of chunks, by the names users know: the file calls none an empty string."""
@@ -104,7 +102,6 @@ def read_pieces(source: Source, opcode: int, length: int, what: str, summed: int
     ------
     BagError
         After the last piece, if the checksum is wrong.
-
     """
     source.require(length, what)
     if summed + 4 > length and summed:

@@ -18,8 +18,6 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["MESSAGE_HEADER", "Contents", "Record", "read_contents", "record_bytes"]
-
 MESSAGE_HEADER = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 )

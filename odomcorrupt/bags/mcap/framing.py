@@ -15,8 +15,6 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Framed", "Sequences", "frame", "frame_added", "reframe"]
-
 
 class Framed(NamedTuple):
     """Message records.

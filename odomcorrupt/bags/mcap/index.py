@@ -28,8 +28,6 @@ from odomcorrupt.bags.mcap.records import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ChunkPlace", "ChunkRows", "ChunkSpan", "Index", "message_indexes", "span_ns"]
-
 _ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 

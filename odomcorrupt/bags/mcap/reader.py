@@ -52,8 +52,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.mcap.records import SchemaRecord
     from odomcorrupt.bags.source import Source
 
-__all__ = ["McapReader"]
-
 _BATCH_BYTES = 1 << 20
 _NAMES_BYTES = 1 << 16
 """How much of an attachment is looked at."""

@@ -35,14 +35,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.source import Source
 
-__all__ = [
-    "loss_of_cut_chunk",
-    "next_record",
-    "stands_behind",
-    "stands_here",
-    "whole_records",
-]
-
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 256
 _FARTHEST = 10
@@ -130,7 +122,6 @@ def loss_of_cut_chunk(source: Source, length: int, what: str) -> str:
     ------
     BagError
         If the chunk is damaged otherwise: its length covers later records.
-
     """
     here, left = source.position, _left(source)
     lost = f"{source.name}: {what} needs {length} bytes, {left} are left: the bag is truncated in a chunk"

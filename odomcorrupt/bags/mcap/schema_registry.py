@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.mcap.chunk_messages import Record
 
-__all__ = ["Known"]
-
 
 class Known:
     """Schemas and channels of a file or pipe, by id.

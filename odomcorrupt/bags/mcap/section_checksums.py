@@ -12,8 +12,6 @@ from odomcorrupt.bags.checksum import combined, crc32
 from odomcorrupt.bags.mcap.records import FOOTER, HEADER, MAGIC, record
 from odomcorrupt.errors import BagError
 
-__all__ = ["FOOTER_BYTES", "require_data_crc", "require_summary_crc", "stated_data_crc"]
-
 FOOTER_BYTES = 20
 _ADVICE = "outside of its chunks the bag is damaged; --recover saves what is whole"
 
@@ -41,7 +39,6 @@ def require_data_crc(stated: int, crc: int, length: int, header: bytes, what: st
         Content of the header record.
     what : str
         Name in the error.
-
     """
     begin = record(HEADER, header)
     before = (crc32(MAGIC + begin), crc32(begin))
@@ -66,7 +63,6 @@ def require_summary_crc(footer: bytes, crc: int, what: str) -> None:
         CRC-32 of the bytes from the section's beginning to the footer.
     what : str
         Name in the error.
-
     """
     stated = int.from_bytes(footer[16:FOOTER_BYTES], "little")
     if stated not in (0, _crc_of_summary(footer, crc)):

@@ -24,8 +24,6 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from odomcorrupt.bags.source import Source
 
-__all__ = ["PRIVATE", "Summary", "read_summary", "require_named"]
-
 PRIVATE = 0x80
 """Opcodes from here on belong to applications."""
 _END_OF_DATA = struct.pack("<BQI", DATA_END, 4, 0)
@@ -73,7 +71,6 @@ def require_named(opcode: int, head: bytes, what: str) -> int:
     ------
     BagError
         If it does not start with the fields that its index requires.
-
     """
     fields = Fields(head, what)
     if opcode != ATTACHMENT:
@@ -90,7 +87,6 @@ def read_summary(source: Source, size: int) -> Summary:
     ------
     BagError
         If the file has no footer (it was truncated, or never closed), or the summary's checksum is wrong.
-
     """
     tail_bytes = RECORD_HEADER_BYTES + FOOTER_BYTES + len(MAGIC)
     if size >= tail_bytes + len(MAGIC):

@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
 
-__all__ = ["Foreign", "McapWriter", "Packed", "packed"]
-
 
 class Packed(NamedTuple):
     """A chunk's compressed data.

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.source import Source
 
-__all__ = ["CODECS", "Head", "Ros1Framing", "chunk_head", "read_head"]
-
 CODECS = ("none", "lz4", "bz2")
 _HEADER_LIMIT = 1 << 24
 

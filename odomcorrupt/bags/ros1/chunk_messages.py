@@ -19,8 +19,6 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Contents", "read_contents", "record_bytes"]
-
 MOST_RECORDS = 1 << 22
 """What a chunk without an index of its messages is walked for: no recorder writes a tenth of it."""
 _INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Kind
     from odomcorrupt.bags.source import Source
 
-__all__ = ["Ros1Reader"]
-
 _BATCH_BYTES = 1 << 20
 
 

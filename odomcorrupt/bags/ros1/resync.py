@@ -17,14 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.ros1.chunk import Head
     from odomcorrupt.bags.source import Source
 
-__all__ = [
-    "loss_of_cut_chunk",
-    "next_record",
-    "stands_behind",
-    "stands_here",
-    "whole_records",
-]
-
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 1 << 13
 _BACK_BYTES = 256
@@ -89,7 +81,6 @@ def loss_of_cut_chunk(source: Source, head: Head) -> str:
     ------
     BagError
         If the chunk is damaged otherwise: its length covers later records.
-
     """
     here, left = source.position, (source.size or 0) - source.position
     lost = f"{source.name}: {head.what} needs {head.size} bytes, {left} are left: the bag is truncated in a chunk"

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
 
-__all__ = ["Connections", "Ros1Writer"]
-
 _LAST_ID = 0xFFFF
 
 

@@ -11,8 +11,6 @@ from odomcorrupt.input_files import read_input
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["load_faithful", "load_plain", "read_text", "yaml_of", "yaml_problem"]
-
 LARGEST_BYTES = 4 << 20
 LARGEST_NODES = 50_000
 """Two thousand topics; the parser takes 20 us for each."""

@@ -21,15 +21,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, Channel
 
-__all__ = [
-    "SUFFIXES",
-    "Mode",
-    "UnpackedFiles",
-    "UnpackedMessages",
-    "compress_file",
-    "compressed_block",
-]
-
 Mode = Literal["none", "file", "message"]
 """What of a ROS 2 bag is compressed: nothing, its files, or each message; chunks of an MCAP are another matter."""
 

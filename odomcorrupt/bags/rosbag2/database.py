@@ -18,18 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = [
-    "Topic",
-    "columns",
-    "count_messages",
-    "harden",
-    "has_log",
-    "has_packed_messages",
-    "read_only",
-    "read_topics",
-    "reported",
-]
-
 _LEAST_BYTES = 1 << 20
 _MOST_BYTES = (1 << 31) - 1
 """More is no limit to sqlite3, and too large a number."""
@@ -139,7 +127,6 @@ def require_plain(connection: sqlite3.Connection, path: Path) -> None:
     ------
     BagError
         If there is a trigger or a view, or a table of rosbag2 that computes, checks or replaces rows.
-
     """
     for kind, name, table, text in connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master"):
         if kind in ("trigger", "view"):
@@ -185,7 +172,6 @@ def read_topics(connection: sqlite3.Connection, path: Path, losses: list[str] | 
     ------
     BagError
         If the tables are not those of rosbag2.
-
     """
     tables = {str(name) for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     # A view may run for ever, and no recorder creates one.

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import PartContents
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["Addition", "TopicInfo", "add_provenance", "added", "edited", "generated", "read_info", "set_compression"]
-
 _ROOT = "rosbag2_bagfile_information"
 
 

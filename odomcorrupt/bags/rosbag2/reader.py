@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["BagFiles", "Part", "Rosbag2Reader", "find_files", "open_part"]
-
 Part = SqliteReader | McapReader | UnpackedMessages
 
 
@@ -54,7 +52,6 @@ def find_files(directory: Path) -> BagFiles:
     BagError
         If there are none, they are compressed in an unknown way, one is listed twice, or they do not belong to one
         recording.
-
     """
     metadata = directory / "metadata.yaml"
     found = _listed(directory, metadata) if metadata.exists() else _named(directory)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["NewSqliteWriter"]
-
 _SCHEMA_VERSION = 4
 """That of ROS 2 Iron and later."""
 _TABLES = """

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Channel
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["SqliteOutput"]
-
 
 class SqliteOutput:
     """Base class of writers of one .db3 file, which appears when the context ends without an error, else nothing does.

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["SqliteFraming", "SqliteReader", "copy_tables", "kept", "salvaged_rows", "whole_pages"]
-
 _ROWS = "SELECT rowid, topic_id, timestamp, data FROM messages WHERE rowid >= ? ORDER BY rowid"
 _GAPS = 2000
 _KINDS = {"INTEGER", "TEXT", "BLOB", "TIMESTAMP"}

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["SqliteWriter"]
-
 _HELD_BYTES = 16 << 20
 """Blocks whose changes wait for the copy, bytes."""
 

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.bags.rosbag2.compression import Mode
 
-__all__ = ["Rosbag2Writer"]
-
 
 PartWriter = SqliteWriter | NewSqliteWriter | McapWriter
 

@@ -28,16 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
     from odomcorrupt.study.io.recording import Recording, TruthField
 
-__all__ = [
-    "TURN_M",
-    "Cut",
-    "Intervals",
-    "cut_at",
-    "intervals",
-    "join",
-    "memory_over",
-]
-
 TURN_M = 0.3
 """Travel, metres, that changes a localisation's view as much as a turn by 1 rad does."""
 _MOST_MEMORY = 0.97

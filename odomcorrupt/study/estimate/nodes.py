@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["GAP_S", "LEAST_NODES", "count_nodes", "lay_nodes", "pick_nodes"]
-
 GAP_S = 3.0
 """Multiple of the node spacing above which an interval is a gap in the truth and is not used."""
 LEAST_NODES = 20

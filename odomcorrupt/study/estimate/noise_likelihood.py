@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
-__all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseLikelihood", "by_column", "estimated", "pseudo_inverse"]
-
 LOWEST = 1e-5
 """Lower bound of the coefficients, treated as zero."""
 HIGHEST = 10.0
@@ -110,7 +108,6 @@ class NoiseLikelihood:
     weights : (K,)
         Robust factors on each interval's covariance.
     headings : whether the truth has headings; if not, its heading noise is held at a large constant
-
     """
 
     def __init__(

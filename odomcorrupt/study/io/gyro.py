@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["SCALE_ACCURACY", "Gyro", "YawGyro", "gyro_truth", "only_imu", "read_gyro", "yaw_gyro"]
-
 IMU = "sensor_msgs/msg/Imu"
 SCALE_ACCURACY = 0.01
 """Default standard deviation of a gyro's scale error: 1 % (uncalibrated MEMS)."""
@@ -108,7 +106,6 @@ def read_gyro(path: Path, place: str, topic: str) -> Gyro:
         If the bag has no such topic.
     RecordingError
         If there are too few angular velocities, or all are zero (a driver without a gyro).
-
     """
     parts: list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] = []
     with open_reader(path) as reader:
@@ -147,7 +144,6 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
     ------
     RecordingError
         If the odometry does not turn, or if the gyro's rates do not correlate with its turns.
-
     """
     odo_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     own_s = (gyro.stamps_ns - odometry.stamps_ns[0]) * 1e-9
@@ -212,7 +208,6 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
     ------
     RecordingError
         If the odometry's heading comes from this gyro, which then cannot serve as a reference.
-
     """
     if gyro.heading_source == "gyro":
         raise RecordingError(

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.trajectory import LaserPath
     from odomcorrupt.study.io.topic_selection import Address
 
-__all__ = ["NO_SCAN", "SCALE_ACCURACY", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
-
 SCALE_ACCURACY = 0.003
 """Default standard deviation of a laser's scale error: 0.3 %."""
 NO_SCAN = "none"
@@ -75,7 +73,6 @@ def laser_run(
         If a topic is missing, or the choice is ambiguous.
     RecordingError
         If the scans do not give a trajectory; the message has the reason.
-
     """
     odometry = in_order(odometry or read_bag(path, place, {"odometry": odom})["odometry"])
     return match_run(odometry, read_sweeps(path, place, scan, odometry.child or "base_link"), progress)
@@ -90,7 +87,6 @@ def end_seen(path: Path, place: str, odom: str | None, scan: str) -> Array:
         If a topic is missing, or the choice is ambiguous.
     RecordingError
         If the last scans do not match the first.
-
     """
     address = parse_address(odom) if odom is not None else None
     odometry = in_order(read_bag(path, place, {"odometry": address})["odometry"])

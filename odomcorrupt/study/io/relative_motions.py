@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Motions", "chains_of", "read_motions"]
-
 _TIMES = (("t0", "t1"), ("t1", "t2"), ("start", "end"), ("from", "to"), ("start_s", "end_s"), ("t0_s", "t1_s"))
 _YAWS = ("dyaw", "dtheta", "dth", "dpsi")
 _COVARIANCE = ("xx", "xy", "xyaw", "yy", "yyaw", "yawyaw")
@@ -71,7 +69,6 @@ def read_motions(path: Path) -> Motions:
     ------
     RecordingError
         If the file has no such header, or a line does not match it.
-
     """
     try:
         with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
@@ -111,7 +108,6 @@ def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
     ------
     RecordingError
         If no chain lasts 15 s.
-
     """
     motions, said = _on_robot(motions, odometry)
     chains = _chains(motions)

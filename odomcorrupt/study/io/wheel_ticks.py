@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["WheelAngles", "Wheels", "find_joints", "odometry_of_wheels", "read_wheels", "wheels_of"]
-
 JOINTS = "sensor_msgs/msg/JointState"
 _MIN_SAMPLES = 50
 _SPACING_S = 0.2
@@ -89,7 +87,6 @@ def read_wheels(path: Path, place: str, joints: tuple[str, str] | None) -> Wheel
         If the named joints do not exist.
     RecordingError
         If the named joints have too few angles.
-
     """
     parts: list[tuple[NDArray[np.int64], Array]] = []
     seen: set[str] = set()
@@ -132,7 +129,6 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
     ------
     RecordingError
         If the odometry's travel does not match these wheels.
-
     """
     origin = int(odometry.stamps_ns[0])
     own_s, odo_s = (angles.stamps_ns - origin) * 1e-9, odometry.seconds_since(origin)
@@ -190,7 +186,6 @@ def odometry_of_wheels(angles: WheelAngles, wheels: Wheels, odometry: Samples) -
     ------
     RecordingError
         If the recorded odometry's turns come from another source, so that the results would not apply to it.
-
     """
     if not wheels.heading:
         raise RecordingError(

@@ -51,19 +51,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.terms.term import Term
 
-__all__ = [
-    "Candidate",
-    "channels_of",
-    "include",
-    "levels_of",
-    "library",
-    "library_candidates",
-    "objection",
-    "terms_of",
-    "tried",
-    "with_shape_refined",
-]
-
 _IMPOSSIBLE_SIGN = "of a sign that it cannot have"
 """Refusal of an effect whose estimate has a physically impossible sign."""
 _DRIFT = f"makes the {WINDOW_S:g} s error larger"

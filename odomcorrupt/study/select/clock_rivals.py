@@ -29,16 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
 
-__all__ = [
-    "CLOCK_LIKE_EFFECTS",
-    "InPlaceOfClock",
-    "beside_lags",
-    "lag_in_place",
-    "more_nats",
-    "penalised_nats",
-    "without_clock",
-]
-
 CLOCK_LIKE_EFFECTS = ("accel_slip", "backlash")
 """Names of wheel effects at changes of speed, which resemble a clock offset."""
 

@@ -24,16 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.score import Score
 
-__all__ = [
-    "acts_in_curves_only",
-    "hardly_turns",
-    "is_gain_of_turns",
-    "is_pulled",
-    "may_be_of_lags",
-    "may_be_steering",
-    "of_pulls",
-]
-
 _ACTIVE = 1e-3  # fraction of the largest information per interval above which an interval counts in K
 _MOSTLY = 0.95  # least absolute cosine between a column and the turns for a gain of turns
 _LEAST_DELAY_S, _PULL_MARGIN = 0.05, 2.0
@@ -55,7 +45,6 @@ def may_be_steering(fit: Fit, columns: Array, estimate: Array) -> bool:
     columns : (K, 3, p)
         Change of the residuals per unit of each coefficient.
     estimate : (p,)
-
     """
     if columns.shape[2] != 1:
         return False

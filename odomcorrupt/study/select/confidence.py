@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["Evidence", "confidence", "evidence_of", "held_out_limit", "noise_evidence", "odds_against", "odds_formula"]
-
 _SHORT_ARM_M = 0.005
 """Largest lever arm, m, that errors of single wheels can imitate."""
 _USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5

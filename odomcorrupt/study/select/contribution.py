@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.decisions import Practical
 
-__all__ = ["FAR_M", "Contribution", "Span", "contributions"]
-
 FAR_M = 50.0
 """Length of path, m, at which slow causes are measured, such as a bias with hardly any influence in 10 s."""
 _PHASES = np.arange(5) / 5.0  # starts of the first window, as fractions of a window

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.terms.term import Term
 
-__all__ = ["DECISIONS", "Decisions", "Practical", "PriorOdds", "error_shares", "penalty"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PriorOdds:
@@ -186,7 +184,6 @@ def error_shares(names: Sequence[str], decisions: Decisions) -> list[float]:
     ----------
     names : names (n,) of the tested library effects, all separable from the model
     decisions : names of the common effects, and the prior penalty of the others
-
     """
     weights = [float(np.exp(-_rare_nats(name, decisions))) for name in names]
     return [weight / sum(weights) for weight in weights]

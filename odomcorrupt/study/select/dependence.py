@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.score import ColumnScore, Score
     from odomcorrupt.study.select.screening import CoarseDesign, Screened
 
-__all__ = ["BasisScore", "Dependence", "basis_scores", "dependences"]
-
 _OF_TURNS = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "heading")
 """Regressors of turning: on a drive with hardly any turns they show only the heading control."""
 _MOST_STARTS = 40

@@ -25,19 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.random_effects import RandomCoefficient
 
-__all__ = [
-    "absorb",
-    "backward_eliminate",
-    "continued",
-    "drift_grows",
-    "drop_term",
-    "eliminate_random",
-    "eliminate_untested",
-    "iterate",
-    "one_heading",
-    "without_redundant",
-]
-
 _ITERATIONS, _ALIKE = 6, 0.03
 """Largest number of iterations between a random coefficient and the other noise; relative change that ends them."""
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
 
-__all__ = ["with_shape_at_size"]
-
 _MOST_MOVES = 5
 """Largest number of moves; two or three are usual."""
 _STEP = 0.02

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["ParameterDifference", "disagreements"]
-
 _CHANGING = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
 """Effects whose size loads, tyres, floors and a restart change between drives."""
 _LARGEST_ERROR = 0.5

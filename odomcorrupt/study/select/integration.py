@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.score import Score
 
-__all__ = ["euler_clause"]
-
 _STANDARD_ERRORS, _APART = 3.0, 0.05
 """Largest difference between twice the slip and the message period, in standard errors or as a fraction of the period:
 stamps, and regressors filtered over an interval, change fitted delays by a few percent."""

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.terms.term import LibraryTerm
 
-__all__ = ["LibrarySearch", "Prospect"]
-
 
 class Prospect(NamedTuple):
     """An effect of the library that awaits a decision.
@@ -46,7 +44,6 @@ class LibrarySearch:
     Attributes
     ----------
     scores : scores of all effects at their present shapes
-
     """
 
     def __init__(self, fit: Fit, families: Sequence[Sequence[LibraryTerm]], decisions: Decisions) -> None:

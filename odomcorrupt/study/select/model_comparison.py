@@ -40,16 +40,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.select.screening import CoarseDesign
 
-__all__ = [
-    "ModelComparison",
-    "Proposal",
-    "best_dependence",
-    "best_replacement",
-    "compare_with_basis",
-    "name_for",
-    "with_final_rivals",
-]
-
 
 _NEAR_FORM = 0.05
 """Fraction of the best form's gain that another form may recover by refinement of its threshold."""

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["flat_spots", "waves"]
-
 LONGEST_M, SHORTEST_M = 4.0, 0.15  # wavelengths that are tested, m
 _LARGEST_TURN_M = 2.5
 """Largest circumference of a wheel that is tested, m: a radius of 0.4 m."""

@@ -46,16 +46,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.random_process import Process, Root
     from odomcorrupt.study.select.decisions import Decisions
 
-__all__ = [
-    "RandomCoefficient",
-    "beside_bursts",
-    "gain_in_refit",
-    "is_remainder",
-    "outlier_effects",
-    "random_coefficients",
-    "remeasured",
-]
-
 _LEAST_SCALE = 1e-6
 """Smallest standard deviation of a gain that is tried; the largest is the bound of the effect's parameter."""
 _FEW, _BESIDE = 0.05, 2

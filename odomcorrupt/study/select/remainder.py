@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["within_remainder"]
-
 
 def within_remainder(fit: Fit, error: Array) -> bool:
     """Return whether the root mean square of an error is within the remainder of the effects in the model, if any.

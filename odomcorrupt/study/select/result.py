@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.random_effects import RandomCoefficient
 
-__all__ = ["Learned", "Step"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:

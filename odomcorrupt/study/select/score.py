@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.terms.term import Term
 
-__all__ = ["ColumnScore", "Projection", "Score", "project_out", "score_columns", "score_terms"]
-
 _SEPARABLE = 0.02
 """Fraction of a column's length outside the span of the design matrix below which it is not separable from it."""
 _OTHERS, _STRONG = 50, 1e-6
@@ -148,7 +146,6 @@ def score_terms(
     fit, terms, decisions : the model, the tested terms, and the thresholds that define penalties
     family : number of kinds of terms for the Bonferroni correction, beside the trials of each; default: those tested
     columns : (K, 3, p) columns of each term, if already computed
-
     """
     count = len(fit.problem.nodes)
     groups = [term.columns(fit.problem) for term in terms] if columns is None else columns

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.terms.channels import Action
     from odomcorrupt.study.terms.term import Term
 
-__all__ = ["CoarseDesign", "Screened", "coarse_gains", "promising_terms"]
-
 _SAMPLES = 5
 """Number of increments kept of each interval."""
 _MEAN = np.tile(np.eye(3) / _SAMPLES, (_SAMPLES, 1))

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
 
-__all__ = ["ShapeSearch", "maximise"]
-
 _WIDE, _COARSE, _EXACT = (4.0, 2.0), (1.0, 0.5, 0.25, 0.125), (0.25, 0.125, 0.05)
 """Scales of the steps of a shape search: wide steps for places, whose gain changes only when an edge reaches another
 part of the path; steps with approximate columns; steps with exact columns."""

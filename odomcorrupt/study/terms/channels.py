@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["MOVES", "Action", "View", "actions_on", "every_action", "views"]
-
 MOVES: dict[str, Callable[[Motion], Array]] = {
     "v": lambda m: m.v,
     "abs(v)": lambda m: np.abs(m.v),

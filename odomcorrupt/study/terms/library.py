@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["library_families"]
-
 
 def library_families(
     recordings: Sequence[Recording], motions: Sequence[Motion], have: Container[str]
@@ -33,7 +31,6 @@ def library_families(
     ----------
     recordings, motions : the recordings, and their smooth motions
     have : names of effects that are already in the model
-
     """
     drive = drive_type_of(recordings)
     track = not drive.steered and all(m.track_m is not None for m in motions)

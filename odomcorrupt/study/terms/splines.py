@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["curve_regressors"]
-
 _HATS = {  # number of hats of each regressor
     "speed": 6,
     "yaw_rate": 6,

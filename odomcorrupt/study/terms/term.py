@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound="Term")
 
-__all__ = ["BasisTerm", "LibraryTerm", "Term", "neighbours"]
-
 _KINDS = (len(VALUES) + 2) * len(every_action())
 """Number of kinds of basis functions: regressors, including place and heading, times actions."""
 _SIMPLEST = 2.0

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["RUNS", "RoundTrip", "bound_notes", "verified_model"]
-
 RUNS = 20
 """Corrupted runs that must succeed for a model with random effects; without these all runs are equal."""
 _STRETCH_S = 300.0
@@ -93,7 +91,6 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording], *, runs:
     model : as fitted
     recordings : those that it was fitted to; clocks come from the model's set-up
     runs : corrupted runs, see `RUNS`; the first covers all recordings, each other one a few minutes
-
     """
     drives = [_drive(model, recording) for recording in recordings]
     changes: list[str] = []

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     Of = Callable[[Motion], Array]
 
-__all__ = ["COEFFICIENTS", "REFINING", "BasisFunction"]
-
 COEFFICIENTS = ("k", "m")
 """Names of the coefficients in an expression."""
 REFINING = 2

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.terms.basis.basis_function import Of
 
-__all__ = ["VALUES", "functions_of_motion"]
-
 VALUES: dict[str, tuple[str, Of]] = {
     "speed": ("abs(v)", lambda m: np.abs(m.v)),
     "yaw_rate": ("abs(omega)", lambda m: np.abs(m.omega)),

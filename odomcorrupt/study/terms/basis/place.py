@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.terms.basis.basis_function import Of
 
-__all__ = ["functions_of_heading", "functions_of_place"]
-
 _PLACES = 7  # grid lines along each axis
 _RADII_M = (0.8, 1.3, 2.0)  # radii of discs, m
 _OUTER = (0.03, 0.97)

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Motion
 
-__all__ = ["functions_of_time"]
-
 _SETTLE_S = (30.0, 80.0, 200.0)  # settling times on the grid, s
 _QUICKEST_S, _SLOWEST_S = 10.0, 1e4
 """Least and largest settling time that is tried, s; faster settling leaves nothing to observe."""
