@@ -47,9 +47,9 @@ _NUDGE = 1e-6
 """By how much a speed is changed to see what that does to f, m/s and rad/s."""
 _FARTHEST, _JITTER = 20.0, 1e-3
 """Odometry is not off by more than so many times the true motion, but where both are next to nothing, metres."""
-_HALVINGS = 20
+_HALVINGS, _AT_ONCE = 20, 4
 """Halvings of the interval in which the highest speed with an inverse is searched: to a millionth, because the
-odometry's speed there goes with the root of the rest."""
+odometry's speed there goes with the root of the rest; and how many of them are made at once, where rows allow it."""
 
 
 def acts(effect: Effect) -> bool:
@@ -203,15 +203,25 @@ def _solved(stage: Sequence[tuple[Effect, State]], clean: Array, true: Motion, *
     f, states, unsolved = _iterated(stage, clean, true)
     scale = np.where(unsolved, 0.0, 1.0)
     if learned and unsolved.any():
-        # the rows of effects with memory depend on each other
-        rows = np.flatnonzero(unsolved | any(state is not None for _, state in stage))
-        open_ = unsolved[rows]
-        low, high, f_low = 1.0 - open_, np.ones(len(rows)), f[rows]
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2.0
-            slower, _, failed = _iterated(stage, clean[rows] * middle[:, None], _slowed(true, rows, middle))
-            f_low = np.where((open_ & ~failed)[:, None], slower / middle[:, None], f_low)
-            low, high = np.where(failed, low, middle), np.where(failed, middle, high)
+        # the rows of effects with memory depend on each other, so only one fraction at a time can be tried for them
+        remembers = any(state is not None for _, state in stage)
+        rows = np.flatnonzero(unsolved | remembers)
+        halvings = 1 if remembers else _AT_ONCE
+        parts = np.arange(1, 2**halvings)[:, None] / 2**halvings
+        tried, several = np.arange(len(parts))[:, None], np.tile(rows, len(parts))
+        low, high, f_low = np.where(unsolved[rows], 0.0, 1.0), np.ones(len(rows)), f[rows]
+        for _ in range(_HALVINGS // halvings):
+            scales = low + (high - low) * parts
+            slower, _, failed = _iterated(
+                stage, clean[several] * scales.reshape(-1, 1), _slowed(true, several, scales.ravel())
+            )
+            failed = failed.reshape(scales.shape)
+            solved = np.logical_and.accumulate(~failed, axis=0)
+            best = solved & (tried == solved.sum(axis=0) - 1) & unsolved[rows]
+            which, row = np.nonzero(best)
+            f_low[row] = slower.reshape(*scales.shape, 3)[which, row] / scales[which, row][:, None]
+            low = np.where(solved, scales, low).max(axis=0)
+            high = np.where(solved, high, scales).min(axis=0)
         f[rows], scale[rows] = f_low, low
     if not scale.all():
         names = ", ".join(effect.name for effect, _ in stage)
