@@ -39,6 +39,7 @@ def test_a_filtered_compass_is_found_with_its_time_constant_and_corrected_on_ano
     assert after < 1.1 * floor < 0.5 * ten_second_error([drive(501)])
 
 
+@pytest.mark.slow
 def test_a_compass_without_a_filter_has_no_time_constant():
     learned = learn([as_recording(simulate(81, "magnetic_heading", robot_seed=81, size=2.0))])
     (compass,) = learned.fit.effects

@@ -152,6 +152,7 @@ def test_a_law_that_flickers_with_jittering_stamps_is_replaced_by_its_mean(drive
     assert parse_model(format_model(found.model)).source["remarks"] == list(found.changes)
 
 
+@pytest.mark.slow
 def test_a_learned_law_is_tested_at_the_recorded_speeds_themselves(drive):
     # corruption with a learned model may use the relative error of a lower speed; a law that needs it here is no law
     stuck = user_effect("stuck", "along += -3 * v * k * max(abs(v) - 0.1, 0)", {"k": 1.0})

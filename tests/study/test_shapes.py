@@ -65,6 +65,7 @@ def test_a_patch_is_found_as_far_as_its_errors_say_and_where_the_map_begins_far_
     assert there.error_m == pytest.approx(here.error_m, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_carpet_is_a_rectangle_and_is_continued_to_places_that_the_drive_does_not_reach():
     run = simulate(85, None, duration_s=300.0)
     recording = as_recording(run)

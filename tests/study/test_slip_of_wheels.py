@@ -53,6 +53,7 @@ def belted(seed):
     return replace(run, track_m=TRACK_M)
 
 
+@pytest.mark.slow
 def test_a_belt_of_one_wheel_that_slips_under_acceleration_of_either_sign_is_corrected_on_another_drive():
     learned = learn([belted(401)])
     (law,) = learned.laws
