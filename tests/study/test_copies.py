@@ -16,14 +16,14 @@ from odomcorrupt.study.select.stepwise import learn
 def test_a_track_that_is_wrong_is_not_doubted_for_turns_that_hardly_turn():
     # breaks where "yaw += omega * k * where(abs(omega) > 0.06, 1, 0)" counts as another cause than the track
     seed = 903
-    told = wander(seed, 300.0)
-    noise = np.random.default_rng(seed).standard_normal((2, len(told)))
+    reported = wander(seed, 300.0)
+    noise = np.random.default_rng(seed).standard_normal((2, len(reported)))
     driven = Increments(
-        told.ds_m + 0.005 * noise[0] * np.sqrt(np.abs(told.ds_m)),
-        told.dl_m,
-        told.dtheta_rad / 0.97 + 0.01 * noise[1] * np.sqrt(np.abs(told.ds_m) + np.abs(told.dtheta_rad)),
+        reported.ds_m + 0.005 * noise[0] * np.sqrt(np.abs(reported.ds_m)),
+        reported.dl_m,
+        reported.dtheta_rad / 0.97 + 0.01 * noise[1] * np.sqrt(np.abs(reported.ds_m) + np.abs(reported.dtheta_rad)),
     )
-    run = recording(driven, accumulate(np.zeros(3), told), truth_mm=1.0, truth_rad=0.002, seed=seed)
+    run = recording(driven, accumulate(np.zeros(3), reported), truth_mm=1.0, truth_rad=0.002, seed=seed)
     learned = learn([replace(run, track_m=0.4)])
     assert learned.added == ("wheelbase",)
     assert learned.margins["wheelbase"] > 8.2

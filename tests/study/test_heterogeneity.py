@@ -19,20 +19,22 @@ NOISE = Coefficients(0.01, 0.01, 0.01, 0.005)
 
 def run(seed, *, scale=0.0, bias=0.0):
     """Return the same drive with other noise: true wheels larger than said, and an odometry that turns too fast."""
-    told = wander(801, 200.0)
+    reported = wander(801, 200.0)
     driven = Increments(
-        told.ds_m * (1.0 + scale), told.dl_m, told.dtheta_rad * (1.0 + scale) - bias / 50.0 * np.ones(len(told))
+        reported.ds_m * (1.0 + scale),
+        reported.dl_m,
+        reported.dtheta_rad * (1.0 + scale) - bias / 50.0 * np.ones(len(reported)),
     )
-    return replace(recording(driven, noisy_path(told, NOISE, seed), truth_mm=1.0, seed=seed), track_m=0.4)
+    return replace(recording(driven, noisy_path(reported, NOISE, seed), truth_mm=1.0, seed=seed), track_m=0.4)
 
 
 @pytest.mark.slow
 def test_a_load_that_was_put_on_is_said_and_not_only_called_noise():
     # breaks where what is constant in each recording is left to the slow noise that it looks like
     learned = learn([run(801), run(802, scale=-0.012)])
-    told = {one.effect: one for one in learned.disagreements}
-    assert set(told) == {"wheel_scale"}
-    assert told["wheel_scale"].values == pytest.approx((0.0, -0.012), abs=0.002)
+    reported = {one.effect: one for one in learned.disagreements}
+    assert set(reported) == {"wheel_scale"}
+    assert reported["wheel_scale"].values == pytest.approx((0.0, -0.012), abs=0.002)
     text = found_text(learned, advise(learned))
     assert "the recordings disagree about wheel_scale: " in text
     assert "in drive 802. The robot changed between them" in text

@@ -21,9 +21,9 @@ CURVATURE = -0.02
 @pytest.mark.parametrize("yaw", [0.0, np.pi / 3])
 def test_a_far_marker_on_a_robot_that_bends_is_where_it_is_and_nothing_besides(yaw):
     # breaks where the lever is multiplied by the odometry's turn: lever times bend are then a scale and a mounting
-    told = wander(701, 300.0)
-    driven = Increments(told.ds_m, told.dl_m, told.dtheta_rad + CURVATURE * told.ds_m)
-    run = recording(driven, noisy_path(told, Coefficients(0.01, 0.01, 0.01, 0.005), 701), seed=701)
+    reported = wander(701, 300.0)
+    driven = Increments(reported.ds_m, reported.dl_m, reported.dtheta_rad + CURVATURE * reported.ds_m)
+    run = recording(driven, noisy_path(reported, Coefficients(0.01, 0.01, 0.01, 0.005), 701), seed=701)
     rng = np.random.default_rng(701)
     marker = compose(accumulate(np.zeros(3), driven), np.array([0.3, -0.25, yaw]))
     marker = marker + rng.standard_normal(marker.shape) * [1e-3, 1e-3, 2e-3]

@@ -31,9 +31,9 @@ def slipping(steps, own):
 @pytest.mark.parametrize(("own", "contact"), [(0.0, "axle"), (1.0, "wheels")])
 def test_slip_has_its_name_size_and_contact_and_leaves_no_clock(own, contact):
     # breaks where clocks are found beside a slip of the body alone: what it does not explain became an offset of 4 ms
-    told = wander(400, 300.0)
-    driven = slipping(told, own)
-    run = recording(driven, noisy_path(told, QUIET, 400), truth_mm=1.0, truth_rad=0.002, seed=400)
+    reported = wander(400, 300.0)
+    driven = slipping(reported, own)
+    run = recording(driven, noisy_path(reported, QUIET, 400), truth_mm=1.0, truth_rad=0.002, seed=400)
     learned = learn([replace(run, track_m=TRACK_M)])
     (effect,) = learned.fit.effects
     assert (effect.name, effect.contact) == ("accel_slip", contact)
@@ -44,12 +44,12 @@ def test_slip_has_its_name_size_and_contact_and_leaves_no_clock(own, contact):
 
 def belted(seed):
     """Return a recording of a robot whose right wheel slips on its belt, both when it speeds up and when it brakes."""
-    told = wander(seed, 200.0)
-    half = TRACK_M / 2.0 * told.dtheta_rad
-    right, left = told.ds_m + half, told.ds_m - half
+    reported = wander(seed, 200.0)
+    half = TRACK_M / 2.0 * reported.dtheta_rad
+    right, left = reported.ds_m + half, reported.ds_m - half
     right = right * np.where(np.abs(np.gradient(right) * RATE_HZ**2) > 0.5, 0.9, 1.0)
-    driven = Increments((right + left) / 2.0, told.dl_m, (right - left) / TRACK_M)
-    run = recording(driven, noisy_path(told, QUIET, seed), truth_mm=1.0, truth_rad=0.002, seed=seed)
+    driven = Increments((right + left) / 2.0, reported.dl_m, (right - left) / TRACK_M)
+    run = recording(driven, noisy_path(reported, QUIET, seed), truth_mm=1.0, truth_rad=0.002, seed=seed)
     return replace(run, track_m=TRACK_M)
 
 

@@ -131,7 +131,7 @@ def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
     """Return the evidence for a random effect; any dependence resembles a slow random gain, or heavy tails.
 
     The misfit of a lag is large where speeds or steering angles change quickly, and resembles heavy tails. A random
-    process with which the model drifts further than the recordings stands for an error that follows the motion.
+    process with which the model drifts further than the recordings imitates an error that depends on the motion.
     """
     left = 0.0 if gain.effect.layer == "record" else learned.left_nats
     own = held_out_limit(gain.effect.name, gain.nats, learned)
