@@ -74,6 +74,7 @@ def in_one_chunk(kind, codec, path, change=bytes, crc=None):
     return rebuilt(path, [found[0], (fields, fields, PACK[codec](inside)), (index, index, b""), *rest])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize(("kind", "codec"), KINDS)
 def test_the_messages_are_the_same_in_several_chunks_for_any_threads_and_through_a_pipe(kind, codec, tmp_path):
@@ -109,6 +110,7 @@ def flipped(data):
     return bytes(changed)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("codec", ["none", "zstd", "lz4"])
 @pytest.mark.parametrize("piped", [False, True])
@@ -124,6 +126,7 @@ def test_a_wrong_checksum_is_a_line_and_recovery_leaves_the_chunk_out(codec, pip
     assert mcap_messages(tmp_path / "out.mcap") == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize(("kind", "codec"), KINDS)
 def test_a_chunk_that_is_damaged_or_cut_in_the_middle_is_an_error_that_leaves_nothing(kind, codec, tmp_path):
@@ -142,6 +145,7 @@ def test_a_chunk_that_is_damaged_or_cut_in_the_middle_is_an_error_that_leaves_no
     assert 0.3 * len(all_messages) < len(saved) < 0.7 * len(all_messages)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
 def test_without_a_checksum_recovery_keeps_the_messages_before_the_first_record_that_does_not_fit(kind, tmp_path):

@@ -89,6 +89,7 @@ def halves(directory):
             writer.finish()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [[], OPTIONS["all"]])
 def test_split_parts_every_file_of_a_directory(options, here):
     halves(here / "two")

@@ -25,6 +25,7 @@ def last_errors(chosen, drive, runs):
     return np.array([NoisyPath(chosen, 5, run).feed(*drive).error_xyt[-1] for run in range(runs)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", sorted(LAWS))
 def test_moments_agree_with_the_textbook_loop(law):
     t, poses = office(2.5, 20.0)
@@ -225,6 +226,7 @@ def strafing(rate_hz=2.0, seconds=40.0):
     return stamps(len(t), rate_hz), np.column_stack((x, y, theta))
 
 
+@pytest.mark.slow
 def test_the_omni_law_strafes_like_amcl_on_a_holonomic_drive():
     t, poses = strafing()
     rng = np.random.default_rng(4)

@@ -230,6 +230,7 @@ def test_covariance_replaces_x_y_yaw_and_no_other_entry():
     assert np.array_equal(read(out, ODOM, "twist_covariance")[1][0], before + 1)
 
 
+@pytest.mark.slow
 def test_twist_covariance_says_how_much_noise_the_twists_carry():
     t, poses = DRIVE
     clean = read(blocks_of(robot(t, poses)), ODOM, "twist")[1][:, [0, 1, 5]]

@@ -88,6 +88,7 @@ def there_and_back(effects, drive):
     return odometry, accumulate(odometry[0], corrected_increments(effects, motion))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [10.0, 50.0, 400.0])
 @pytest.mark.parametrize("k", [0.02, 0.1])
 def test_slip_of_any_strength_and_rate_is_put_in_and_taken_out(k, rate_hz):

@@ -113,6 +113,7 @@ def model_ends(noise, speed, yaw_rate, seconds, runs=1500):
     return np.array([NoisyPath(model, seed).feed(stamps_ns, clean).error_xyt[-1] for seed in range(runs)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(NOISES))
 def test_amcls_particles_spread_on_a_straight_drive_as_the_model_does(name):
     alphas = amcl_alphas(NOISES[name], 0.25, 0.2, drive=DRIVE)
@@ -122,6 +123,7 @@ def test_amcls_particles_spread_on_a_straight_drive_as_the_model_does(name):
     np.testing.assert_allclose(particles[:, 1:].std(axis=0), drawn[:, 1:].std(axis=0), rtol=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(NOISES))
 @pytest.mark.parametrize("turn", ["rolling", "spot"])
 def test_amcls_particles_spread_in_turns_as_the_model_does(name, turn):

@@ -94,6 +94,7 @@ BOMBS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recover", [False, True])
 @pytest.mark.parametrize("name", BOMBS)
 def test_what_unpacks_to_more_than_its_budget_is_a_line(name, recover, tmp_path, monkeypatch):

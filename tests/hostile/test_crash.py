@@ -8,6 +8,7 @@ import pytest
 from crash import batches, rewrites
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [rewrites, batches])
 def test_killed_at_any_moment_nothing_half_stands_under_a_name(part, tmp_path):
     said = part(tmp_path, 8, random.Random(2))  # noqa: S311 - moments, no secrets

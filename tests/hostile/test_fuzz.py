@@ -25,6 +25,7 @@ def test_every_kind_is_tried(fuzz):
     assert set(fuzz.kinds) == set(KINDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_damage_is_refused_in_a_line_or_changes_nothing_that_is_not_reported(fuzz, kind):
     begun = time.monotonic()

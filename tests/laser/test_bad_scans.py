@@ -54,6 +54,7 @@ def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path
     assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sweep_s", "said"), [(0.0, "taken at once"), (0.19, "a turn takes 0.19 s (counter-clockwise)")]
 )

@@ -62,6 +62,7 @@ def test_the_upward_axis_bias_and_lag_are_found_without_tf(tmp_path):
     assert turned == pytest.approx(GAIN * (real[min(last, len(real) - 1)] - real[first]), abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["encoders", "gyro"])
 def test_wheels_or_gyro_as_the_source_of_the_heading_is_reported_by_what_they_say_at_rest(tmp_path, source):
     simulated = drive(yaw_from="encoders")
@@ -95,6 +96,7 @@ def test_wheels_and_gyro_alone_name_a_wrong_track_and_no_travel(tmp_path, capsys
     assert value["standard_error"] > 0.008
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("e", [-0.05, 0.05])
 def test_a_gain_of_turns_of_four_errors_of_the_gyros_scale_is_evidence_of_either_sign(tmp_path, e):
     # taking it out of the odometry scales the noise of turns, which is no evidence for or against it

@@ -18,6 +18,7 @@ def sweeps_of(path):
     return read_sweeps(path, "run", "/scan", "base_link")
 
 
+@pytest.mark.slow
 def test_returns_of_people_who_walk_with_the_robot_are_left_out_and_those_of_walls_and_boxes_stay(tmp_path):
     alone = sweeps_of(raycaster.drive(tmp_path / "alone.mcap", stated=(0.1, 0.0, 0.0)))
     path = raycaster.drive(tmp_path / "run.mcap", people_m=PEOPLE_M, stated=(0.1, 0.0, 0.0))

@@ -18,6 +18,7 @@ LOUD = MotionModel(Noise("diffusion", Coefficients(0.6, 0.6, 0.2, 0.3)))
 BOOK = MotionModel(Noise("linear", Coefficients(0.3, 0.6, 0.4, 0.2), Step(0.25, 0.2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [LOUD, BOOK])
 @pytest.mark.parametrize("check", ["endpoint", "path"])
 def test_run_is_the_one_that_sampling_draws(model, check):
@@ -65,6 +66,7 @@ def pocket():
     return room((2.0, 0.05, 2.2, 5.0), (0.5, 0.35, 2.1, 0.5), (0.5, -0.5, 4.5, -0.4))
 
 
+@pytest.mark.slow
 def test_path_through_a_pocket_is_drawn_as_a_whole_and_free():
     stamps, xyt = drive()
     within = Constraint(free_space(pocket(), 0.0), "path", 5)

@@ -23,6 +23,7 @@ def data(page):
     return json.loads(re.search(r'id="explorer-data">(.*?)</script>', page, re.DOTALL).group(1))
 
 
+@pytest.mark.slow
 def test_path_and_residuals_are_those_of_the_recording(data, comparison):
     (piece,), (shown,) = comparison.judgements[0].pieces, data["pieces"]
     nodes = piece.problem.nodes
@@ -72,6 +73,7 @@ def test_code_between_backticks_and_nothing_else_is_marked_up():
     assert prose("one ` alone") == "one ` alone"
 
 
+@pytest.mark.slow
 def test_every_panel_has_tick_labels_and_models_without_one_are_named(comparison):
     base, robot = comparison.judgements
     five = replace(comparison, judgements=(base, *(replace(robot, name=f"{n}.toml") for n in "bcde")))

@@ -190,6 +190,7 @@ def kept(judgement):
     return replace(judgement, verdict=replace(judgement.verdict, checks=()))
 
 
+@pytest.mark.slow
 def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequence):
     first = sequence.judgements[0]
     text = found_text(poor, NONE, evaluated=first)
@@ -276,6 +277,7 @@ def test_json_has_no_number_that_is_none(rich, poor, sequence):
     assert learned_json(poor, sequence.judgements[:1], NONE)["verdict"] == "complete"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "draw", [lambda: draw_unknown(UNKNOWNS[:3]), lambda: draw_unknown(UNKNOWNS[3:]), lambda: draw_plan(SPINS)]
 )
@@ -380,6 +382,7 @@ def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, caps
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     found, case, sequence, fitted, tmp_path, capsys, monkeypatch
 ):

@@ -34,6 +34,7 @@ def turning(n=401):
     return poses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["diffusion", "linear"])
 def test_converted_law_drifts_the_same_in_simulation(target):
     step = None if target == "diffusion" else Step(0.5, 0.1)

@@ -31,6 +31,7 @@ NOISES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("move", "variances"), NOISES)
 def test_pose_density_is_what_samples_follow(move, variances):
     """The probability of boxes, by sampling and by integrating: every box within five standard errors."""
@@ -51,6 +52,7 @@ def test_pose_density_is_what_samples_follow(move, variances):
         assert abs(measured - expected) < 5 * math.sqrt(expected / n) + 0.02 * expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("move", "variances"), [NOISES[0], NOISES[1], NOISES[3], NOISES[5]])
 def test_pose_density_integrates_to_one_and_the_product_does_not(move, variances):
     assert density_on_grid(move, variances).integral == pytest.approx(1.0, abs=2e-3)

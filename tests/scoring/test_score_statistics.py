@@ -31,6 +31,7 @@ def test_runs_without_the_number_do_not_count():
     assert summarise(np.array([np.nan])).n == 0
 
 
+@pytest.mark.slow
 def test_the_breakdown_point_is_found_and_its_interval_covers():
     rng = np.random.default_rng(2)
     found = [breakdown(*runs_of(rng, 100)) for _ in range(40)]

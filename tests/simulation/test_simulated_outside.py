@@ -119,6 +119,7 @@ def test_place_stays_where_it_is_for_other_drives_of_the_robot(cause):
     assert np.array_equal(without.truth_xyt[:100], there.truth_xyt[:100])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("route", ["office", "loops", "slalom", "shuttle", "yard", "umbmark"])
 def test_patch_is_met_on_every_route(route):
     lost = []

@@ -53,6 +53,7 @@ def test_time_offsets_of_clean_recordings_are_left_alone():
     assert learned.added == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [400, 403])
 def test_weak_noise_of_the_odometry_is_no_dependence_on_its_own_yaw_rate(seed):
     # breaks where a curve has knots as near to each other as the odometry's noise: on straights both are the same

@@ -29,6 +29,7 @@ def drive(seed, *, deflected=True):
     return recording(steps, noisy_path(replace(steps, dtheta_rad=turns), QUIET, seed), truth_mm=2.0, seed=seed)
 
 
+@pytest.mark.slow
 def test_a_filtered_compass_is_found_with_its_time_constant_and_corrected_on_another_drive():
     learned = learn([drive(500)])
     (compass,) = learned.fit.effects

@@ -103,6 +103,7 @@ def test_a_truth_that_lasts_longer_than_the_odometry_is_halved_where_there_is_od
     assert first.truth.stamps_ns[-1] < second.truth.stamps_ns[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [True, False])
 def test_a_recording_that_mostly_stands_is_cut_at_half_of_its_way(first):
     stand = (Segment(0.0, 0.0, 170.0),)

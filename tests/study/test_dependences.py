@@ -124,6 +124,7 @@ def test_on_a_patch_where_one_wheel_slips_before_the_other_the_region_says_so():
     assert patch.slip == pytest.approx(run.answer["parameters"]["slip"], rel=0.1)
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_wrong():
     assert [_looked(seed, None) for seed in (74, 75, 76)] == [[], [], []]
 

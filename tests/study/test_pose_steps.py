@@ -33,6 +33,7 @@ def localised(seed, *, pushed_m=0.0, jump_m=0.0):
     return replace(run, truth=Trajectory(run.odometry.stamps_ns[::40], true + errors), localised=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("pushed_m", [0.6, -0.6])
 def test_a_push_is_found_with_time_and_size_and_no_interval_contains_it(seed, pushed_m):
@@ -46,6 +47,7 @@ def test_a_push_is_found_with_time_and_size_and_no_interval_contains_it(seed, pu
     assert np.abs(nodes.residual[:, :2]).max() < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("jump_m", [0.0, 0.3])
 def test_errors_of_the_localisation_are_no_steps(seed, jump_m):

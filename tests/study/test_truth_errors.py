@@ -119,6 +119,7 @@ def test_the_slope_of_the_likelihood_is_its_difference():
     np.testing.assert_allclose(likelihood.slope(likelihood.evaluate(at), every), measured, rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error_of", [alike_over(1.0), alike_over(2.5), by_place])
 def test_a_localisations_errors_are_no_noise_of_the_robot(error_of):
     run = localised(error_of)
@@ -130,6 +131,7 @@ def test_a_localisations_errors_are_no_noise_of_the_robot(error_of):
     assert QUIET.rot_trans / 1.6 < np.hypot(noise.rot_trans, noise.rot_rot) < 1.6 * np.hypot(QUIET.rot_trans, 0.002)
 
 
+@pytest.mark.slow
 def test_noise_of_a_robot_that_is_larger_than_the_truths_is_still_its_own():
     strong = Coefficients(0.01, 0.015, 0.03, 0.0, 0.02)
     run = localised(alike_over(1.5), noise=strong)

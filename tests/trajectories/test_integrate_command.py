@@ -25,6 +25,7 @@ def test_euler_is_within_two_centimetres_of_the_truth(tmp_path, capsys):
     assert picture.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.recordings
 def test_hundred_noisy_runs_surround_the_truth(tmp_path, capsys):
     arguments = ["--twist-noise", "0.2", "0.04", "--runs", "100", "--seed", "1", "--plot", str(tmp_path / "runs.png")]
@@ -62,6 +63,7 @@ def others(path):
 MOVED = {"nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"}
 
 
+@pytest.mark.slow
 def test_transform_says_what_the_odometry_says(tmp_path):
     out = tmp_path / "out.mcap"
     assert run(["integrate", str(OFFICE), str(out), "--twist-noise", "1", "1", "--seed", "2"]) == 0

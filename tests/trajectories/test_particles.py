@@ -30,6 +30,7 @@ def test_run_of_the_cloud_is_the_path_that_corruption_writes(tmp_path):
     np.testing.assert_allclose(cloud.xyt[3, -1, :2], read_drive(noisy, None).xyt[-1, :2], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_cloud_spreads_as_the_law_says():
     """On a straight drive: along by sqrt(distance), heading by sqrt(distance), across by distance^1.5."""
     cloud = sample_particles(straight(16.0), MODEL, seed=1, runs=3000, every_m=4.0)

@@ -65,6 +65,7 @@ def test_headings_that_are_wrong_for_a_moment_never_cut_the_run(tmp_path, office
     assert left_out(office, recordings) == set(rows)
 
 
+@pytest.mark.slow
 def test_a_truth_with_swapped_markers_is_judged_like_the_clean_one(tmp_path):
     office = simulate(31, None, duration_s=120.0)
     rng = np.random.default_rng(6)

@@ -63,6 +63,7 @@ def late():
     return as_recording(simulate(25, "time_offset", duration_s=300.0, parameters={"offset": 0.03}))
 
 
+@pytest.mark.slow
 def test_3_a_late_clock_is_no_slip_and_no_play(late):
     # breaks where clocks are not looked for before everything else
     learned = learn([late])
