@@ -24,7 +24,7 @@ BASELINES = "odomcorrupt_baselines"
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options."""
     group = parser.getgroup("odomcorrupt")
-    group.addoption("--odomcorrupt-update", action="store_true", help="Replace the baselines of error_gate by the errors of this run.")
+    group.addoption("--odomcorrupt-update", action="store_true", help="Replace the baselines of error_gate.")
     group.addoption("--odomcorrupt-cache", metavar="DIR", help="Where corrupted bags are kept. [pytest's cache]")
 
 
