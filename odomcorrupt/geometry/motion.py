@@ -43,7 +43,7 @@ class Motion:
     trail : (n, 3) mean true speeds whose rate is `acceleration`; None if speeds are smooth already
     before : (n, 2, 3) acceleration and trail of the previous interval; None if speeds are smooth already
     reported : (n, 2) travel, m, and turn, rad, of the odometry so far; None if `v` and `omega` are the odometry's
-    steps : steps of the reported speed, m/s, and yaw rate, rad/s, if all are multiples of steps that are no ticks
+    steps : steps of the reported speed, m/s, and yaw rate, rad/s, see `speed_steps`
 
     Speeds are the odometry's. Acceleration, pose and distance are the true ones: of the clean motion in corruption, of
     the corrected one in correction, of the smoothest estimate in the study. Forces accelerate the body, and effects
