@@ -43,6 +43,7 @@ class Motion:
     trail : (n, 3) mean true speeds whose rate is `acceleration`; None if speeds are smooth already
     before : (n, 2, 3) acceleration and trail of the previous interval; None if speeds are smooth already
     reported : (n, 2) travel, m, and turn, rad, of the odometry so far; None if `v` and `omega` are the odometry's
+    steps : steps of the reported speed, m/s, and yaw rate, rad/s, see `speed_steps`
 
     Speeds are the odometry's. Acceleration, pose and distance are the true ones: of the clean motion in corruption, of
     the corrected one in correction, of the smoothest estimate in the study. Forces accelerate the body, and effects
@@ -63,6 +64,7 @@ class Motion:
     trail: Array | None = None
     before: Array | None = None
     reported: Array | None = None
+    steps: tuple[float, float] | None = None
 
     def rolled(self, arm_m: float, before_m: float = 0.0) -> Array:
         """Return the reported travel (n + 1,), m, of a wheel `arm_m` to the right of the centre, from `before_m` on."""

@@ -23,6 +23,9 @@ _GAP = 1.5
 """Intervals longer than the median by this factor are gaps."""
 _MIN_VARY = 0.02
 """Least fraction of deviating intervals if stamps are rounded; those of a regular clock do not deviate."""
+_RANDOM = 0.5
+"""Least relative standard deviation of the distances between long intervals if messages were lost: it is 0.7 to 1 for
+random losses of up to half of the messages, and at most 0.4 if a slightly longer period is rounded."""
 _LEAST_PERIOD = 1.5
 """Shortest period, in units of the resolution, at which an even grid can be recognised in rounded stamps."""
 _WINDOW, _TOLERANCE, _MIN_IN = 101, 1.0, 0.99
@@ -33,7 +36,8 @@ rounding errors differ by less than that from their mean; and the least fraction
 def resolution_s(stamps_ns: NDArray[np.int64]) -> float:
     """Return the resolution to which stamps (n,) are rounded, seconds; 0 if not rounded or not determinable.
 
-    Stamps of a regular clock lie on a grid without being rounded, so intervals must vary for rounding to show.
+    Stamps of a regular clock lie on a grid without being rounded, so intervals must vary for rounding to show. Those of
+    such a clock with lost messages are whole periods.
     """
     steps = np.diff(stamps_ns)
     whole = next((r for r in _ROUNDED_NS if np.mean(_off(stamps_ns, r) <= _FLOAT_NS) >= _ALL), 0) if len(steps) else 0
@@ -41,7 +45,19 @@ def resolution_s(stamps_ns: NDArray[np.int64]) -> float:
         return 0.0
     usual = steps[steps < _GAP * np.median(steps) + whole]
     varied = float(np.mean(np.abs(usual - np.median(usual)) > whole / 2)) > _MIN_VARY
-    return whole * 1e-9 if varied else 0.0
+    return whole * 1e-9 if varied and not _lost(steps, whole) else 0.0
+
+
+def _lost(steps: NDArray[np.int64], whole_ns: int) -> bool:
+    """Return whether intervals (n,) are those of a timer of period `whole_ns`, longer where messages were lost.
+
+    Rounding makes a longer period of equal and double intervals at even distances, and jitter also makes shorter ones.
+    """
+    periods = np.rint(steps / whole_ns)
+    if np.median(periods) != 1.0 or periods.min() < 1.0:
+        return False
+    between = np.diff(np.flatnonzero(periods > 1.0))
+    return len(between) == 0 or bool(np.std(between) > _RANDOM * np.mean(between))
 
 
 def _off(stamps_ns: NDArray[np.int64], whole_ns: int) -> NDArray[np.int64]:

@@ -18,7 +18,7 @@ from odomcorrupt.report.text.numbers import (
     noise_confidence,
     step_confidence,
 )
-from odomcorrupt.study.estimate.outliers import single_events
+from odomcorrupt.study.estimate.first_contact import unexplained_events
 from odomcorrupt.study.validate.trajectory_error import clock_gain
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def learned_json(
                     "across_m": one.across_m,
                     "yaw_rad": one.yaw_rad,
                 }
-                for one in single_events(learned.fit)
+                for one in unexplained_events(learned.fit)
             ],
             "disagreements": [
                 {

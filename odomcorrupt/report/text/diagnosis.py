@@ -24,7 +24,8 @@ from odomcorrupt.report.text.numbers import (
 )
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.drive_type import readings_of
-from odomcorrupt.study.estimate.outliers import Event, events, single_events
+from odomcorrupt.study.estimate.first_contact import unexplained_events
+from odomcorrupt.study.estimate.outliers import Event, events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
 
@@ -61,7 +62,7 @@ def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None 
         lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
         lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), fitted=unknown in learned.laws)
-    lines += [_event_line(one) for one in single_events(learned.fit)]
+    lines += [_event_line(one) for one in unexplained_events(learned.fit)]
     like_a_clock = [name for name in learned.added if name in RIVALS]
     if like_a_clock and learned.clocks.ambiguous_nats > 0.0:
         lines.append(

@@ -115,7 +115,7 @@ def single_events(fit: Fit) -> list[Event]:
 
 def _left_out(fit: Fit) -> list[Event]:
     """Return as events the steps between odometry and a localisation; no interval contains them."""
-    usual = _usual(fit)
+    usual = usual_residual(fit)
 
     def turn_rad(recording: Recording, step: PoseStep) -> float:
         start, end = recording.odometry.heading_at(np.array([step.start_s, step.end_s]), recording.origin_ns).tolist()
@@ -161,7 +161,7 @@ def _joined(first: Event, second: Event) -> Event:
 
 def _across_gaps(fit: Fit) -> list[Event]:
     """Return each gap of the truth as an event: difference of odometry and truth from one end to the other."""
-    problem, nodes, found, usual = fit.problem, fit.problem.nodes, [], _usual(fit)
+    problem, nodes, found, usual = fit.problem, fit.problem.nodes, [], usual_residual(fit)
     for r, (recording, clock) in enumerate(zip(problem.recordings, problem.clocks, strict=True)):
         own = np.flatnonzero(problem.run == r)
         gaps = own[1:][~nodes.linked[own[1:]]]
@@ -221,7 +221,7 @@ def _standing_out(fit: Fit) -> NDArray[np.int64]:
     return np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(_ODD, innovations.shape[1]))
 
 
-def _usual(fit: Fit) -> Array:
+def usual_residual(fit: Fit) -> Array:
     """Return the robust scale (3,) of an interval's residual; infinite for travel if the truth is a gyro alone."""
     usual: Array = 1.4826 * np.median(np.abs(fit.problem.nodes.residual), axis=0) + 1e-12
     if not any(recording.positioned for recording in fit.problem.recordings):
@@ -236,7 +236,7 @@ def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
 def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     problem, nodes = fit.problem, fit.problem.nodes
     flagged = np.concatenate(groups) if len(groups) else np.zeros(0, dtype=np.int64)
-    usual = _usual(fit)
+    usual = usual_residual(fit)
     found = []
     for group in groups:
         step, heading = nodes.odometry_step[group], nodes.truth_xyt[group, 2] + nodes.truth_step[group, 2]
@@ -368,7 +368,7 @@ def _lost(event: Event, track_m: float | None) -> float:
 def _is_the_error(fit: Fit, stretches: Sequence[Event]) -> bool:
     """Return whether the given stretches contain nearly all of the squared error of a fit."""
     inside = during(fit, stretches)
-    square = np.sum((fit.problem.nodes.residual / _usual(fit)) ** 2, axis=1)
+    square = np.sum((fit.problem.nodes.residual / usual_residual(fit)) ** 2, axis=1)
     return bool(square[inside].sum() > _NEARLY_ALL * square.sum())
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.geometry.increments import increments
-from odomcorrupt.geometry.motion import SMOOTHING_S, LocalSlopes
+from odomcorrupt.geometry.motion import SMOOTHING_S, LocalSlopes, motion_of
+from odomcorrupt.geometry.speed_steps import speed_steps
 from odomcorrupt.study.io.clock import aligned, coarse_clock
 
 if TYPE_CHECKING:
@@ -104,7 +105,14 @@ class MotionSmoother:
             distance=np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * self._dt_s),
             track_m=recording.track_m,
             reported=self._reported,
+            steps=self._steps,
         )
+
+    @cached_property
+    def _steps(self) -> tuple[float, float] | None:
+        """Steps of the reported speeds, if they are multiples of any."""
+        made = motion_of(self.recording.odometry_s, self.recording.odometry.xyt)
+        return speed_steps(made.v, made.omega, self._dt_s, self.recording.track_m)
 
     @cached_property
     def _reported(self) -> Array | None:
