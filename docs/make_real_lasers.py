@@ -62,7 +62,8 @@ class HeldOut:
 
     def __str__(self) -> str:
         calibrated = f"{1e3 * self.before_m:.0f} -> {1e3 * self.calibrated_m:.0f} mm"
-        return f"{calibrated}, learned {1e3 * self.after_m:.0f} mm ({', '.join(self.names) or 'nothing'}), {self.windows} windows"
+        learned = f"learned {1e3 * self.after_m:.0f} mm ({', '.join(self.names) or 'nothing'})"
+        return f"{calibrated}, {learned}, {self.windows} windows"
 
 
 def read(folder: Path, name: str) -> list[Recording]:
