@@ -28,9 +28,11 @@ from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
+from odomcorrupt.study.estimate.windows import time_windows
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import compare
+from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,16 +51,19 @@ class HeldOut:
 
     names : what was learned
     before_m, calibrated_m, after_m : as measured; with scale, turns and bow taken out; with what was learned taken out
+    windows : number of windows of 10 s
     """
 
     names: tuple[str, ...]
     before_m: float
     calibrated_m: float
     after_m: float
+    windows: int
 
     def __str__(self) -> str:
         calibrated = f"{1e3 * self.before_m:.0f} -> {1e3 * self.calibrated_m:.0f} mm"
-        return f"{calibrated}, learned {1e3 * self.after_m:.0f} mm ({', '.join(self.names) or 'nothing'})"
+        learned = f"learned {1e3 * self.after_m:.0f} mm ({', '.join(self.names) or 'nothing'})"
+        return f"{calibrated}, {learned}, {self.windows} windows"
 
 
 def read(folder: Path, name: str) -> list[Recording]:
@@ -83,7 +88,7 @@ def halves(runs: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]
 def held_out(learning: Sequence[Recording], judging: Sequence[Recording]) -> HeldOut | str:
     """Learn on some recordings, and judge the effects that were found on others."""
     try:
-        learned = learn(learning)
+        learned = drop_unsupported_parts(learn(learning))[0]
         fits = {
             name: fit_robot(learning, effects, law_name="diffusion", clocks=learned.clocks)
             for name, effects in (
@@ -95,7 +100,8 @@ def held_out(learning: Sequence[Recording], judging: Sequence[Recording]) -> Hel
         judged = compare(judging, {name: fitted.model for name, fitted in fits.items()}).judgements
     except OdomCorruptError as error:
         return f"- ({error})"
-    return HeldOut(learned.added, *(judgement.ten_second_error_m for judgement in judged))
+    count = sum(len(time_windows(run)) for run in judging)
+    return HeldOut(learned.added, *(judgement.ten_second_error_m for judgement in judged), count)
 
 
 def against_the_laser(runs: Sequence[Recording]) -> list[str]:
@@ -120,7 +126,7 @@ def against_the_laser(runs: Sequence[Recording]) -> list[str]:
 
 def learned_names(runs: Sequence[Recording]) -> str:
     """Return what is learned from a whole drive, with the sizes."""
-    learned = learn(runs)
+    learned = drop_unsupported_parts(learn(runs))[0]
     errors = iter(learned.fit.standard_errors)
     found = []
     for effect in learned.fit.effects:

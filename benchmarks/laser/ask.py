@@ -77,7 +77,15 @@ def ask(case: Case) -> dict[str, Any]:
         "mocap": ten_second_error([recording], _robots(mocap)),
         "laser": ten_second_error([_in_the_map(recording, seen, recordings[0])], _robots(laser)),
     }
+    known = [_with_exact_scale(one, seen.scale) for one in recordings]
+    row["error"]["exact_scale"] = ten_second_error([_in_the_map(recording, seen, known[0])], _robots(learn(known)))
     return row
+
+
+def _with_exact_scale(taught: Recording, scale: float) -> Recording:
+    """Return a recording with the laser's drawn scale error divided out of its truth, and its scale taken as known."""
+    xyt = taught.truth.xyt / (1.0 + scale, 1.0 + scale, 1.0)
+    return replace(taught, truth=replace(taught.truth, xyt=xyt), truth_scale_error=0.0)
 
 
 def _in_the_map(judged: Recording, seen: Seen, taught: Recording) -> Recording:

@@ -220,3 +220,9 @@ def test_what_is_a_hundredth_of_another_effect_may_be_what_its_form_leaves():
         spans = {"wheelbase": Span(0.5, 0.1, 4.0), "wheel_scale": Span(part * 0.5, 0.1, 4.0)}
         moved = replace(learned, contributions={name: Contribution(span, None) for name, span in spans.items()})
         assert at_most - 0.1 < confidence(evidence_of(step, moved)) <= at_most
+
+
+def test_a_drive_too_short_to_be_halved_tests_nothing_and_drops_nothing():
+    learned = learned_with(with_truth(drive(4, scale=1.03, seconds=20.0), 5), "wheel_scale")
+    kept, said = drop_unsupported_parts(learned)
+    assert (kept.fit.effects, said) == (learned.fit.effects, ())

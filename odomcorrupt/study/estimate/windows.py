@@ -44,11 +44,39 @@ class _Ends(NamedTuple):
 
 
 def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
+    """Return windows one after another, restarted after each stretch in which no truth is known.
+
+    On one grid for the whole drive, each window with an end in such a stretch would be lost, and with it the next.
+    """
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
-    known = recording.truth.known
-    picked = pick_nodes(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s, known)
-    length = np.diff(truth_s[picked])
-    return _Ends(picked, np.flatnonzero(np.abs(length - length_s) < 0.1 * length_s))
+    known, first_s = recording.truth.known, odo_s[0] + phase * length_s
+    picked = pick_nodes(truth_s, first_s, odo_s[-1], length_s, known)
+    if not _complete(truth_s[picked], length_s)[:-1].all():
+        usable = np.flatnonzero(known & (truth_s >= first_s) & (truth_s <= odo_s[-1]))
+        picked = usable[_restarted(truth_s[usable], length_s)]
+    return _Ends(picked, np.flatnonzero(_complete(truth_s[picked], length_s)))
+
+
+def _complete(ends_s: Array, length_s: float) -> NDArray[np.bool_]:
+    """Return which intervals (n - 1,) between times (n,) are of the wanted length, to a tenth."""
+    return np.abs(np.diff(ends_s) - length_s) < 0.1 * length_s
+
+
+def _restarted(usable_s: Array, length_s: float) -> NDArray[np.int64]:
+    """Return indices of the ends of windows among times (n,) with gaps; each row of windows is on a grid of its own."""
+    ends = np.searchsorted(usable_s, usable_s + length_s - 1e-9)
+    beyond = usable_s[np.minimum(ends, len(usable_s) - 1)]
+    starts = np.flatnonzero((ends < len(usable_s)) & (beyond - usable_s < 1.1 * length_s))
+    found, begin = [0], 0
+    while (at := int(np.searchsorted(starts, begin))) < len(starts):
+        begin = int(starts[at])
+        grid = np.arange(usable_s[begin], usable_s[-1] + length_s, length_s) - 1e-9
+        row = np.minimum(np.searchsorted(usable_s, grid), len(usable_s) - 1)
+        whole = _complete(usable_s[row], length_s)
+        count = len(whole) if whole.all() else int(np.argmin(whole))
+        found += row[: count + 1].tolist()
+        begin = int(row[count])
+    return np.unique(found)
 
 
 def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) -> Intervals:

@@ -340,12 +340,13 @@ def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions, weights: Arr
     values = [getattr(effect, p.name) for p in amplitudes(effect)]
     others = [e for e in fit.effects if e is not effect]
     try:
-        shaped = fit.refit((*others, moved.effect(values)), weights=weights)
+        # the same weights: with weights of its own, the fit that excludes more intervals would be the likelier
+        shaped = fit.refit((*others, moved.effect(values)), weights=fit.noise.weights)
     except FitError:  # too far off to start from
         return fit, score
     if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
         return fit, score
-    return shaped, replace(score, term=moved)
+    return shaped.refit(weights=weights), replace(score, term=moved)
 
 
 def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:

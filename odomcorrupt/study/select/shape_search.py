@@ -15,6 +15,7 @@ from scipy.optimize import minimize
 
 from odomcorrupt.effects.effect import choices
 from odomcorrupt.errors import EffectError
+from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_gains, promising_terms
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, Term, neighbours
@@ -119,9 +120,19 @@ class ShapeSearch:
             return best
         words = [word for word in choices(best.start) if word != "heading"]
         for others in (best.with_words(words), best.related()):
+            paid = self.gain(best) - most + price
             refined = [self._refined(other) for other in others]
-            most, best = max([(most, best), *((nats - price, other) for nats, other in refined)], key=itemgetter(0))
+            net = [(nats - paid - self._more_charged(other, best), other) for nats, other in refined]
+            most, best = max([(most, best), *net], key=itemgetter(0))
         return best
+
+    def _more_charged(self, term: LibraryTerm, than: LibraryTerm) -> float:
+        """Return the larger penalty of a term with more shape parameters, nats: a rectangle has two more than a disc.
+
+        Without it noise of the truth at the edge of a disc is enough for a rectangle, whose edges are then continued.
+        """
+        count = len(self._fit.problem.nodes)
+        return penalty(term, count, self._decisions) - penalty(than, count, self._decisions)
 
     def located(self, family: Sequence[LibraryTerm]) -> Located:
         """Return a member near the best of a family: its shape refined with approximate columns, its gain exact.

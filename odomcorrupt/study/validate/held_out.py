@@ -164,6 +164,8 @@ def _test(
 ) -> list[tuple[tuple[Effect, ...], HeldOut]]:
     """Return the held-out test of each group of parts; an empty list if the data are too few for a fit."""
     folds = _folds(fitted, others, clocks)
+    if not folds:
+        return []
     try:
         whole = [judged for fold in folds for judged in fold.judged(fitted, ())]
         return [
