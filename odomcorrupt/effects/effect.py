@@ -178,6 +178,10 @@ class Effect:
         """
         return (cls(),)
 
+    def limited(self, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG002 - for effects with limits
+        """Return the effect at its fitted size with trial values of optional amplitudes, which it lacks."""
+        return ()
+
     def related(self) -> tuple[Self, ...]:
         """Return other forms of the effect near this shape, which a search tries only if its gain is large."""
         return ()
@@ -250,7 +254,7 @@ class Parameter(NamedTuple):
     typical : usual size on real robots, for scans and statements of power
     amplitude : f is proportional to it (near the identity), so one regressor column finds it; otherwise a shape
     step : step for a numerical slope of f
-    optional : a shape that has no influence at its identity and is then held there
+    optional : it has no influence at its identity and is then held there, also if it is an amplitude
     """
 
     name: str
@@ -313,8 +317,11 @@ def _declared(kind: type[Effect]) -> tuple[Parameter, ...]:
 
 
 def amplitudes(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
-    """Return the parameters that f is proportional to: a linear fit estimates them with the shapes held fixed."""
-    return tuple(p for p in parameters(effect) if p.amplitude)
+    """Return the parameters that f is proportional to: a linear fit estimates them with the shapes held fixed.
+
+    Of an effect class only those of every such effect; an effect has its optional amplitudes off their identity, too.
+    """
+    return tuple(p for p in parameters(effect) if p.amplitude and not (p.optional and isinstance(effect, type)))
 
 
 def shapes(effect: Effect) -> tuple[Parameter, ...]:

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects.channel_lag import lag_remainder
-from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Motion,
+    Recorded,
+    State,
+    TwistError,
+    parameter,
+    parameters,
+    stacked,
+)
 from odomcorrupt.effects.steering import CREEP_MPS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.random import Generator
 
     from odomcorrupt.geometry.se2 import Array
+
+_BEYOND = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85)
+"""Parts of all lag, summed over time, that are due to lags larger than a trial limit."""
 
 
 class _Steering(NamedTuple):
@@ -30,8 +45,13 @@ class _Steering(NamedTuple):
 class SteeringLag(Effect):
     """f = (0, 0, v (true curvature - omega / v)): the true curvature follows the odometry's with a first-order lag.
 
-    A delay by tau has the same f for steering slow against tau. A change of speed in a curve of constant radius is no
-    steering and causes no error. While the robot is at rest its wheels continue to the steering angle.
+    The wheels turn no faster than a servo's largest `rate`, and lag no further than the `stop` of a soft linkage, both
+    stated for small steering angles. A delay by tau has the same f for steering slow against tau. A change of speed in
+    a curve of constant radius is no steering and causes no error. While the robot is at rest its wheels continue to the
+    steering angle.
+
+    Corruption inverts the lag. How far the angle of the odometry is ahead of wheels that turn at their largest rate is
+    not in their path: corruption takes the smallest lead that they show, that of the lag at this rate.
     """
 
     name = "steering_lag"
@@ -39,14 +59,40 @@ class SteeringLag(Effect):
     summary = "a car's or tricycle's wheels follow the steering angle of its odometry late"
     drives = STEERED
     about = About(
-        equation="f_yaw = v k - omega, tau dk / dt + k = omega / v: the true curvature k lags behind the odometry's",
-        typical="50 to 300 ms by a steering servo whose command is taken for its angle (an estimate)",
-        source="first-order lag; Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",
+        equation="f_yaw = v k - omega, tau dk / dt + k = omega / v: the true curvature k lags behind the odometry's, "
+        "|dk / dt| <= rate, |k - omega / v| <= stop",
+        typical="50 to 300 ms by a steering servo whose command is taken for its angle; wheels that turn by 1 to 5 "
+        "rad/s at most have a rate of 3 to 15 rad/(m s) on 0.3 m between the axles (an estimate)",
+        source="first-order lag; Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model); largest "
+        "steering rate: Althoff, Koschi & Manzinger 2017, CommonRoad",
         confused_with=("channel_lag", "time_offset", "accel_slip"),
         drive="steer briskly to both sides at a constant speed, and speed up and brake on straights and in curves",
     )
 
     tau: float = parameter("s", "time constant, or the delay", low=0.0, high=1.0, typical=0.1, step=0.02)
+    rate: float = parameter(
+        "rad/(m s)", "largest rate of the wheels' angle, per distance between the axles; 0: no limit",
+        low=0.0, high=1000.0, typical=5.0, step=0.05, optional=True,
+    )  # fmt: skip
+    stop: float = parameter(
+        "rad/m", "largest lag of the wheels' angle, per distance between the axles; 0: no limit",
+        low=0.0, high=100.0, typical=0.5, step=0.005, optional=True,
+    )  # fmt: skip
+
+    def limited(self, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the lag with trial limits that a part of its steering on these motions exceeds."""
+        if self.rate or self.stop or not self.tau > 0.0:
+            return ()
+        f = np.abs(np.concatenate([self.twist_error(m, _Steering()).f[:, 2] for m in motions]))
+        v = np.abs(np.concatenate([m.v for m in motions]))
+        lags = np.sort(np.divide(f, v, out=np.zeros_like(f), where=v >= CREEP_MPS))[::-1]
+        total = np.cumsum(lags)
+        if not total.size or total[-1] == 0.0:
+            return ()
+        stops = lags[np.searchsorted(total, np.array(_BEYOND) * total[-1])].tolist()
+        limits = [*(("stop", stop) for stop in stops), *(("rate", stop / self.tau) for stop in stops)]
+        high = {p.name: p.high for p in parameters(type(self))}
+        return tuple(replace(self, **{name: value}) for name, value in limits if value < high[name])
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
         """Return the state of wheels that have not rolled yet."""
@@ -54,7 +100,10 @@ class SteeringLag(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, from the lag of the wheels' curvature; for tau < 0, needed for slopes, the opposite."""
-        f, sign = np.zeros(len(motion)), float(np.sign(self.tau))
+        if self.tau < 0.0:  # the opposite of what the lag adds to a largest rate alone
+            late, after = replace(self, tau=-self.tau).twist_error(motion, state)
+            return TwistError(2.0 * replace(self, tau=0.0).twist_error(motion, state).f - late, after)
+        f = np.zeros(len(motion))
         curvature, ago_s, last_s = state
         rows = zip(motion.v.tolist(), motion.omega.tolist(), motion.dt_s.tolist(), strict=True)
         for i, (v, omega, dt_s) in enumerate(rows):
@@ -62,10 +111,13 @@ class SteeringLag(Effect):
             if abs(v) < CREEP_MPS or not dt_s > 0.0:
                 continue
             steered = omega / v
-            curvature = (
-                steered if curvature is None else steered + lag_remainder(self.tau, ago_s) * (curvature - steered)
-            )
-            f[i], ago_s = sign * v * (curvature - steered), 0.0
+            if curvature is None:
+                curvature = steered
+            else:
+                followed = steered + lag_remainder(self.tau, ago_s) * (curvature - steered)
+                followed = _within(followed, curvature, self.rate * ago_s)
+                curvature = _within(followed, steered, self.stop)
+            f[i], ago_s = v * (curvature - steered), 0.0
         return TwistError(stacked(0.0, 0.0, f, f), _Steering(curvature, ago_s, last_s))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
@@ -83,8 +135,13 @@ class SteeringLag(Effect):
             if abs(ds) < CREEP_MPS * dt_s or not dt_s > 0.0:
                 continue
             true = turn / ds
-            kept = lag_remainder(self.tau, ago_s)
-            if curvature is not None and self.tau > 0.0:
-                reported[i, 2] = ds * (true - kept * curvature) / (1.0 - kept)
+            if curvature is not None:
+                moved = _within(true - curvature, 0.0, self.rate * ago_s)
+                reported[i, 2] += ds * _within(self.tau / ago_s * moved, 0.0, self.stop)
             curvature, ago_s = true, 0.0
         return Recorded(reported, _Steering(curvature, ago_s, last_s))
+
+
+def _within(value: float, middle: float, reach: float) -> float:
+    """Return the value clipped to `reach` on both sides of the middle; a reach of 0 is no limit."""
+    return min(max(value, middle - reach), middle + reach) if reach else value

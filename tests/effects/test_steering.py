@@ -1,4 +1,4 @@
-"""Play of a steering linkage: in tight curves, and under noise of the path."""
+"""Play and lag of a steering linkage: in tight curves, at limits, and under noise of the path."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from manoeuvres import motion
 
+from odomcorrupt.effects.steering_lag import SteeringLag
 from odomcorrupt.effects.steering_play import SteeringPlay
 
 RATE_HZ, SECONDS, SPEED_MPS = 50.0, 60.0, 2.0
@@ -54,3 +55,29 @@ def test_correction_follows_the_linkage_of_corruption_under_noise(axles, rad_per
     f = effect.twist_error(seen, effect.start(np.random.default_rng(0))).f[:, 2]
     left = np.cumsum(reported[:, 2] + f / RATE_HZ - steps[:, 2])
     assert np.ptp(left[int(RATE_HZ) * 10 :]) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("limits", "largest_rate", "largest_lag"),
+    [({"rate": 0.05}, 0.05, np.inf), ({"stop": 0.012}, np.inf, 0.012)],
+)
+def test_wheels_turn_no_faster_than_their_rate_and_lag_no_further_than_their_stop(limits, largest_rate, largest_lag):
+    steps, _ = steered_path()
+    seen = motion(steps[:, 0] * RATE_HZ, steps[:, 2] * RATE_HZ, seconds=SECONDS)
+    for effect in (SteeringLag(tau=0.2), SteeringLag(tau=0.2, **limits)):
+        f = effect.twist_error(seen, effect.start(np.random.default_rng(0))).f[:, 2]
+        wheels, lag = (seen.omega + f) / seen.v, np.abs(f / seen.v)
+        rate = np.abs(np.diff(wheels)) * RATE_HZ
+        within = rate.max() <= largest_rate + 1e-9 and lag.max() <= largest_lag + 1e-9
+        assert within == (effect.rate + effect.stop > 0.0)
+
+
+@pytest.mark.parametrize("limits", [{}, {"rate": 0.15}, {"stop": 0.012}])
+def test_correction_takes_out_the_lag_of_corruption(limits):
+    effect = SteeringLag(tau=0.2, **limits)
+    steps, t_s = steered_path()
+    reported = effect.recorded(steps, t_s, None, effect.start(np.random.default_rng(0))).steps
+    assert np.ptp(np.cumsum(reported[:, 2] - steps[:, 2])) > 0.01
+    seen = motion(reported[:, 0] * RATE_HZ, reported[:, 2] * RATE_HZ, seconds=SECONDS)
+    f = effect.twist_error(seen, effect.start(np.random.default_rng(0))).f[:, 2]
+    assert np.abs(np.cumsum(reported[:, 2] + f / RATE_HZ - steps[:, 2])).max() < 1e-9

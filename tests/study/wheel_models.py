@@ -24,6 +24,7 @@ class Flaw:
     """What is wrong with a car.
 
     ratio : of its steering, minus 1; offset (rad), lag_s and play_rad of its angle
+    rate, stop : largest rate (rad/s) and lag (rad) of the wheels' angle behind the one that the driver sees
     ahead_m : of the point whose pose is recorded
     wheel : true over nominal travel, minus 1
     """
@@ -34,6 +35,8 @@ class Flaw:
     ahead_m: float = 0.0
     wheel: float = 0.0
     play_rad: float = 0.0
+    rate: float = np.inf
+    stop: float = np.inf
 
 
 def smooth(values, width_s):
@@ -60,13 +63,15 @@ def commands(seed, seconds, *, steady=False):
     return smooth(v, 1.0), smooth(angle, 0.6)
 
 
-def lagged(values, tau_s):
-    """Return values behind a first-order lag."""
-    if tau_s == 0.0:
+def lagged(values, tau_s, rate=np.inf, stop=np.inf):
+    """Return values behind a first-order lag, by at most `stop`, and that change by at most `rate` per second."""
+    if tau_s == 0.0 and rate == np.inf:
         return values
-    kept, state, out = np.exp(-1.0 / (GRID_HZ * tau_s)), values[0], np.empty_like(values)
+    kept, most = np.exp(-1.0 / (GRID_HZ * tau_s)) if tau_s else 0.0, rate / GRID_HZ
+    state, out = values[0], np.empty_like(values)
     for i, value in enumerate(values):
-        state = kept * state + (1.0 - kept) * value
+        state += min(max((1.0 - kept) * (value - state), -most), most)
+        state = min(max(state, value - stop), value + stop)
         out[i] = state
     return out
 
@@ -115,7 +120,7 @@ def car(seed, flaw=Flaw(), seconds=240.0, *, planned=False):
     rng = np.random.default_rng([seed, 1])
     v, seen = commands(seed, seconds)
     seen = bends(seed, seconds) if planned else seen
-    angle = loose(lagged((1.0 + flaw.ratio) * seen, flaw.lag_s), flaw.play_rad) + flaw.offset
+    angle = loose(lagged((1.0 + flaw.ratio) * seen, flaw.lag_s, flaw.rate, flaw.stop), flaw.play_rad) + flaw.offset
     way = v / GRID_HZ
     root = np.sqrt(np.abs(way))
     true_way = (1.0 + flaw.wheel) * way + 0.002 * root * rng.standard_normal(len(way))

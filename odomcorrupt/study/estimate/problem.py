@@ -105,8 +105,8 @@ class Problem:
         """Return the derivatives (K, 3, p) of the residuals by p parameters of an effect, default its amplitudes."""
         blocks = []
         for p in amplitudes(effect) if by is None else by:
-            error = [self._shown(effect, p, m).T * -m.dt_s for m in self.motions]
-            blocks.append(self.nodes.column(np.concatenate(error, axis=1).T))
+            slopes = [_slope(effect, p.name, p.step, m) for m in self.motions]
+            blocks.append(self._column(effect, slopes))
         # an expression of constants has no amplitudes
         return by_column(np.stack(blocks)) if blocks else np.zeros((len(self.nodes), 3, 0))
 
@@ -115,11 +115,16 @@ class Problem:
         values: Array = self.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
         return values
 
-    def _shown(self, effect: Effect, p: Parameter, motion: Motion) -> Array:
-        """Return the derivative (n, 3) of the tracked point's twist with respect to a parameter."""
-        slope = _slope(effect, p.name, p.step, motion)
+    def replacement(self, effect: Effect, other: Effect) -> Array:
+        """Return the change (K, 3, 1) of the residuals, to first order, if another effect replaces one of the model."""
+        changes = [error_of(other, m) - error_of(effect, m) for m in self.motions]
+        return self._column(effect, changes)[:, :, None]
+
+    def _column(self, effect: Effect, changes: Sequence[Array]) -> Array:
+        """Return the change (K, 3) of the residuals by changes (n, 3) of an effect's f on each motion."""
         after = [e for e in self.effects if _follows(e) and not (_follows(effect) and e.name <= effect.name)]
-        return followed(after, motion, slope)
+        shown = [followed(after, m, f).T * -m.dt_s for m, f in zip(self.motions, changes, strict=True)]
+        return self.nodes.column(np.concatenate(shown, axis=1).T)
 
     def clock_columns(self) -> Array:
         """Return columns (K, 3, 2 R) of offset and rate of R recordings' clocks; a shared clock is the first one's."""

@@ -32,7 +32,7 @@ from odomcorrupt.study.select.closed_loop import (
 )
 from odomcorrupt.study.select.decisions import error_shares
 from odomcorrupt.study.select.elimination import drift_grows, drop_term
-from odomcorrupt.study.select.fitted_size import with_shape_at_size
+from odomcorrupt.study.select.fitted_size import with_limit, with_shape_at_size
 from odomcorrupt.study.select.integration import euler_clause
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
@@ -327,7 +327,7 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions, weights: Ar
     fit, score = _with_words_refined(fit, score, decisions)
     if len(score.term.shape):
         fit, score = with_shape_at_size(*_with_shape_moved(fit, score, decisions, weights), decisions)
-    return fit, score
+    return with_limit(fit, score.term.name, decisions), score
 
 
 def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions, weights: Array | None) -> tuple[Fit, Score]:

@@ -1,7 +1,8 @@
-"""Shapes of effects with memory, refined at their fitted size.
+"""Shapes and limits of effects with memory, found at their fitted size.
 
 Shape searches use the columns of a small effect. Those of an effect with memory depend on its size: play is crossed the
-later, the larger it is, so that the best track for a play of 4 mm differs from that for one of 9 mm.
+later, the larger it is, so that the best track for a play of 4 mm differs from that for one of 9 mm. Limits have no
+column at all before the effect has a size.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import shapes
+from odomcorrupt.effects.effect import amplitudes, shapes
 from odomcorrupt.errors import FitError
-from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.estimate.drift_error import drift
+from odomcorrupt.study.select.elimination import drift_grows
+from odomcorrupt.study.select.score import project_out, score_columns
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -49,6 +52,32 @@ def with_shape_at_size(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
         shape = [getattr(moved, p.name) for p in shapes(moved)]
         fit, score = shaped, replace(score, term=score.term.with_shape(shape))
     return fit, score
+
+
+def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
+    """Return the fit with an optional amplitude (a limit) of one of its effects, fitted jointly; unchanged without one.
+
+    Trial values are tested as single columns, the change from the unlimited effect. The best is refitted with the same
+    robust weights. It has to gain the penalty of its additional parameters and of the number of trials.
+    """
+    effect = next(e for e in fit.effects if e.name == name)
+    trials = effect.limited(fit.problem.motions)
+    if not trials:
+        return fit
+    scores = score_columns(fit, [fit.problem.replacement(effect, trial) for trial in trials])
+    best = max(range(len(trials)), key=lambda i: scores[i].statistic if scores[i].estimate[0] > 0.0 else 0.0)
+    more = len(amplitudes(trials[best])) - len(amplitudes(effect))
+    price = 0.5 * more * float(np.log(len(fit.problem.nodes))) + float(np.log(len(trials)))
+    if not (scores[best].significant(decisions.level) and 0.5 * scores[best].statistic > price):
+        return fit
+    try:
+        found = fit.refit([trials[best] if e is effect else e for e in fit.effects], weights=fit.noise.weights)
+    except FitError:  # too far off to start from
+        return fit
+    gain = found.log_likelihood - fit.log_likelihood - price
+    if gain <= decisions.reshape_nats or drift_grows(drift(found), drift(fit), decisions):
+        return fit
+    return found.refit()
 
 
 def _moved(fit: Fit, effect: Effect) -> tuple[Effect, float]:
