@@ -31,14 +31,51 @@ if TYPE_CHECKING:
 
 _BEYOND = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85)
 """Parts of all lag, summed over time, that are due to lags larger than a trial limit."""
+_ONE_WAY = 0.5
+"""Least part of the recent travel that is in one direction where a path rolls; noise of a robot at rest has none."""
+_SHARE_S = 2.0
+"""Time over which the share of noise in the changes of the turn rate is averaged."""
+_STEADY, _SMOOTH_S = 0.1, 1.0
+"""Share that steering itself may have, when it turns back, and time constant (s) per share beyond it: 0.3 s for poses
+with so much noise that it is all that their turn rate shows."""
 
 
 class _Steering(NamedTuple):
-    """State: curvature of the wheels when they last rolled (1/m, None before), time since then and last stamp (s)."""
+    """State of the wheels, and of a path from which their curvature is taken.
+
+    curvature : of the wheels when they last rolled, 1/m; None before
+    ago_s, last_s : time since then, and last stamp
+    sums : way (m), turn (rad), travel (m) and time (s), with weights that decay with age
+    turn_rate, change : last turn rate of a path and its last change, rad/s
+    shaken, moved : mean change that the next one takes back, and mean change, rad/s
+    """
 
     curvature: float | None = None
     ago_s: float = 0.0
     last_s: float = 0.0
+    sums: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    turn_rate: float = 0.0
+    change: float = 0.0
+    shaken: float = 0.0
+    moved: float = 0.0
+
+    def seen(self, way: float, turn: float, dt_s: float) -> _Steering:
+        """Return the state after an increment of a path: the more of its turn is noise, the longer it is averaged."""
+        change = turn / dt_s - self.turn_rate
+        back = min(abs(change), abs(self.change)) if change * self.change < 0.0 else 0.0
+        gain = min(dt_s / _SHARE_S, 1.0)
+        shaken, moved = self.shaken + gain * (back - self.shaken), self.moved + gain * (abs(change) - self.moved)
+        smooth_s = _SMOOTH_S * max(shaken / moved - _STEADY, 0.0) if moved > 0.0 else 0.0
+        kept = smooth_s / (smooth_s + dt_s)
+        way_m, turn_rad, travel_m, time_s = (kept * one for one in self.sums)
+        sums = (way_m + way, turn_rad + turn, travel_m + abs(way), time_s + dt_s)
+        return self._replace(sums=sums, turn_rate=turn / dt_s, change=change, shaken=shaken, moved=moved)
+
+    @property
+    def rolls(self) -> bool:
+        """Whether the path shows the curvature: it is neither at rest, with or without noise, nor creeping."""
+        way, _, travel, time_s = self.sums
+        return abs(way) >= max(CREEP_MPS * time_s, _ONE_WAY * travel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +88,8 @@ class SteeringLag(Effect):
     steering angle.
 
     Corruption inverts the lag. How far the angle of the odometry is ahead of wheels that turn at their largest rate is
-    not in their path: corruption takes the smallest lead that they show, that of the lag at this rate.
+    not in their path: corruption takes the smallest lead that they show, that of the lag at this rate. As noise
+    of the path would dominate changes of its curvature, this is averaged the longer, the noisier the turn rate is.
     """
 
     name = "steering_lag"
@@ -104,7 +142,7 @@ class SteeringLag(Effect):
             late, after = replace(self, tau=-self.tau).twist_error(motion, state)
             return TwistError(2.0 * replace(self, tau=0.0).twist_error(motion, state).f - late, after)
         f = np.zeros(len(motion))
-        curvature, ago_s, last_s = state
+        curvature, ago_s = state.curvature, state.ago_s
         rows = zip(motion.v.tolist(), motion.omega.tolist(), motion.dt_s.tolist(), strict=True)
         for i, (v, omega, dt_s) in enumerate(rows):
             ago_s += dt_s
@@ -118,28 +156,28 @@ class SteeringLag(Effect):
                 followed = _within(followed, curvature, self.rate * ago_s)
                 curvature = _within(followed, steered, self.stop)
             f[i], ago_s = v * (curvature - steered), 0.0
-        return TwistError(stacked(0.0, 0.0, f, f), _Steering(curvature, ago_s, last_s))
+        return TwistError(stacked(0.0, 0.0, f, f), state._replace(curvature=curvature, ago_s=ago_s))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the increments (n, 3) computed from the steering angle whose lagging wheels cause these."""
         reported = steps.copy()
-        curvature, ago_s, last_s = state
         for i, (ds, turn, now_s) in enumerate(
             zip(steps[:, 0].tolist(), steps[:, 2].tolist(), t_s.tolist(), strict=True)
         ):
-            dt_s, last_s = now_s - last_s, now_s
+            dt_s = now_s - state.last_s
             if dt_s < 0.0:  # time was reset
-                curvature, ago_s = None, 0.0
+                state = _Steering(last_s=now_s)
+            if not dt_s > 0.0:
                 continue
-            ago_s += dt_s
-            if abs(ds) < CREEP_MPS * dt_s or not dt_s > 0.0:
+            state = state.seen(ds, turn, dt_s)._replace(last_s=now_s, ago_s=state.ago_s + dt_s)
+            if not state.rolls:
                 continue
-            true = turn / ds
-            if curvature is not None:
-                moved = _within(true - curvature, 0.0, self.rate * ago_s)
-                reported[i, 2] += ds * _within(self.tau / ago_s * moved, 0.0, self.stop)
-            curvature, ago_s = true, 0.0
-        return Recorded(reported, _Steering(curvature, ago_s, last_s))
+            true = state.sums[1] / state.sums[0]
+            if state.curvature is not None:
+                moved = _within(true - state.curvature, 0.0, self.rate * state.ago_s)
+                reported[i, 2] += ds * _within(self.tau / state.ago_s * moved, 0.0, self.stop)
+            state = state._replace(curvature=true, ago_s=0.0)
+        return Recorded(reported, state)
 
 
 def _within(value: float, middle: float, reach: float) -> float:
