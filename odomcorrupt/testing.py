@@ -104,7 +104,7 @@ def _require(promise: object, effect: Effect | type[Effect], what: str) -> None:
 
 def _samples(effect_class: type[Effect]) -> list[Effect]:
     """Return the effect at its typical values, with each of its options, and with negated amplitudes if allowed."""
-    sizes = {p.name: p.typical for p in amplitudes(effect_class)}
+    sizes = {p.name: p.typical if p.amplitude else p.identity for p in parameters(effect_class)}
     found = [effect_class(**sizes)]
     for word, options in choices(effect_class).items():
         found += [replace(found[0], **{word: option}) for option in options[1:]]  # type: ignore[type-var]

@@ -179,7 +179,7 @@ class Effect:
         return (cls(),)
 
     def limited(self, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG002 - for effects with limits
-        """Return the effect at its fitted size with trial values of optional amplitudes, which it lacks."""
+        """Return the effect at its fitted size with trial values of limits, which are optional shapes that it lacks."""
         return ()
 
     def related(self) -> tuple[Self, ...]:
@@ -254,7 +254,7 @@ class Parameter(NamedTuple):
     typical : usual size on real robots, for scans and statements of power
     amplitude : f is proportional to it (near the identity), so one regressor column finds it; otherwise a shape
     step : step for a numerical slope of f
-    optional : it has no influence at its identity and is then held there, also if it is an amplitude
+    optional : a shape that has no influence at its identity and is then held there
     """
 
     name: str
@@ -317,11 +317,8 @@ def _declared(kind: type[Effect]) -> tuple[Parameter, ...]:
 
 
 def amplitudes(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
-    """Return the parameters that f is proportional to: a linear fit estimates them with the shapes held fixed.
-
-    Of an effect class only those of every such effect; an effect has its optional amplitudes off their identity, too.
-    """
-    return tuple(p for p in parameters(effect) if p.amplitude and not (p.optional and isinstance(effect, type)))
+    """Return the parameters that f is proportional to: a linear fit estimates them with the shapes held fixed."""
+    return tuple(p for p in parameters(effect) if p.amplitude)
 
 
 def shapes(effect: Effect) -> tuple[Parameter, ...]:

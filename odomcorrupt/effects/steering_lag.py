@@ -110,12 +110,17 @@ class SteeringLag(Effect):
     tau: float = parameter("s", "time constant, or the delay", low=0.0, high=1.0, typical=0.1, step=0.02)
     rate: float = parameter(
         "rad/(m s)", "largest rate of the wheels' angle, per distance between the axles; 0: no limit",
-        low=0.0, high=1000.0, typical=5.0, step=0.05, optional=True,
+        low=0.0, high=1000.0, typical=5.0, amplitude=False, optional=True,
     )  # fmt: skip
     stop: float = parameter(
         "rad/m", "largest lag of the wheels' angle, per distance between the axles; 0: no limit",
-        low=0.0, high=100.0, typical=0.5, step=0.005, optional=True,
+        low=0.0, high=100.0, typical=0.5, amplitude=False, optional=True,
     )  # fmt: skip
+
+    @property
+    def acts(self) -> bool:
+        """Whether the effect does anything: wheels with a largest rate are late without any lag."""
+        return self.tau != 0.0 or self.rate != 0.0
 
     def limited(self, motions: Sequence[Motion]) -> tuple[Self, ...]:
         """Return the lag with trial limits that a part of its steering on these motions exceeds."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import amplitudes, shapes
+from odomcorrupt.effects.effect import shapes
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.select.elimination import drift_grows
@@ -21,6 +21,7 @@ from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
@@ -38,27 +39,38 @@ def with_shape_at_size(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
     """
     if not (isinstance(score.term, LibraryTerm) and score.term.remembers and len(score.term.shape)):
         return fit, score
+    fit = _at_maximum(fit, score.term.name, decisions)
+    (effect,) = (e for e in fit.effects if e.name == score.term.name)
+    shape = [getattr(effect, p.name) for p in shapes(effect)]
+    return fit, replace(score, term=score.term.with_shape(shape))
+
+
+def _at_maximum(fit: Fit, name: str, decisions: Decisions, weights: Array | None = None) -> Fit:
+    """Return the fit with the shape of one of its effects moved as long as a step gains `reshape_nats`.
+
+    weights : (K,) robust weights of the fit, kept for comparison; default: re-estimated
+    """
     for _ in range(_MOST_MOVES):
-        effect = next(e for e in fit.effects if e.name == score.term.name)
+        (effect,) = (e for e in fit.effects if e.name == name)
         moved, nats = _moved(fit, effect)
         if nats <= decisions.reshape_nats:
             break
         try:
-            shaped = fit.refit([moved if e is effect else e for e in fit.effects])
+            shaped = fit.refit([moved if e is effect else e for e in fit.effects], weights=weights)
         except FitError:  # too far off to start from
             break
         if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
             break
-        shape = [getattr(moved, p.name) for p in shapes(moved)]
-        fit, score = shaped, replace(score, term=score.term.with_shape(shape))
-    return fit, score
+        fit = shaped
+    return fit
 
 
 def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
-    """Return the fit with an optional amplitude (a limit) of one of its effects, fitted jointly; unchanged without one.
+    """Return the fit with a limit (an optional shape) of one of its effects, refined; unchanged if it has none.
 
     Trial values are tested as single columns, the change from the unlimited effect. The best is refitted with the same
-    robust weights. It has to gain the penalty of its additional parameters and of the number of trials.
+    robust weights, and moved to the maximum of the likelihood. It has to gain the penalty of its additional parameter
+    and of the number of trials.
     """
     effect = next(e for e in fit.effects if e.name == name)
     trials = effect.limited(fit.problem.motions)
@@ -66,14 +78,16 @@ def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
         return fit
     scores = score_columns(fit, [fit.problem.replacement(effect, trial) for trial in trials])
     best = max(range(len(trials)), key=lambda i: scores[i].statistic if scores[i].estimate[0] > 0.0 else 0.0)
-    more = len(amplitudes(trials[best])) - len(amplitudes(effect))
+    more = len(shapes(trials[best])) - len(shapes(effect))
     price = 0.5 * more * float(np.log(len(fit.problem.nodes))) + float(np.log(len(trials)))
     if not (scores[best].significant(decisions.level) and 0.5 * scores[best].statistic > price):
         return fit
+    weights = fit.noise.weights
     try:
-        found = fit.refit([trials[best] if e is effect else e for e in fit.effects], weights=fit.noise.weights)
+        found = fit.refit([trials[best] if e is effect else e for e in fit.effects], weights=weights)
     except FitError:  # too far off to start from
         return fit
+    found = _at_maximum(found, name, decisions, weights)
     gain = found.log_likelihood - fit.log_likelihood - price
     if gain <= decisions.reshape_nats or drift_grows(drift(found), drift(fit), decisions):
         return fit
