@@ -314,6 +314,7 @@ class Model:
         """
         import numpy as np
 
+        from odomcorrupt.corruption.inverse import SystematicEffects
         from odomcorrupt.corruption.path import NoisyPath
 
         times, poses = np.asarray(t_s, dtype=np.float64), np.asarray(xy_yaw, dtype=np.float64)
@@ -326,9 +327,10 @@ class Model:
         if runs < 1:
             raise ModelError(f"runs: {runs}; draw one or more")
         stamps_ns = np.rint(times * 1e9).astype(np.int64)
-        noisy = np.empty((runs, *poses.shape))
+        noisy, systematic = np.empty((runs, *poses.shape)), SystematicEffects(self.motion_model)
         for i in range(runs):
-            noisy[i] = poses + NoisyPath(self.motion_model, seed, first_run + i).feed(stamps_ns, poses).error_xyt
+            path = NoisyPath(self.motion_model, seed, first_run + i, covariance=False, systematic=systematic)
+            noisy[i] = poses + path.feed(stamps_ns, poses).error_xyt
         return noisy
 
     def __eq__(self, other: object) -> bool:

@@ -39,6 +39,7 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     its output alone are accepted, too, and change nothing here.
     """
     from odomcorrupt.bags.open import open_reader
+    from odomcorrupt.corruption.inverse import SystematicEffects
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.corruption.summary import per_message
     from odomcorrupt.corruption.transform import Options
@@ -53,8 +54,10 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     with open_reader(source, recover=given["recover"]) as reader, Progress(quiet=voice.quiet) as progress:
         drive = read_clean_drive(reader, model, options, progress)
         losses = list(reader.losses)
+    systematic = SystematicEffects(model)
     paths = (
-        (None if condition is None else condition.path(model, seed, run, drive)) or NoisyPath(model, seed, run)
+        (None if condition is None else condition.path(model, seed, run, drive))
+        or NoisyPath(model, seed, run, systematic=systematic)
         for run in range(given["run"], given["run"] + given["runs"])
     )
     outlook = forecast(drive, model, paths, first_run=given["run"])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from odomcorrupt.corruption.covariance import RANDOM_SUMS, SUMS, NoiseSteps, RandomEffectCovariance, sum_terms
-from odomcorrupt.corruption.inverse import Drive, EffectInverse, Slowed
+from odomcorrupt.corruption.inverse import Drive, EffectInverse, Slowed, SystematicEffects
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.geometry.se2 import rotate, wrap
 from odomcorrupt.model.noise_laws import Variances, variances
@@ -217,15 +217,23 @@ class NoisyPath:
 
     normals : source of the noise's standard normals, instead of the run's own stream
     covariance : whether the samples carry the sums that covariances follow from, which takes 40 % of the time
+    systematic : the model's systematic effects, shared with other runs of the same drive
     """
 
     def __init__(
-        self, model: MotionModel, seed: int, run: int = 0, *, normals: Normals | None = None, covariance: bool = True
+        self,
+        model: MotionModel,
+        seed: int,
+        run: int = 0,
+        *,
+        normals: Normals | None = None,
+        covariance: bool = True,
+        systematic: SystematicEffects | None = None,
     ) -> None:
         self._noise, self._law = model.noise, model.noise.law
         self._covariance = covariance
         self._rng: Normals = stream(seed, run, "noise") if normals is None else normals
-        self._effects = EffectInverse(model, seed, run)
+        self._effects = EffectInverse(model, seed, run, systematic)
         self._random_covariance = RandomEffectCovariance()
         self.restart()
 

@@ -19,12 +19,15 @@ from odomcorrupt.geometry.motion import Motion
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = [
     "About",
+    "ByRows",
     "Drawn",
     "Effect",
     "Gain",
@@ -54,6 +57,16 @@ class TwistError(NamedTuple):
     """f as (n, 3): forward m/s, leftward m/s, yaw rad/s; and the state after the last interval."""
 
     f: Array
+    state: State
+
+
+class ByRows(NamedTuple):
+    """f of single intervals of a motion, everything drawn over it included, and the state after the last one.
+
+    f : from the motion of k intervals, and which they are in the whole motion, to (k, 3)
+    """
+
+    f: Callable[[Motion, NDArray[np.intp] | slice], Array]
     state: State
 
 
@@ -205,6 +218,13 @@ class Effect:
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f over the intervals of `motion`, and the state after them; the given state is not modified."""
         raise NotImplementedError
+
+    def by_rows(self, motion: Motion, state: State) -> ByRows | None:  # noqa: ARG002 - for effects with memory
+        """Return f by single intervals of a motion; None if f of an interval depends on the motion before it.
+
+        An effect with memory has it if only what it draws is remembered: then corruption solves each interval alone.
+        """
+        return ByRows(lambda rows, _: self.twist_error(rows, None).f, None) if state is None else None
 
     @property
     def window_s(self) -> tuple[float, float] | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import (
     About,
+    ByRows,
     Effect,
     Gain,
     Moments,
@@ -65,12 +66,17 @@ class GaussMarkov(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the gain at the end of each interval times its speed."""
+        drawn = self.by_rows(motion, state)
+        return TwistError(drawn.f(motion, slice(None)), drawn.state)
+
+    def by_rows(self, motion: Motion, state: State) -> ByRows:
+        """Return f by single intervals: the gain does not depend on the motion."""
         rng = copied(state.rng)
         keep = np.exp(-motion.dt_s / self.tau)
         normal = autoregression(state.normal, keep, np.sqrt(1.0 - keep**2) * rng.standard_normal(len(motion)))
         last = float(normal[-1]) if len(normal) else state.normal
         gain = np.clip(self.sigma * normal, -_MOST, _MOST)
-        return TwistError(self._on_channel(gain * self._speed(motion)), _Gain(rng, last))
+        return ByRows(lambda rows, index: self._on_channel(gain[index] * self._speed(rows)), _Gain(rng, last))
 
     def moments(self, motion: Motion) -> Moments:
         """Return the stationary variance of the gain times the speed squared."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import (
     About,
+    ByRows,
     Effect,
     Gain,
     Moments,
@@ -101,6 +102,11 @@ class SlipBurst(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the slip over the fraction of each interval that lies in a burst."""
+        drawn = self.by_rows(motion, state)
+        return TwistError(drawn.f(motion, slice(None)), drawn.state)
+
+    def by_rows(self, motion: Motion, state: State) -> ByRows:
+        """Return f by single intervals: when bursts come does not depend on the motion."""
         rng, now, coming = copied(state.rng), state.now, state.next
         clock = np.cumsum(np.concatenate(([state.clock_s], motion.dt_s)))
         right, left = np.zeros(len(motion)), np.zeros(len(motion))
@@ -121,8 +127,8 @@ class SlipBurst(Effect):
             now, coming = coming, self._draw(rng, coming.begin_s)
         dt = motion.dt_s
         share = [np.divide(x, dt, out=np.zeros_like(x), where=dt > 0.0) for x in (right, left)]
-        f = self._lost(motion, Rims(*share))
-        return TwistError(f, _Bursts(rng, float(clock[-1]), now, coming))
+        after = _Bursts(rng, float(clock[-1]), now, coming)
+        return ByRows(lambda rows, index: self._lost(rows, Rims(*(x[index] for x in share))), after)
 
     def _lost(self, motion: Motion, share: Rims) -> Array:
         if motion.track_m is None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.sampling.samples import ellipse, sample_moments
@@ -58,9 +59,9 @@ def sample_particles(drive: Drive, model: MotionModel, *, seed: int, runs: int, 
     Run k is the path that corruption with `--seed` and `--run k` writes.
     """
     places = places_along(drive, every_m)
-    xyt = np.empty((runs, len(places), 3))
+    xyt, systematic = np.empty((runs, len(places), 3)), SystematicEffects(model)
     for run in range(runs):
-        samples = NoisyPath(model, seed, run).feed(drive.stamps_ns, drive.xyt)
+        samples = NoisyPath(model, seed, run, covariance=False, systematic=systematic).feed(drive.stamps_ns, drive.xyt)
         xyt[run] = drive.xyt[places] + samples.error_xyt[places]
     return particles_at(drive, places, xyt, seed)
 

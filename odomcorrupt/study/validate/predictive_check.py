@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.stats import f as fisher_f
 
+from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
@@ -99,9 +100,9 @@ def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     starts = stream(seed, 0, "replay").standard_normal((runs, 3)) * np.array(
         [piece.truth.xy_m, piece.truth.xy_m, piece.truth.yaw_rad]
     )
-    poses = np.empty((runs, len(kept), 3))
+    poses, systematic = np.empty((runs, len(kept), 3)), SystematicEffects(model)
     for run in range(runs):
-        error = NoisyPath(model, seed, run, covariance=False).feed(stamps, smooth).error_xyt
+        error = NoisyPath(model, seed, run, covariance=False, systematic=systematic).feed(stamps, smooth).error_xyt
         poses[run] = truth[kept] + error[kept]
         # The true start is uncertain: the truth's noise turns and shifts the whole run.
         first = truth[0]
@@ -271,10 +272,10 @@ def _corrupted(recording: Recording, model: MotionModel, truth: TruthNoise, runs
     true = path.at(truth_s[inside], origin)
     if not recording.headed:
         true[:, 2] = np.where(np.isfinite(true[:, 2]), true[:, 2], 0.0)
-    found = []
+    found, systematic = [], SystematicEffects(model)
     for run in range(runs):
         try:
-            error = NoisyPath(model, 0, run, covariance=False).feed(stamps, smooth).error_xyt
+            error = NoisyPath(model, 0, run, covariance=False, systematic=systematic).feed(stamps, smooth).error_xyt
         except OdomCorruptError:
             return []
         noisy = true + _noise(truth, truth_s[inside], run, headed=recording.headed)
