@@ -11,6 +11,7 @@ from odomcorrupt.batching.manifest import BatchError, read_beginning, read_recor
 from odomcorrupt.batching.parameter_draws import Spread
 from odomcorrupt.batching.sinks import read_tum
 from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model.model_file import parse_model, read_model
@@ -103,7 +104,8 @@ def measure(directory: Path) -> SpreadReport:
     v = np.diagonal(covariance, axis1=1, axis2=2)[shown]
     band = np.column_stack((centre.travelled_m[shown], np.sqrt(v[:, 0] + v[:, 1]), np.sqrt(v[:, 2])))
     distances = np.stack((errors[:, :, 0], np.hypot(errors[:, :, 1], errors[:, :, 2]), np.abs(errors[:, :, 3])), axis=2)
-    paths = tuple(_path(model, begun["seed"], record, directory, clean) for record in records[:SHOWN_RUNS])
+    shared = SystematicEffects(model)
+    paths = tuple(_path(model, shared, begun["seed"], record, directory, clean) for record in records[:SHOWN_RUNS])
     random = tuple(sorted({effect.name for effect in model.effects if effect.kind == "noise"}))
     return SpreadReport(
         str(directory), len(records), tuple(rows), random, clean.xyt[:, :2], paths, band, distances
@@ -147,10 +149,19 @@ def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: PathS
     return np.zeros_like(centre.error_xyt)
 
 
-def _path(model: MotionModel, seed: int, record: dict[str, Any], directory: Path, clean: TumPath) -> Array:
+def _path(
+    model: MotionModel,
+    shared: SystematicEffects,
+    seed: int,
+    record: dict[str, Any],
+    directory: Path,
+    clean: TumPath,
+) -> Array:
     """Return a run's path (n, 2), drawn again from its seed and its own parameters."""
     if "robot" in record:
         model = read_model(directory / record["robot"])
-    samples = NoisyPath(model, seed, record["run"]).feed(clean.stamps_ns, clean.xyt)
+        shared = SystematicEffects(model)
+    source = NoisyPath(model, seed, record["run"], covariance=False, systematic=shared)
+    samples = source.feed(clean.stamps_ns, clean.xyt)
     path: Array = samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]
     return path

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.corruption.additions import CorrectionEdge
     from odomcorrupt.corruption.drift import PathWatcher
+    from odomcorrupt.corruption.inverse import SystematicEffects
     from odomcorrupt.corruption.patch import Target
     from odomcorrupt.corruption.path import PathSamples, PathSource
     from odomcorrupt.corruption.reorder import Arrivals
@@ -122,6 +123,7 @@ class RunState:
     """One run of a batch, over a bag that is read once for many runs.
 
     path : corrupted path, instead of the noisy path that the model draws
+    systematic : the model's systematic effects, shared with the other runs of the same model
     drift, marks : meters of its error
     """
 
@@ -134,13 +136,14 @@ class RunState:
         watchers: Iterable[PathWatcher] = (),
         *,
         path: PathSource | None = None,
+        systematic: SystematicEffects | None = None,
     ) -> None:
         self.model = model
         self.run = run
         self.drift = DriftMeter()
         self.marks = MarkMeter()
         self._watchers: list[PathWatcher] = [self.drift, self.marks, *watchers]
-        self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
+        self._path: PathSource = NoisyPath(model, seed, run, systematic=systematic) if path is None else path
         self._curve = Curve(subtracted=options.subtracted)
         self._new_frame = options.new_odom_frame is not None
         self._patcher = Patcher(model, keep_twist=options.keep_twist, keep_covariance=options.keep_covariance)

@@ -19,7 +19,7 @@ from odomcorrupt.batching.patch_batch import LateTopic, portions
 from odomcorrupt.batching.run_state import RunState, SharedTransform
 from odomcorrupt.batching.sinks import BagSink, FullSink, MultiSink, OverlaySink, TumSink
 from odomcorrupt.corruption.additions import CorrectionEdge
-from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.inverse import SystematicEffects, acts
 from odomcorrupt.corruption.run import corrupt_bag
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
@@ -161,7 +161,8 @@ def _make(
     shared = SharedTransform(silent, job.options)
     shared.odometry.prepare(output.reader, output.reader.name)
     sink, drive = _sinks(job, output, workers), _drive(job)
-    runs = [_begin(job, run, output, sink, drive) for run in task.runs]
+    systematic = None if job.spreads else SystematicEffects(job.model)
+    runs = [_begin(job, run, output, sink, drive, systematic) for run in task.runs]
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
@@ -223,13 +224,21 @@ def _sinks(job: Job, output: Target, workers: Workers) -> Callable[[int], BagSin
     return lambda run: SplitSink(job, run, output, rests)
 
 
-def _begin(job: Job, run: int, output: Target, sink_of: Callable[[int], BagSink], drive: CleanDrive | None) -> _Run:
+def _begin(
+    job: Job,
+    run: int,
+    output: Target,
+    sink_of: Callable[[int], BagSink],
+    drive: CleanDrive | None,
+    systematic: SystematicEffects | None,
+) -> _Run:
     model = job.model_of(run)
     within = None if job.condition is None else job.condition.path(model, job.seed, run, drive)
-    if job.output == "trajectories":
-        path = TumSink(job.path_of(run), model)
-        return _Run(RunState(model, job.seed, run, job.options, [path], path=within), path, patches=False)
-    strand = RunState(model, job.seed, run, job.options, path=within)
+    tum = TumSink(job.path_of(run), model) if job.output == "trajectories" else None
+    watchers = [] if tum is None else [tum]
+    strand = RunState(model, job.seed, run, job.options, watchers, path=within, systematic=systematic)
+    if tum is not None:
+        return _Run(strand, tum, patches=False)
     if job.output == "overlay":
         return _Run(strand, sink_of(run), patches=True)
     if _is_copy(job, model):

@@ -9,6 +9,7 @@ slowed down until there is an inverse.
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,6 +26,11 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.motion import Accelerations, SpeedMemory
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
+
+
+_KEPT = 20_000
+"""Increments whose systematic part is kept for further runs, besides those of the last drive: about 5 MB. A portion
+of a batch, which run after run is fed, has 2000 messages or one block of the bag."""
 
 
 def acts(effect: Effect) -> bool:
@@ -78,7 +84,7 @@ class _Systematic(NamedTuple):
 class SystematicEffects:
     """The effects of a model that draw nothing; what they add to a drive is computed once for runs of the same drive.
 
-    Only the last drive is kept, so runs share it if each is fed the whole path, or all of them part by part.
+    The last parts of drives are kept, so runs share them if each is fed a whole path, or all of them a part in turn.
 
     start : the state in which every run begins
     """
@@ -91,7 +97,7 @@ class SystematicEffects:
         self._learned = bool(model.source.get("recordings"))
         self.start = _State(tuple(state for _, state in started), None, 0.0)
         self._restarted = (self.start, self.start)
-        self._last: tuple[_State, Drive, _Systematic] | None = None
+        self._kept: deque[tuple[_State, Drive, _Systematic]] = deque()
 
     @property
     def acts(self) -> bool:
@@ -106,8 +112,9 @@ class SystematicEffects:
 
     def on(self, drive: Drive, state: _State) -> _Systematic:
         """Return the systematic part of a drive, from the state before it."""
-        if self._last is not None and self._last[0] is state and _same(self._last[1], drive):
-            return self._last[2]
+        for before, known, found in self._kept:
+            if before is state and _same(known, drive):
+                return found
         dt = drive.dt_s[:, None]
         clean = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1)
         clean = np.divide(clean, dt, out=np.zeros_like(clean), where=dt > 0.0)
@@ -121,7 +128,9 @@ class SystematicEffects:
             solved = solve(pairs, clean, true, learned=self._learned)
             f, scale, effects = f + solved.f, solved.scale, tuple(solved.states)
         found = _Systematic(true, f, scale, _State(effects, faster.memory, float(distance[-1])))
-        self._last = state, drive, found
+        self._kept.append((state, drive, found))
+        while len(self._kept) > 1 and sum(len(known.steps) for _, known, _ in self._kept) > _KEPT:
+            self._kept.popleft()
         return found
 
 
