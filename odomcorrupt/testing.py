@@ -85,13 +85,16 @@ def check_effect(effect_class: type[Effect]) -> None:
     still = effect_class()
     for sample in _samples(effect_class):
         _check_numbers(sample)
+        _check_by_rows(sample)
         _check_cuts(sample)
         if sample.kind == "noise":
             _check_seeds(sample)
             _check_moments(sample)
             _check_restored(sample)
-        elif not sample.clock:
-            _check_round_trip(sample)
+        else:
+            _check_without_draws(sample)
+            if not sample.clock:
+                _check_round_trip(sample)
     _check_identity(still)
     if effect_class.odd:
         _check_odd(still)
@@ -205,6 +208,22 @@ def _check_cuts(effect: Effect) -> None:
     _require(np.array_equal(np.concatenate(cut), whole_path), effect, "a bag's corruption depends on its blocks")
 
 
+def _check_by_rows(effect: Effect) -> None:
+    motion = contract_drive(sideways=effect.needs_sideways).motion
+    state = effect.start(stream(1, 0, effect.name))
+    own = effect.by_rows(motion, state) if effect.layer == "motion" else None
+    if own is not None:
+        some = np.arange(0, len(motion), 3)
+        same = np.array_equal(own.f(_rows(motion, some), some), effect.twist_error(motion, state).f[some])
+        _require(same, effect, "f by single intervals differs from f of the whole motion")
+
+
+def _check_without_draws(effect: Effect) -> None:
+    motion = contract_drive(sideways=effect.needs_sideways).motion
+    one, other = (effect.twist_error(motion, effect.start(stream(seed, 0, effect.name))).f for seed in (1, 2))
+    _require(np.array_equal(one, other), effect, "draws, but its kind is not noise: runs share what is systematic")
+
+
 def _check_seeds(effect: Effect) -> None:
     drive = contract_drive(sideways=effect.needs_sideways)
     errors = [_path([effect], seed, noise=0.02).feed(drive.stamps_ns, drive.xyt).error_xyt for seed in (1, 1, 2)]
@@ -299,6 +318,6 @@ def _path(effects: Sequence[Effect], seed: int = 1, noise: float = 0.0) -> Noisy
     return NoisyPath(MotionModel(law, tuple(effects), TRACK_M), seed)
 
 
-def _rows(motion: Motion, rows: slice) -> Motion:
+def _rows(motion: Motion, rows: slice | NDArray[np.intp]) -> Motion:
     values = {f.name: getattr(motion, f.name) for f in dataclasses.fields(Motion) if f.name != "track_m"}
     return replace(motion, **{name: value[rows] for name, value in values.items() if value is not None})

@@ -158,23 +158,30 @@ def _iterated(equations: _Equations) -> tuple[Array, list[State], NDArray[np.boo
     errors as large as the motion, as of a robot that turns several times as far as its odometry says.
     """
     n = len(equations.clean)
-    f, open_ = np.zeros((n, 3)), np.ones(n, dtype=bool)
-    was, last, swinging = f.copy(), np.zeros(n), np.zeros(n, dtype=bool)
-    live, rows = equations, np.arange(n)
-    for _ in range(MAX_ROUNDS):
-        before = f[rows]
-        f_next, states = live.error_at(before)
+    f, was, last = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+    open_, swinging = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
+    live, rows, now, earlier, changed = equations, np.arange(n), f, f, last
+    for left in range(MAX_ROUNDS - 1, -1, -1):
+        f_next, states = live.error_at(now)
         # a row that is solved stays as it is, so that its bits do not depend on its neighbours; nor does one that
         # runs away take them along
-        change = _largest((f_next - before) * live.dt_s)
+        before, change = changed, _largest((f_next - now) * live.dt_s)
         settling = open_[rows] & (change < _RUNAWAY)
-        was[rows], f[rows] = before, np.where(settling[:, None], f_next, before)
+        oldest, earlier, now, changed = earlier, now, np.where(settling[:, None], f_next, now), change
         open_[rows] &= ~(change <= TOLERANCE)
-        if not open_.any():
-            return f, states, open_
-        swinging[rows], last[rows] = np.abs(change - last[rows]) <= _SAME * change, change
-        if equations.apart and 2 * np.count_nonzero(open_) < len(rows):
-            rows = np.flatnonzero(open_)
+        # a row that ran away, or swings between the same two numbers, has reached what the last round would give
+        ended = ~settling if left % 2 else ~settling | (now == oldest).all(axis=1)
+        going = open_[rows] & ~(ended & equations.apart)
+        few = 2 * np.count_nonzero(going) < len(rows) if equations.apart else not going.any()
+        if few or not left:
+            f[rows], was[rows], last[rows] = now, earlier, change
+            swinging[rows] = np.abs(change - before) <= _SAME * change
+            if not open_.any():
+                return f, states, open_
+            if not going.any() or not left:
+                break
+            rows = rows[going]
+            now, earlier, changed = now[going], earlier[going], changed[going]
             live = equations.of(rows)
     # a law that sets in at a speed may take the odometry below it, where it is off: no speed is reported for such a
     # true one, and of the two that it swings between the one nearer to the truth stands; what takes all of a motion

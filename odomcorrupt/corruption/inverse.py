@@ -106,7 +106,9 @@ class SystematicEffects:
 
     def restarted(self, state: _State) -> _State:
         """Return the state at the begin of a new stretch: the effects' own states go on."""
-        if self._restarted[0] is not state:
+        if state.speeds is None and not state.distance_m:
+            return state
+        if self._restarted[0] is not state:  # the same state for all runs, which is how they are known to agree
             self._restarted = state, _State(state.effects, None, 0.0)
         return self._restarted[1]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from drives import office, silent
 
-from odomcorrupt.corruption.inverse import Drive, EffectInverse
+from odomcorrupt.corruption.inverse import Drive, EffectInverse, SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.compensation import corrected_increments
@@ -212,3 +212,83 @@ def test_a_law_beyond_its_inverse_is_the_same_however_the_path_is_cut(others):
     whole, path = NoisyPath(model, 1).feed(t, poses).error_xyt, NoisyPath(model, 1)
     parts = [path.feed(t[i : i + 41], poses[i : i + 41]).error_xyt for i in range(0, len(t), 41)]
     assert np.array_equal(np.concatenate(parts), whole)
+
+
+BURSTS = effect_from_values("slip_burst", {"rate": 0.5, "slip": 0.4, "duration": 0.5})
+
+
+def learned(*effects):
+    return replace(silent(effects, track_m=0.4), source={"recordings": ["a.mcap"]})
+
+
+@pytest.mark.parametrize("others", [(), (effect_from_values("channel_lag", {"tau": 0.1}),)])
+@pytest.mark.parametrize("size", [41, 1000])
+def test_runs_that_share_the_systematic_part_have_the_bits_of_single_runs(others, size):
+    t, poses = speeding(np.linspace(0.9, 2.0, 200))
+    model = learned(CAPPED, BURSTS, *others)
+    shared = SystematicEffects(model)
+    paths = [NoisyPath(model, 3, run, systematic=shared) for run in range(3)]
+    parts = [[path.feed(t[i : i + size], poses[i : i + size]).error_xyt for path in paths] for i in range(0, 201, size)]
+    for run in range(3):
+        alone = NoisyPath(model, 3, run).feed(t, poses).error_xyt
+        assert np.array_equal(np.concatenate([part[run] for part in parts]), alone)
+    assert not np.array_equal(parts[-1][0], parts[-1][1])
+
+
+def test_the_systematic_part_of_a_drive_is_computed_once_for_all_runs():
+    """Also where each run is fed several parts before the next one, and after a restart of time."""
+    calls = 0
+
+    @dataclass(frozen=True, slots=True)
+    class Counted(Runaway):
+        name: ClassVar[str] = "counted"
+
+        def twist_error(self, motion, state):
+            nonlocal calls
+            calls += 1
+            return TwistError(stacked(0.01 * motion.v, 0.0, 0.0, motion.v), state)
+
+    def feed(path):
+        path.feed(t, poses)
+        path.restart()
+        for i in range(0, len(t), 41):
+            path.feed(t[i : i + 41], poses[i : i + 41])
+
+    t, poses = office(10.0, 10.0)
+    model = learned(Counted(1.0), BURSTS)
+    shared = SystematicEffects(model)
+    feed(NoisyPath(model, 3, 0, systematic=shared))
+    once = calls
+    for run in range(1, 5):
+        feed(NoisyPath(model, 3, run, systematic=shared))
+    assert once
+    assert calls == once
+
+
+def test_what_is_kept_for_further_runs_does_not_grow_with_the_drive():
+    t, poses = speeding(np.full(60_000, 0.5))
+    model = learned(CAPPED)
+    shared = SystematicEffects(model)
+    path = NoisyPath(model, 1, systematic=shared)
+    for i in range(0, len(t), 1000):
+        path.feed(t[i : i + 1000], poses[i : i + 1000])
+    assert sum(len(drive.steps) for _, drive, _ in shared._kept) <= 20_000
+
+
+def test_only_unsolved_intervals_are_evaluated_again():
+    """Bursts of slip need dozens of rounds, the time between them two."""
+    rows = []
+
+    @dataclass(frozen=True, slots=True)
+    class Counted(Runaway):
+        name: ClassVar[str] = "counted"
+
+        def twist_error(self, motion, state):
+            rows.append(len(motion))
+            slip = np.where((motion.t_s > 2.0) & (motion.t_s < 2.2), -0.6, 0.01)
+            return TwistError(stacked(slip * motion.v, 0.0, 0.0, motion.v), state)
+
+    t, poses = speeding(np.full(2000, 0.5))
+    NoisyPath(silent([Counted(1.0)]), 1).feed(t, poses)
+    assert len(rows) > 30
+    assert sum(rows) < 0.4 * 2000 * len(rows)

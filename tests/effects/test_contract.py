@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import Effect, Moments, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import ByRows, Effect, Moments, TwistError, parameter, stacked
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.testing import ContractError, check_effect
 
@@ -104,6 +104,19 @@ def blunt(self):
     return replace(self, k=abs(self.k))
 
 
+def random_from_the_start(_self, rng):
+    return float(rng.standard_normal())
+
+
+def scaled_by_state(self, motion, state):
+    return TwistError(stacked(self.k * motion.v * state, 0.0, 0.0, motion.v), state)
+
+
+def misplaced(self, motion, state):
+    gain = self.k * (motion.t_s > 10.0)
+    return ByRows(lambda rows, _: stacked(gain[: len(rows)] * rows.v, 0.0, 0.0, rows.v), state)
+
+
 NOISE = {"start": begins, "moments": twice_too_small}
 
 
@@ -116,6 +129,8 @@ NOISE = {"start": begins, "moments": twice_too_small}
         ({"twist_error": forgetful}, {}, "cut into pieces of 1"),
         ({"twist_error": placeless}, {}, "reads_places"),
         ({"twist_error": placeless}, {"reads_places": True}, "reads_truth"),
+        ({"by_rows": misplaced}, {}, "by single intervals"),
+        ({"start": random_from_the_start, "twist_error": scaled_by_state}, {}, "draws, but its kind"),
         ({"plain": blunt}, {}, "in plain words"),
         ({"twist_error": wasteful, **NOISE}, {"kind": "noise"}, "changes the state"),
         ({"twist_error": seedless, **NOISE}, {"kind": "noise"}, "stated variance"),
