@@ -85,8 +85,8 @@ def check_effect(effect_class: type[Effect]) -> None:
     still = effect_class()
     for sample in _samples(effect_class):
         _check_numbers(sample)
-        _check_by_rows(sample)
         _check_cuts(sample)
+        _check_by_rows(sample)
         if sample.kind == "noise":
             _check_seeds(sample)
             _check_moments(sample)

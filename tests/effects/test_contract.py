@@ -112,9 +112,8 @@ def scaled_by_state(self, motion, state):
     return TwistError(stacked(self.k * motion.v * state, 0.0, 0.0, motion.v), state)
 
 
-def misplaced(self, motion, state):
-    gain = self.k * (motion.t_s > 10.0)
-    return ByRows(lambda rows, _: stacked(gain[: len(rows)] * rows.v, 0.0, 0.0, rows.v), state)
+def halved(self, _motion, state):
+    return ByRows(lambda rows, _: stacked(0.5 * self.k * rows.v, 0.0, 0.0, rows.v), state)
 
 
 NOISE = {"start": begins, "moments": twice_too_small}
@@ -129,7 +128,7 @@ NOISE = {"start": begins, "moments": twice_too_small}
         ({"twist_error": forgetful}, {}, "cut into pieces of 1"),
         ({"twist_error": placeless}, {}, "reads_places"),
         ({"twist_error": placeless}, {"reads_places": True}, "reads_truth"),
-        ({"by_rows": misplaced}, {}, "by single intervals"),
+        ({"by_rows": halved}, {}, "by single intervals"),
         ({"start": random_from_the_start, "twist_error": scaled_by_state}, {}, "draws, but its kind"),
         ({"plain": blunt}, {}, "in plain words"),
         ({"twist_error": wasteful, **NOISE}, {"kind": "noise"}, "changes the state"),
