@@ -21,7 +21,8 @@ def texts(script: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    ("script", "names"), [("independent_look.py", {"INTRODUCTION", "VERDICT"}), ("make_real_robots.py", {"COMMANDS"})]
+    ("script", "names"),
+    [("independent_look.py", {"INTRODUCTION", "VERDICT"}), ("make_real_robots.py", {"COMMANDS", "BEFORE"})],
 )
 def test_the_page_has_the_sentences_of_its_script(script, names):
     found = texts(script)
