@@ -39,7 +39,7 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     """Take the effects of a model out of a bag's odometry: its poses, twists and covariances, and its TF edges.
 
     INPUT is read twice, because the correction at a time depends on the whole motion; it cannot be a pipe, OUTPUT can.
-    Random effects cannot be undone, except lost increments; the summary names them.
+    Random effects cannot be undone, except lost increments and the bias of a gyro at rest; the summary names them.
     """
     from odomcorrupt.api.correction import correct
     from odomcorrupt.correction.run import require_start

@@ -171,9 +171,10 @@ class Effects:
 def split_effects(model: MotionModel) -> Effects:
     """Split a model's effects: random ones cannot be undone, unless the odometry itself shows the draws."""
     active = [effect for effect in model.effects if effect.acts]
+    shown = [effect.kind != "noise" or effect.restorable or effect.shown_at_rest for effect in active]
     return Effects(
-        tuple(effect for effect in active if effect.kind != "noise" or effect.restorable),
-        tuple(effect for effect in active if effect.kind == "noise" and not effect.restorable),
+        tuple(effect for effect, can in zip(active, shown, strict=True) if can),
+        tuple(effect for effect, can in zip(active, shown, strict=True) if not can),
     )
 
 

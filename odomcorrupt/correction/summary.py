@@ -29,6 +29,7 @@ _NEAR_M = 0.2
 _PLAIN_OFFSET_S = 1e-3
 """Learned clock offset below which a correction is not suggested, seconds: a millimetre at 1 m/s."""
 _RANDOM = "its random course was not recorded"
+_AT_REST = "is read only where the robot stands for 0.6 s or more, and interpolated between"
 
 
 def brief(corrected: Corrected, target: str) -> Summary:
@@ -57,6 +58,7 @@ def brief(corrected: Corrected, target: str) -> Summary:
         Line("odometry", f"{moved_words(corrected.run)} ({travel_words(corrected.run)}){topic_words(corrected.run)}")
     ]
     lines += [Line("remains", f"{e.name}: {_WHY_NOT.get(e.name, _RANDOM)}", "warning") for e in corrected.effects.left]
+    lines += [Line("remains", f"{e.name}: {_AT_REST}") for e in corrected.effects.undone if e.shown_at_rest]
     lines += [Line("remains", sentence.removeprefix("What remains is ")) for sentence in _remains(corrected)]
     odd = (sentence for sentence in _oddities(corrected.run) if not sentence.startswith("Lost: "))
     lines += [Line("odd", sentence, "warning") for sentence in odd]
@@ -79,6 +81,7 @@ def correction_summary(corrected: Corrected) -> str:
     parts += [
         f"{effect.name} cannot be undone: {_WHY_NOT.get(effect.name, _RANDOM)}." for effect in corrected.effects.left
     ]
+    parts += [f"{effect.name} {_AT_REST}." for effect in corrected.effects.undone if effect.shown_at_rest]
     if corrected.unplaced:
         names = ", ".join(effect.name for effect in corrected.unplaced)
         origin = corrected.model.setup.origin

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from odomcorrupt.correction.bias_at_rest import bias_seen_at_rest
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
 from odomcorrupt.effects.compensation import corrected_increments, corrected_twist
 from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError
@@ -138,9 +139,11 @@ def undo_effects(
         compose(frame_xyt, measured_xyt[:-1]) if jump.any() and any(effect.reads_truth for effect in effects) else None
     )
     rough = _stays_rough(effects, motion, place)
+    moving_s = np.where(driven_s > 0.0, driven_s, np.inf)
     for _ in range(MAX_ROUNDS):
         after = corrected_increments(effects, motion, place, rough=rough)
-        added = np.stack((after.ds_m, after.dl_m, after.dtheta_rad), axis=1) - before
+        turned = after.dtheta_rad - bias_seen_at_rest(effects, motion, after.dtheta_rad / moving_s) * driven_s
+        added = np.stack((after.ds_m, after.dl_m, turned), axis=1) - before
         error = _error(raw, added, world, measured_xyt)
         found = compose(frame_xyt, (measured_xyt + error)[:-1])
         if place is None or np.abs(found - place).max(initial=0.0) <= PLACE_TOLERANCE:

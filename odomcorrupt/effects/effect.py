@@ -138,6 +138,7 @@ class Effect:
     needs_gyro : only odometry with heading from a gyro can have the effect
     drives : drive types that can have the effect; None: all
     restorable : the odometry itself shows the effect, so that it can be undone although it is random
+    shown_at_rest : the odometry shows its course while the robot stands, so that a correction interpolates it
     reads_truth : f depends on true acceleration, pose or distance, which a correction has to estimate
     rectifies : f depends on accelerations, and not linearly, so that the effects of their noise do not cancel
     reads_places : f depends on position or heading in the world frame, which may differ from the odometry's
@@ -158,6 +159,7 @@ class Effect:
     needs_gyro: ClassVar[bool] = False
     drives: ClassVar[frozenset[str] | None] = None
     restorable: ClassVar[bool] = False
+    shown_at_rest: ClassVar[bool] = False
     reads_truth: ClassVar[bool] = False
     rectifies: ClassVar[bool] = False
     reads_places: ClassVar[bool] = False

@@ -32,6 +32,7 @@ class GyroBiasWalk(Effect):
     kind = "noise"
     summary = "the yaw rate's offset varies slowly, also at rest"
     needs_gyro = True
+    shown_at_rest = True
     about = About(
         equation="f_yaw = -b(t), b a random walk with standard deviation density sqrt(t); with tau Gauss-Markov of "
         "deviation density sqrt(tau / 2)",
@@ -58,7 +59,7 @@ class GyroBiasWalk(Effect):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, with the bias at the end of each interval."""
         rng = copied(state.rng)
-        keep, kick = self._kept(motion.dt_s)
+        keep, kick = self.kept(motion.dt_s)
         kicks = np.sqrt(kick) * rng.standard_normal(len(motion))
         bias = autoregression(state.bias, keep, kicks)
         last = float(bias[-1]) if len(bias) else state.bias
@@ -73,14 +74,14 @@ class GyroBiasWalk(Effect):
     def gains(self, motion: Motion) -> tuple[Gain, ...]:
         """Return the bias as an autoregressive coefficient."""
         one = np.ones_like(motion.v)
-        return (Gain(stacked(0.0, 0.0, -one, one), *self._kept(motion.dt_s), self._spread**2),)
+        return (Gain(stacked(0.0, 0.0, -one, one), *self.kept(motion.dt_s), self._spread**2),)
 
     @property
     def _spread(self) -> float:
         """Standard deviation of the bias at the start, rad/s."""
         return float(self.density * np.sqrt(0.5 * self.tau))
 
-    def _kept(self, dt_s: Array) -> tuple[Array, Array]:
+    def kept(self, dt_s: Array) -> tuple[Array, Array]:
         """Return the factor (n,) by which the bias decays over each interval, and the variance of the noise added."""
         if not self.tau:
             return np.ones_like(dt_s), self.density**2 * dt_s
