@@ -127,7 +127,7 @@ _options = added(
     click.option(
         "--laser-scale-accuracy", type=Share("a share as in 0.3% or 0.003", 0.0, 20.0), metavar="SHARE",
         default="0.3%",
-        help="How far the laser's own scale may be off (one standard deviation): no scale is known better. "
+        help="Standard deviation of the laser's own scale error: no learned scale is more accurate. "
         "[default: 0.3%]",
     ),
     click.option(
@@ -136,7 +136,7 @@ _options = added(
         "[default: the only one]",
     ),
     click.option(
-        "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only one it can be]"
+        "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only candidate]"
     ),
     click.option(
         "--truth-bag", "--truth-file", "truth_bags", type=click.Path(path_type=Path), multiple=True,

@@ -121,8 +121,9 @@ def _clock_left(corrected: Corrected) -> list[str]:
     offset_s = offsets.get(name, 0.0)
     if abs(offset_s) < _PLAIN_OFFSET_S:
         return []
-    why = f"time_offset {offset_s * 1e3:.3g} ms of {name} stays, because it may be the truth's"
-    return [f"{why}; if the odometry is late in this bag, too: --effect time_offset:offset={offset_s:.4g}"]
+    why = f"time_offset {offset_s * 1e3:.3g} ms of {name} is not corrected: the truth's clock may cause it"
+    side = "late" if offset_s > 0.0 else "early"
+    return [f"{why}; if odometry stamps are that {side} in this bag, add --effect time_offset:offset={offset_s:.4g}"]
 
 
 def _shift(corrected: Corrected) -> str:

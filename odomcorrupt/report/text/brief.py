@@ -243,7 +243,7 @@ def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
         if last.verdict.fails:
             lines.append(Line("fails", worst, "warning"))
         else:
-            lines.append(Line("deviation", f"the largest, for which {last.name} is not REJECTED: {worst}"))
+            lines.append(Line("deviation", f"the largest one, too small to reject {last.name}: {worst}"))
     return Summary((*lines, command_line(following)))
 
 

@@ -290,7 +290,7 @@ def reproduction_sentence(one: Reproduction) -> str:
 
     If it drifts as much, outlying segments excluded by the fit are named if they cause most of the error.
     """
-    drifts = f"corrupted with this model 10 s err by {size('along', one.drawn_m)}, recorded by "
+    drifts = f"a truth corrupted with this model has a 10 s error of {size('along', one.drawn_m)}, the recording "
     drifts += size("along", one.measured_m)
     stretches = "1 stretch" if one.outliers == 1 else f"{one.outliers} stretches"
     carry = (
@@ -303,7 +303,7 @@ def reproduction_sentence(one: Reproduction) -> str:
     if one.too_large:
         if one.long is not None and one.long.too_large:
             after, drawn, measured = f"{one.long.after_s:.0f} s", one.long.drawn_m, one.long.measured_m
-            drifts = f"corrupted with this model {after} err by {size('along', drawn)}, recorded by "
+            drifts = f"a truth corrupted with this model has a {after} error of {size('along', drawn)}, the recording "
             drifts += size("along", measured)
         return f"{drifts}: its noise is too large, that of the truth may be in it"
     return carry if one.by_outliers else ""

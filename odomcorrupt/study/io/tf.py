@@ -257,10 +257,10 @@ def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | No
         ahead = ahead_s(own.stamps_ns, own.logs_ns, (fastest.stamps_ns, fastest.logs_ns))
         if _AHEAD_S[0] < ahead < _AHEAD_S[1]:
             stamps = stamps - round(ahead * 1e9)
-            said = f", their stamps {ahead:.2g} s ahead of when they were sent put back"
+            said = f"; its stamps are {ahead:.2g} s later than the times of sending, which is subtracted"
         note = (
-            f"a localisation on top of the odometry; the truth is taken at its {len(rows)} corrections alone{said}: "
-            "between them it is the odometry"
+            f"a localisation on top of the odometry; the truth is taken at its {len(rows)} corrections alone: between "
+            f"them it repeats the odometry{said}"
         )
         return edge, _Ordered(stamps, stamps, Transforms(own.poses.xyz[rows], own.poses.quat_xyzw[rows]), (note,))
     return None

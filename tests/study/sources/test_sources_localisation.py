@@ -54,7 +54,7 @@ def test_over_tf_corrections_are_taken_when_they_were_sent(tmp_path, start_ns, p
     )
     (recording,) = read_runs(Source(bag, truth="/tf:map.base_link"))
     assert any("a localisation on top of the odometry" in note for note in recording.notes)
-    assert any("1 s ahead of when they were sent" in note for note in recording.notes)
+    assert any("stamps are 1 s later than the times of sending" in note for note in recording.notes)
     # log times are those of the odometry to a few samples of their own resolution
     wanted = np.searchsorted(moved.stamps_ns, recording.truth.stamps_ns + 10**6, side="right") - 1
     assert np.isin(wanted, corrected).all()
