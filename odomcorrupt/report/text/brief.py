@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Comparison
     from odomcorrupt.study.validate.predictive_check import Reproduction
@@ -162,7 +163,7 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
         if unknown in search.unexplained or unknown.instead_of:
             other = f"or, instead of {unknown.instead_of}, " if unknown.instead_of else ""
-            lines.append(Line("", f"{other}{dependence(unknown)}: {expression}"))
+            lines.append(Line("", f"{other}{dependence(unknown)}: {expression}{_left_out(unknown, search)}"))
         else:
             small.append(expression)
     for gain in search.noise:
@@ -176,6 +177,14 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
     lines += [Line("data", contradiction(one), "warning") for one in search.contradictions]
     said = f"{', '.join(small)}: in the model, but moves nothing that matters"
     return lines, [Line("negligible", said)] if small else []
+
+
+def _left_out(unknown: Dependence, search: Learned) -> str:
+    """Return that a dependence is reported only, not in the model; "" if it is, or may replace an effect."""
+    if unknown in search.laws or unknown.instead_of:
+        return ""
+    other = "; another drive decides, --validate OTHER" if unknown.regressor == "time" else ""
+    return f" (not in the model{other})"
 
 
 def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
