@@ -19,6 +19,7 @@ from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
+from odomcorrupt.report.text.brief import _found_lines
 from odomcorrupt.report.text.comparison import comparison_text, rejection, within
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.diagnosis import NOTHING, fit_text, found_text, laws_table, shares_text
@@ -126,6 +127,17 @@ def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
     assert f"fitted: {UNKNOWNS[0].expression}" in text
     assert f"suggested: {UNKNOWNS[1].expression}" in text
     assert "the yaw error per radian turned depends on yaw rate" in text
+
+
+def test_the_headline_says_which_dependences_are_not_in_the_model(rich):
+    over_time = unknown("yaw", "time", per="s")
+    lines, _ = _found_lines(replace(rich, unknown=(UNKNOWNS[0], over_time)), rich.fit, set())
+    said = {
+        one.regressor: next(line.text for line in lines if one.regressor in line.text)
+        for one in (UNKNOWNS[0], over_time)
+    }
+    assert "not in the model" not in said["speed"]
+    assert said["time"].endswith("(not in the model; another drive decides, --validate OTHER)")
 
 
 def test_what_explains_about_as_much_as_a_name_is_said_beside_it(rich):
