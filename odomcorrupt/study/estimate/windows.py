@@ -44,14 +44,16 @@ class _Ends(NamedTuple):
 
 
 def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
-    """Return windows one after another, restarted after each stretch in which no truth is known.
+    """Return windows one after another, restarted after each stretch without truth if a grid would lose most windows.
 
-    On one grid for the whole drive, each window with an end in such a stretch would be lost, and with it the next.
+    Each window with an end in such a stretch is lost, and with it the next. Restarted windows begin where the truth
+    does, often at its least accurate poses, and hardly differ between phases.
     """
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     known, first_s = recording.truth.known, odo_s[0] + phase * length_s
     picked = pick_nodes(truth_s, first_s, odo_s[-1], length_s, known)
-    if not _complete(truth_s[picked], length_s)[:-1].all():
+    complete = _complete(truth_s[picked], length_s)
+    if 2 * np.count_nonzero(complete) < len(complete):
         usable = np.flatnonzero(known & (truth_s >= first_s) & (truth_s <= odo_s[-1]))
         picked = usable[_restarted(truth_s[usable], length_s)]
     return _Ends(picked, np.flatnonzero(_complete(truth_s[picked], length_s)))
