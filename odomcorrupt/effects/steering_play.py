@@ -25,6 +25,8 @@ _AVERAGED_S = 2.0
 """Time over which the noise of the steering angle is averaged."""
 _RANGE = 4.0
 """Range of a noise over its mean second difference: 8 standard deviations, and the mean is 1.95 of them."""
+_STEERED = 4.0
+"""Second difference over the mean beyond which it is no noise: steering begins or ends, or play is crossed."""
 
 
 class _Linkage(NamedTuple):
@@ -36,6 +38,7 @@ class _Linkage(NamedTuple):
     last_s : end of the last increment, s
     reported : last angle that the odometry reported, rad/m
     change : of that angle, rad/m
+    unseen : travel back from that side of which the samples show nothing, rad/m, by noise or between them
     noise : mean second difference of that angle times the root of the way: a noise of the heading, as of the ground
     """
 
@@ -45,6 +48,7 @@ class _Linkage(NamedTuple):
     last_s: float = 0.0
     reported: float | None = None
     change: float = 0.0
+    unseen: float = 0.0
     noise: float = 0.0
 
 
@@ -101,19 +105,25 @@ class SteeringPlay(Effect):
         angle, root = steered(motion.omega[rolls] / v, self.axles), np.sqrt(np.abs(v * dt_s))
         changes = np.diff(angle, prepend=angle[0] if state.angle is None else state.angle)
         second = np.abs(np.diff(changes, prepend=state.change)) * root
-        reach = np.divide(_RANGE, root, out=np.zeros_like(root), where=root > 0.0)
         gains = np.minimum(dt_s / _AVERAGED_S, 1.0)
-        place, noise, places, elastic = state.place, state.noise, [], _ELASTIC * abs(self.play)
-        rows = zip(*(column.tolist() for column in (changes, second, reach, gains)), strict=True)
-        for change, rough, per_noise, gain in rows:
-            top = half + max(elastic, per_noise * noise)
+        place, side, noise, unseen = state.place, state.side, state.noise, state.unseen
+        before, places, elastic = state.change, [], _ELASTIC * abs(self.play)
+        rows = zip(*(column.tolist() for column in (changes, second, root, gains)), strict=True)
+        for change, rough, per_way, gain in rows:
+            reach = max(elastic, _RANGE * noise / per_way if per_way else 0.0)
+            top = half + reach
             place = min(max(place + change, -top), top)
-            noise += gain * (rough - noise)
-            places.append(place)
-        followed = angle - np.clip(places, -half, half)
+            if abs(place) == top:
+                side, unseen = float(np.sign(place)), max(reach, abs(change), abs(before))
+            before = change
+            noise = _averaged(noise, rough, elastic * per_way, gain)
+            places.append(_linkage(place, side, half, unseen))
+        followed = angle - np.array(places)
         f[rolls] = sign * v * (curvature_at(followed, self.axles) - curvature_at(angle, self.axles))
         last = float(angle[-1])
-        after = state._replace(angle=last, place=place, reported=last, change=float(changes[-1]), noise=noise)
+        after = state._replace(
+            angle=last, place=place, side=side, unseen=unseen, reported=last, change=float(changes[-1]), noise=noise
+        )
         return TwistError(stacked(0.0, 0.0, f, f), after)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
@@ -121,7 +131,7 @@ class SteeringPlay(Effect):
         ds = steps[:, 0]
         true = steered(np.divide(steps[:, 2], ds, out=np.zeros_like(ds), where=ds != 0.0), self.axles)
         moved, elastic = true.copy(), _ELASTIC * self.play
-        before, place, side, last_s, reported, change, noise = state
+        before, place, side, last_s, reported, change, _, noise = state
         for i, (way, angle, now_s) in enumerate(zip(ds.tolist(), true.tolist(), t_s.tolist(), strict=True)):
             dt_s, last_s = now_s - last_s, now_s
             if dt_s < 0.0:  # time was reset
@@ -136,7 +146,19 @@ class SteeringPlay(Effect):
             earlier, moved[i] = reported, angle + 0.5 * self.play * side
             reported, last = float(moved[i]), change
             change = 0.0 if earlier is None else reported - earlier
-            noise += min(dt_s / _AVERAGED_S, 1.0) * (abs(change - last) * root - noise)
+            noise = _averaged(noise, abs(change - last) * root, elastic * root, min(dt_s / _AVERAGED_S, 1.0))
         turned = steps.copy()
         turned[:, 2] += (curvature_at(moved, self.axles) - curvature_at(true, self.axles)) * ds
-        return Recorded(turned, _Linkage(before, place, side, last_s, reported, change, noise))
+        return Recorded(turned, _Linkage(before, place, side, last_s, reported, change, 0.0, noise))
+
+
+def _averaged(noise: float, rough: float, least: float, gain: float) -> float:
+    """Return the mean noise after a second difference, without those of steering; `least` ones always count."""
+    return noise + gain * (min(rough, max(_STEERED * noise, least)) - noise)
+
+
+def _linkage(place: float, side: float, half: float, unseen: float) -> float:
+    """Return the linkage's place in its play on the way back from a side, of which `unseen` is not in its place."""
+    if side and half:
+        place = side * half + (place - side * half) / (1.0 - 0.5 * min(unseen / half, 1.0))
+    return min(max(place, -half), half)

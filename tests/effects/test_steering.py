@@ -57,6 +57,19 @@ def test_correction_follows_the_linkage_of_corruption_under_noise(axles, rad_per
     assert np.ptp(left[int(RATE_HZ) * 10 :]) < 1e-9
 
 
+@pytest.mark.parametrize("phase", range(0, 20, 4))
+def test_a_reversal_between_two_samples_crosses_the_play(phase):
+    # breaks where the angle at the reversal is what a sample shows: the linkage stayed in its play on a long straight
+    fine = int(1000.0 / RATE_HZ)
+    t_s = (np.arange(int(SECONDS) * 1000) - phase) / 1000.0
+    wheels = np.interp(t_s, [0.0, 1.0, 5.0, 5.5, 5.55], [0.0, -0.2, -0.2, 0.001, 0.0])
+    sensor = wheels + 0.5 * PLAY * np.where((t_s > 5.0) & (t_s < 5.5), 1.0, -1.0)
+    curvature = sensor.reshape(-1, fine).mean(axis=1)
+    v = np.full(len(curvature), SPEED_MPS)
+    f = SteeringPlay(play=PLAY).twist_error(motion(v, v * curvature, seconds=SECONDS), SteeringPlay().start(None)).f
+    assert np.abs(curvature + f[:, 2] / v)[int(10.0 * RATE_HZ) :].max() < 0.1 * PLAY
+
+
 @pytest.mark.parametrize(
     ("limits", "largest_rate", "largest_lag"),
     [({"rate": 0.05}, 0.05, np.inf), ({"stop": 0.012}, np.inf, 0.012)],

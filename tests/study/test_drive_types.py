@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden import ten_second_error
 from wandering import noisy_path, recording, wander
-from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, hobby, lagged
+from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, forklift, hobby, lagged
 
 from odomcorrupt.api.recordings import Recordings
 from odomcorrupt.effects.steering_lag import SteeringLag
@@ -85,6 +86,34 @@ def test_what_is_wrong_with_a_car_has_its_name_and_size(flaw, name, parameter, s
     assert effect.name == name
     assert abs(getattr(effect, parameter) - size) < SURE * error
     assert error < 0.1 * size
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("flaw", "name", "parameter", "size"),
+    [
+        (Flaw(ratio=0.05), "steering_scale", "e", 0.05),
+        (Flaw(offset=OFFSET_RAD, wheel=-0.012), "steering_offset", "curvature", OFFSET_RAD / AXLES_M),
+    ],
+)
+def test_an_angle_of_a_driven_front_wheel_changes_the_travel_too(flaw, name, parameter, size):
+    # breaks where the angle only turns the robot: functions of motion are named, or other effects
+    learned = learn([replace(forklift(1, flaw), drive_type="tricycle")])
+    assert {effect.name for effect in learned.fit.effects} == {name, *(["wheel_scale"] if flaw.wheel else [])}
+    assert not learned.unknown
+    steering = next(effect for effect in learned.fit.effects if effect.name == name)
+    assert steering.driven == "front"
+    assert steering.axles == pytest.approx(AXLES_M, rel=0.1)
+    assert getattr(steering, parameter) == pytest.approx(size, rel=0.05)
+    before, after = (ten_second_error([forklift(2, flaw)], effects) for effects in ((), learned.fit.effects))
+    assert after < 1.1 * ten_second_error([forklift(2)]) < 0.5 * before
+
+
+@pytest.mark.slow
+def test_a_forklift_with_nothing_wrong_has_no_name():
+    learned = learn([replace(forklift(1), drive_type="tricycle")])
+    assert not learned.fit.effects
+    assert not learned.unknown
 
 
 @pytest.mark.parametrize(

@@ -131,6 +131,20 @@ def car(seed, flaw=Flaw(), seconds=240.0, *, planned=False):
     return recorded("car", composed(way, way * np.tan(seen) / AXLES_M), truth, rng)
 
 
+def forklift(seed, flaw=Flaw(), seconds=240.0):
+    """Return the recording of a tricycle whose front wheel is steered, up to 57 degrees, driven and counted."""
+    rng = np.random.default_rng([seed, 4])
+    v, seen = commands(seed, seconds)
+    seen = 3.0 * seen
+    angle = (1.0 + flaw.ratio) * seen + flaw.offset
+    way = v / GRID_HZ
+    root = np.sqrt(np.abs(way))
+    true_way = (1.0 + flaw.wheel) * way + 0.002 * root * rng.standard_normal(len(way))
+    turn = true_way * np.sin(angle) / AXLES_M + 0.003 * root * rng.standard_normal(len(way))
+    truth = composed(true_way * np.cos(angle), turn)
+    return recorded("forklift", composed(way * np.cos(seen), way * np.sin(seen) / AXLES_M), truth, rng)
+
+
 def hobby(seed, true_of, seconds=300.0, reported_of=None):
     """Return the recording of a robot with two wheels: straights, curves, turns on the spot, reverse, several speeds.
 
