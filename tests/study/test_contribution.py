@@ -52,9 +52,7 @@ def test_it_is_measured_on_recordings_that_were_not_fitted_where_there_are_any(l
     """The distance between both paths is that of the effect alone, whatever the truth's noise."""
     run = with_truth(drive(7, wide=1.02), 8)
     own = contributions(learned.fit, [run], [learned.fit.problem.clocks[0]])["wheelbase"].ten_seconds
-    bare = learned.fit.refit(
-        [e for e in learned.fit.effects if e.name != "wheelbase"], weights=learned.fit.noise.weights
-    )
+    bare = learned.fit.refit([e for e in learned.fit.effects if e.name != "wheelbase"], weights_of=learned.fit)
     far = undo(run, learned.fit.effects).odometry.xyt[:, :2] - undo(run, bare.effects).odometry.xyt[:, :2]
     assert 0.0 < own.moved_m < np.abs(far).max()
     assert own.travelled_m == pytest.approx(contributions(learned.fit)["wheelbase"].ten_seconds.travelled_m, rel=0.5)

@@ -81,13 +81,13 @@ def test_a_rectangle_pays_for_the_two_numbers_more_than_a_disc_has(monkeypatch, 
 
 def test_a_shape_is_accepted_by_the_likelihood_at_unchanged_weights(monkeypatch, fitted):
     """With weights of its own the moved patch is 0.5 nats likelier, because its fit excludes fewer intervals."""
-    kept, patch = object(), RegionSlip(slip=0.05, radius=1.0)
+    patch = RegionSlip(slip=0.05, radius=1.0)
     (family,) = (f for f in library(fitted) if f[0].name == "region_slip")
     own = SimpleNamespace(log_likelihood=100.5)
     same = SimpleNamespace(log_likelihood=105.0, refit=lambda **_: own)
     before = SimpleNamespace(
-        effects=(patch,), log_likelihood=100.0, noise=SimpleNamespace(weights=kept),
-        refit=lambda *_, weights=None: same if weights is kept else own,
+        effects=(patch,), log_likelihood=100.0,
+        refit=lambda *_, weights_of=None: same if weights_of is before else own,
     )  # fmt: skip
     found = SimpleNamespace(maximise=lambda _: family[1])
     monkeypatch.setattr(candidates, "ShapeSearch", lambda *_: found)

@@ -23,7 +23,6 @@ class Unfit:
     """A fit beside which no further term can be fitted."""
 
     effects = ()
-    noise = SimpleNamespace(weights=None)
 
     def refit(self, effects, **_):
         raise FitError(f"{effects}: the covariance of the residuals is not positive definite")
@@ -64,7 +63,8 @@ class Weighted:
         if "hinge" in effects and weights == "re-estimated":
             self.log_likelihood += 60.0
 
-    def refit(self, effects=None, *, weights="re-estimated"):
+    def refit(self, effects=None, *, weights_of=None):
+        weights = weights_of.noise.weights if weights_of else "re-estimated"
         return Weighted(weights, self.effects if effects is None else effects)
 
 
@@ -94,7 +94,6 @@ class Fitted:
     """A fit whose log likelihood is the sum of its effects' gains, nats."""
 
     GAINS: ClassVar = {"unequal_wheels": 80.0, "wheel_scale": 79.0, "speed_scale": 30.0}
-    noise = SimpleNamespace(weights=None)
 
     def __init__(self, *effects):
         self.effects = effects

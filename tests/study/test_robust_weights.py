@@ -40,7 +40,8 @@ def test_a_clock_that_moves_past_a_node_takes_the_weights_along():
     for guess in (0.6, -0.6):
         first = fit([late], clocks=[Clock(guess)], approach=Approach())
         kept = np.where(np.arange(len(first.problem.nodes)) == 100, 9.0, 1.0)
-        again = fit([late], clocks=[Clock(guess)], free_clocks=[(True, False)], approach=Approach(), weights=kept)
+        held = replace(first, noise=replace(first.noise, weights=kept))
+        again = fit([late], clocks=[Clock(guess)], free_clocks=[(True, False)], approach=Approach(), weights_of=held)
         nodes = again.problem.nodes
         assert again.problem.clocks[0].offset_s != guess
         assert len(again.noise.weights) == len(nodes)
@@ -48,6 +49,15 @@ def test_a_clock_that_moves_past_a_node_takes_the_weights_along():
         assert 1 <= len(heavy) <= 2
         before = first.problem.nodes.start_s[100]
         assert np.abs(nodes.start_s[heavy] - before).min() <= 0.5
+
+
+def test_a_refit_keeps_the_weights_of_a_fit_at_another_clock_although_that_has_more_intervals():
+    run = slipping(1, 0.5)
+    here, there = (fit([run], clocks=[Clock(offset)], approach=Approach()) for offset in (0.0, 2.6))
+    assert len(here.problem.nodes) != len(there.problem.nodes)
+    kept = here.refit(weights_of=there).noise.weights
+    assert len(kept) == len(here.problem.nodes)
+    assert set(kept) <= {1.0, *there.noise.weights}
 
 
 def test_slips_of_nearly_the_whole_way_become_bursts_within_their_bounds():

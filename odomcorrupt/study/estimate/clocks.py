@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mountings
-from odomcorrupt.study.estimate.gauss_newton import carried, fit
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
@@ -223,17 +223,15 @@ def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals
     still = pose_problem(runs, nuisance, approach=approach)
 
     def likelihood(effects: Sequence[Effect], offset_s: float = 0.0) -> float:
-        clocks, effects = [Clock(offset_s)] * len(runs), (*nuisance, *effects)
-        posed = pose_problem(runs, effects, clocks, approach=approach, before=still)
         return fit(
             runs,
-            effects,
-            clocks=clocks,
+            (*nuisance, *effects),
+            clocks=[Clock(offset_s)] * len(runs),
             free_clocks=[(offset_s != 0.0, False)] * len(runs),
             approach=approach,
             start=clock.fit.noise.free,
-            weights=carried(clock.fit.noise.weights, clock.fit.problem, posed),
-            known=posed,
+            weights_of=clock.fit,
+            known=still,
         ).log_likelihood
 
     without, with_it = likelihood(()), likelihood((), clock.clock.offset_s)

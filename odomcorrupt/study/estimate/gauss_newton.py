@@ -91,7 +91,7 @@ class Fit:
         effects: Sequence[Effect] | None = None,
         *,
         random: Sequence[Effect] | None = None,
-        weights: Array | None = None,
+        weights_of: Fit | None = None,
         clocks: Sequence[Clock] | None = None,
         free_clocks: Sequence[tuple[bool, bool]] | None = None,
     ) -> Fit:
@@ -100,7 +100,7 @@ class Fit:
         Parameters
         ----------
         effects, random : systematic effects at their starting values, and random ones; default those of this fit
-        weights : (K,) robust weights to keep, so that likelihoods can be compared; default: re-estimated
+        weights_of : fit whose robust weights are kept, so that likelihoods can be compared; default: re-estimated
         clocks : (R,) starting values of the clocks, kept for those that are not free
         free_clocks : (R, 2) whether offset and rate are free; default: as in this fit
         """
@@ -112,7 +112,7 @@ class Fit:
             free_clocks=self.free_clocks if free_clocks is None else free_clocks,
             approach=problem.approach,
             start=self.noise.free,
-            weights=weights,
+            weights_of=weights_of,
             random=self.random if random is None else random,
             known=problem,
         )
@@ -140,7 +140,7 @@ def fit(
     free_clocks: Sequence[tuple[bool, bool]] | None = None,
     approach: Approach,
     start: Array | None = None,
-    weights: Array | None = None,
+    weights_of: Fit | None = None,
     random: Sequence[Effect] = (),
     nearly: bool = False,
     known: Problem | None = None,
@@ -148,7 +148,8 @@ def fit(
     """Fit effects (starting at their present values), the clocks' free offsets and rates, and the noise.
 
     random : random coefficients in the model, with their parameters
-    start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
+    start : noise to start from, of an earlier fit of the same recordings
+    weights_of : fit of the same recordings whose robust weights are kept, at whatever clocks; default: re-estimated
     nearly : end at a step within two standard errors, found in `onward`; for callers that do not use the residuals
     known : an earlier problem of the same recordings; its unchanged parts are reused
     """
@@ -161,10 +162,11 @@ def fit(
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
     effects = tuple(effects)
     before: Problem | None = None
+    weights, of = (None, None) if weights_of is None else (weights_of.noise.weights, weights_of.problem)
     for _ in range(_ROUNDS):
         problem = pose_problem(recordings, effects, clocks, approach=approach, before=before or known)
-        if before is not None and weights is not None:
-            weights = carried(weights, before, problem)
+        if weights is not None and of is not None:
+            weights = _carried(weights, of, problem)
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.nodes, problem.steps)
         begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
@@ -172,7 +174,7 @@ def fit(
             np.concatenate((columns, bias_roots(problem)[:, :, :SHARED]), axis=2) if has_bias(problem) else columns
         )
         noise = fit_noise_beside(problem, components, free_too, random, begin)
-        start, before = noise.free, problem
+        start, before, of = noise.free, problem, problem
         noise = with_random(noise, problem, columns, random)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         old = effects
@@ -215,7 +217,7 @@ def orthonormal(white: Array) -> Array:
     return basis
 
 
-def carried(weights: Array, before: Problem, now: Problem) -> Array:
+def _carried(weights: Array, before: Problem, now: Problem) -> Array:
     """Return robust weights (K,) transferred to the current nodes: a clock step may add, remove or shift nodes."""
     if np.array_equal(before.nodes.start_s, now.nodes.start_s):
         return weights

@@ -206,11 +206,11 @@ def odd_steps(fit: Fit) -> list[Event]:
     return _events_of(fit, flagged[~during(fit, single_events(fit))[flagged]])
 
 
-def set_apart(fit: Fit) -> Array:
-    """Return weights (K,) for a fit in which outlier intervals have almost no influence."""
+def set_apart(fit: Fit) -> Fit:
+    """Return the fit with weights by which outlier intervals have almost no influence in a refit."""
     weights = np.ones(len(fit.problem.nodes))
     weights[_standing_out(fit)] = _HARDLY
-    return weights
+    return replace(fit, noise=replace(fit.noise, weights=weights))
 
 
 def _standing_out(fit: Fit) -> NDArray[np.int64]:

@@ -257,15 +257,15 @@ def _first_order_room(fit: Fit, effect: Effect, p: Parameter, bound: float) -> f
 
 def _refitted(fit: Fit, score: Score, decisions: Decisions) -> Candidate:
     """Return a candidate fitted jointly with the model; robust weights stay fixed, so that likelihoods compare."""
-    effects, weights = (*fit.effects, score.estimated), fit.noise.weights
+    effects = (*fit.effects, score.estimated)
     # an effect that scales turns also scales their noise, a scale error of a gyro does not: the two are comparable
     # only to first order, with the same noise
     alike = None if sees_travel(fit.problem.recordings) else score.nats
-    candidate = tried(fit, fit.refit(effects, weights=weights), score, decisions, gain=alike)
+    candidate = tried(fit, fit.refit(effects, weights_of=fit), score, decisions, gain=alike)
     if candidate.gain > 0.0 or not np.any(fit.free_clocks) or candidate.fit is None:
         return candidate
     # interpolated odometry is smoother between stamps: if the clock had drifted there, its return looks like a loss
-    held = fit.refit(effects, weights=weights, free_clocks=[(False, False)] * len(fit.free_clocks))
+    held = fit.refit(effects, weights_of=fit, free_clocks=[(False, False)] * len(fit.free_clocks))
     return tried(fit, candidate.fit, score, decisions, gain=held.log_likelihood - fit.log_likelihood - score.penalty)
 
 
@@ -316,21 +316,23 @@ def include(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
     return with_shape_refined(fit.refit((*fit.effects, score.estimated)), score, decisions)
 
 
-def with_shape_refined(fit: Fit, score: Score, decisions: Decisions, weights: Array | None = None) -> tuple[Fit, Score]:
+def with_shape_refined(
+    fit: Fit, score: Score, decisions: Decisions, weights_of: Fit | None = None
+) -> tuple[Fit, Score]:
     """Return the fit with the shape of one of its terms refined, beside noise estimated with the term in the model.
 
     Word-valued parameters with the same first-order effect (filter or delay) are compared by refits.
 
     score : the term in its present shape; fit and score are returned unchanged if another shape gains too little
-    weights : (K,) robust weights of the fit, kept for comparison with other fits; default: re-estimated
+    weights_of : fit whose robust weights are kept for comparison with other fits; default: re-estimated
     """
     fit, score = _with_words_refined(fit, score, decisions)
     if len(score.term.shape):
-        fit, score = with_shape_at_size(*_with_shape_moved(fit, score, decisions, weights), decisions)
+        fit, score = with_shape_at_size(*_with_shape_moved(fit, score, decisions, weights_of), decisions)
     return with_limit(fit, score.term.name, decisions), score
 
 
-def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions, weights: Array | None) -> tuple[Fit, Score]:
+def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions, weights_of: Fit | None) -> tuple[Fit, Score]:
     """Return the fit with the shape of one of its terms at the maximum by the columns of a small effect."""
     effect = next(e for e in fit.effects if e.name == score.term.name)
     search = ShapeSearch(drop_term(fit, effect), decisions)
@@ -341,12 +343,12 @@ def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions, weights: Arr
     others = [e for e in fit.effects if e is not effect]
     try:
         # the same weights: with weights of its own, the fit that excludes more intervals would be the likelier
-        shaped = fit.refit((*others, moved.effect(values)), weights=fit.noise.weights)
+        shaped = fit.refit((*others, moved.effect(values)), weights_of=fit)
     except FitError:  # too far off to start from
         return fit, score
     if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
         return fit, score
-    return shaped.refit(weights=weights), replace(score, term=moved)
+    return shaped.refit(weights_of=weights_of), replace(score, term=moved)
 
 
 def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
@@ -363,7 +365,7 @@ def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[F
         for other in score.term.with_words((word,)) if word != "heading" else ():
             said = replace(effect, **{word: getattr(other.start, word)})  # type: ignore[type-var]  # a dataclass
             try:
-                tried_fit = fit.refit([said if e is effect else e for e in fit.effects], weights=fit.noise.weights)
+                tried_fit = fit.refit([said if e is effect else e for e in fit.effects], weights_of=fit)
             except EffectError:  # the effect acts on single wheels, and the track is unknown
                 continue
             more = tried_fit.log_likelihood - best.log_likelihood

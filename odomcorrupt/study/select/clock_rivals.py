@@ -11,7 +11,6 @@ from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate import gauss_newton
-from odomcorrupt.study.estimate.gauss_newton import carried
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.candidates import tried, with_shape_refined
@@ -75,7 +74,7 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> InPl
     term = LibraryTerm.of(late, fit.problem.motions)
     without = fit.refit(clocks=(Clock(),) * len(clocks), free_clocks=((False, False),) * len(clocks))
     (score,) = score_terms(without, [term], decisions, family=1)
-    with_it = without.refit([*without.effects, term.effect([tau_s])], weights=without.noise.weights)
+    with_it = without.refit([*without.effects, term.effect([tau_s])], weights_of=without)
     candidate = tried(without, with_it, score, decisions)
     if candidate.refused:
         return None
@@ -140,8 +139,8 @@ def more_nats(here: Fit, there: Fit) -> float:
     Both are evaluated on the truth samples covered by the odometry under the clocks of both fits.
     """
     here, there = (_within(one, _common(here, there)) for one in (here, there))
-    same = there.refit(weights=carried(here.noise.weights, here.problem, there.problem))
-    turned = here.refit(weights=carried(there.noise.weights, there.problem, here.problem))
+    same = there.refit(weights_of=here)
+    turned = here.refit(weights_of=there)
     return min(here.log_likelihood - same.log_likelihood, turned.log_likelihood - there.log_likelihood)
 
 

@@ -96,7 +96,7 @@ def contributions(
     for effect in fitted.effects:
         others = [other for other in fitted.effects if other is not effect]
         try:
-            bare = _left(on_time, fitted.refit(others, weights=fitted.noise.weights))
+            bare = _left(on_time, fitted.refit(others, weights_of=fitted))
         except FitError:  # no fit without this part, so no contribution can be computed
             continue
         near, far = (_span(left, bare, one) for one in windows)

@@ -165,7 +165,7 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
     for word in ("wheels", "gyro"):
         same = [replace(e, heading=word) if e in either else e for e in fit.effects]  # type: ignore[type-var]
         if clocked:
-            found[word] = fit.refit(same, weights=fit.noise.weights, free_clocks=held)
+            found[word] = fit.refit(same, weights_of=fit, free_clocks=held)
         else:
             found[word] = fit if words == {word} else fit.refit(same)
     least = decisions.known_gyro_nats if known else decisions.unusual_nats

@@ -21,7 +21,6 @@ from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
@@ -45,10 +44,10 @@ def with_shape_at_size(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
     return fit, replace(score, term=score.term.with_shape(shape))
 
 
-def _at_maximum(fit: Fit, name: str, decisions: Decisions, weights: Array | None = None) -> Fit:
+def _at_maximum(fit: Fit, name: str, decisions: Decisions, weights_of: Fit | None = None) -> Fit:
     """Return the fit with the shape of one of its effects moved as long as a step gains `reshape_nats`.
 
-    weights : (K,) robust weights of the fit, kept for comparison; default: re-estimated
+    weights_of : fit whose robust weights are kept for comparison; default: re-estimated
     """
     for _ in range(_MOST_MOVES):
         (effect,) = (e for e in fit.effects if e.name == name)
@@ -56,7 +55,7 @@ def _at_maximum(fit: Fit, name: str, decisions: Decisions, weights: Array | None
         if nats <= decisions.reshape_nats:
             break
         try:
-            shaped = fit.refit([moved if e is effect else e for e in fit.effects], weights=weights)
+            shaped = fit.refit([moved if e is effect else e for e in fit.effects], weights_of=weights_of)
         except FitError:  # too far off to start from
             break
         if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
@@ -82,12 +81,11 @@ def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
     price = 0.5 * more * float(np.log(len(fit.problem.nodes))) + float(np.log(len(trials)))
     if not (scores[best].significant(decisions.level) and 0.5 * scores[best].statistic > price):
         return fit
-    weights = fit.noise.weights
     try:
-        found = fit.refit([trials[best] if e is effect else e for e in fit.effects], weights=weights)
+        found = fit.refit([trials[best] if e is effect else e for e in fit.effects], weights_of=fit)
     except FitError:  # too far off to start from
         return fit
-    found = _at_maximum(found, name, decisions, weights)
+    found = _at_maximum(found, name, decisions, fit)
     gain = found.log_likelihood - fit.log_likelihood - price
     if gain <= decisions.reshape_nats or drift_grows(drift(found), drift(fit), decisions):
         return fit

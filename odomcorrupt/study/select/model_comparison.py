@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
@@ -149,7 +148,7 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
             if candidate.contradicts_physics(decisions):
                 return candidate
             continue
-        with_it = fit.refit((*others, score.estimated), weights=fit.noise.weights)
+        with_it = fit.refit((*others, score.estimated), weights_of=fit)
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + law.best.score.penalty
         found = tried(fit, with_it, score, decisions, gain=gain, least=-decisions.replacement_nats)
         if not found.refused:
@@ -181,7 +180,7 @@ def _with_final_rivals(step: Step, fit: Fit, decisions: Decisions) -> Step:
             effect = replace(effect, heading=heading)  # type: ignore[type-var]  # a dataclass
         if rival.name in have:
             rest[i] = replace(rival, refused="in the model beside it")
-        elif instead := _with(fit, (*others, effect), fit.noise.weights):
+        elif instead := _with(fit, (*others, effect), fit):
             more = instead.log_likelihood - fit.log_likelihood - rival.score.penalty + added.score.penalty
             rest[i] = replace(rival, gain=added.gain + more)
     return replace(step, candidates=(added, *rest))
@@ -208,18 +207,18 @@ def best_dependence(
         spared, least = instead_of.penalty, decisions.replacement_nats
     have = {effect.name for effect in others}
     possible = [(one, one.best) for one in found if one.best is not None and one.name not in have]
-    best, largest, weights = None, -np.inf, fit.noise.weights
+    best, largest = None, -np.inf
     for one, basis in possible[: decisions.shortlist]:
         if one.nats < decisions.shortlist_share * largest:
             break
         forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
-        fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*others, score.estimated), weights))]
+        fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*others, score.estimated), fit))]
         if not fits:
             continue
         # a step and a hinge are compared with their thresholds refined
         most = max(map(_worth, fits))
         near = max(decisions.replacement_nats, _NEAR_FORM * (most - fit.log_likelihood))
-        refined = [with_shape_refined(*pair, decisions, weights) for pair in fits if _worth(pair) >= most - near]
+        refined = [with_shape_refined(*pair, decisions, fit) for pair in fits if _worth(pair) >= most - near]
         with_it, score = max(refined, key=_worth)
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + spared
         # what the data do not separate stays in the order of the robust score tests
@@ -232,10 +231,10 @@ def best_dependence(
     return replace(best, candidate=replace(best.candidate, fit=best.candidate.fit.refit()))
 
 
-def _with(fit: Fit, effects: Sequence[Effect], weights: Array | None = None) -> Fit | None:
+def _with(fit: Fit, effects: Sequence[Effect], weights_of: Fit | None = None) -> Fit | None:
     """Return the fit with other effects, or None if their first estimates are too far off as starting values."""
     try:
-        return fit.refit(effects, weights=weights)
+        return fit.refit(effects, weights_of=weights_of)
     except FitError:
         return None
 

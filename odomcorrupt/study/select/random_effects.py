@@ -203,7 +203,7 @@ def beside_bursts(
     correlated = {one.effect.name for one in named} & set(CORRELATED_NOISE)
     if not correlated:
         return named, fit
-    calm = fit.refit(random=(), weights=set_apart(fit))
+    calm = fit.refit(random=(), weights_of=set_apart(fit))
     there = {one.effect.name for one in random_coefficients(calm, decisions)}
     if correlated <= there:
         return named, fit
