@@ -18,6 +18,7 @@ from odomcorrupt.effects.effect import Motion
 from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.motion import SMOOTHING_S, LocalSlopes, motion_of
 from odomcorrupt.geometry.speed_steps import speed_steps
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.clock import aligned, coarse_clock
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.recording import Recording
 
 Side = Literal["odometry", "truth"]
@@ -39,7 +39,7 @@ _JITTER_S = 0.2  # least time step for estimates of the odometry's noise, s
 _SIDEWAYS = 0.1
 """Least fraction of the travelled distance that a holonomic robot moves sideways."""
 _BIAS = 0.002  # relative bias of a gain above which the truth is used
-_LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0  # the same if the odometry has this many times the truth's noise variance
+_LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0  # the same if the odometry has this many times the smoothed truth's noise
 _FEW = 50  # least number of samples in motion
 _SHARED, _ERRORS = 0.7, 3.0
 """Roughness is noise of the odometry if the truth shares less than this fraction, by this many standard errors."""
@@ -199,8 +199,8 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     which cancel smooth driving and hardly contain ticks; clipping suppresses starts and stops. Roughness shared by the
     truth is motion and not noise, such as speed oscillations of motors on a drive with hardly any turns.
 
-    If the odometry is significantly noisier than the truth, a tenth of that bias suffices: on straights, with no other
-    motion, a basis function would fit the noise.
+    If the odometry is significantly noisier than the smoothed truth, a tenth of that bias suffices: on straights, with
+    no other motion, a basis function would fit the noise.
     """
     t_s = recording.odometry_s
     grid = np.arange(t_s[0], t_s[-1], max(_JITTER_S, 2.0 * float(np.median(np.diff(t_s)))))
@@ -217,7 +217,7 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     if shared is None:
         return "truth" if noisy.any() else "odometry"
     noisy &= shared.part + _ERRORS * shared.error < _SHARED
-    only_odometry = shared.odometry_noise > _NOISE_RATIO * np.maximum(shared.noise_of_truth, 0.0)
+    only_odometry = shared.odometry_noise > _NOISE_RATIO * shared.noise_of_truth
     only_odometry &= shared.odometry_noise > _ERRORS * shared.noise_error
     if not recording.matched:  # motion interpolated between laser sweeps is too smooth to show the odometry's noise
         noisy |= only_odometry & (shared.odometry_noise * per_noise > _LEAST_BIAS)
@@ -234,7 +234,8 @@ class _Shared(NamedTuple):
     """Roughness of travel and turn (2,) that odometry and truth share, and the noise of each.
 
     part, error : fraction of the odometry's roughness that the truth shares, and its standard error
-    odometry_noise, noise_of_truth : noise variance of a step of the odometry, and of the truth
+    odometry_noise : noise variance of a step of the odometry
+    noise_of_truth : variance of a step with as much noise as remains in the truth's smoothed speeds
     noise_error : standard error of `odometry_noise`
     """
 
@@ -263,10 +264,30 @@ def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Sh
     common, whole = own * other, np.maximum((own**2).mean(axis=0), 1e-30)
     other = np.clip(other, -bound, bound)
     alone = (own**2 - own * other) / 6.0
+    white = np.minimum(_white(seen.truth, grid, recording.origin_ns)[chosen], bound**2).mean(axis=0)
+    coloured = np.maximum((other**2 - own * other).mean(axis=0) - white, 0.0)
     return _Shared(
         part=common.mean(axis=0) / whole,
         error=common.std(axis=0) / np.sqrt(len(common)) / whole,
         odometry_noise=alone.mean(axis=0),
-        noise_of_truth=(other**2 - own * other).mean(axis=0) / 6.0,
+        noise_of_truth=(coloured + _remaining(seen.truth, grid) * white) / 6.0,
         noise_error=alone.std(axis=0) / np.sqrt(len(alone)),
     )
+
+
+def _white(truth: Trajectory, grid: Array, origin_ns: int) -> Array:
+    """Return squared roughness (n, 2) by the truth's white noise, in which even and odd samples differ."""
+    even, odd = (Trajectory(truth.stamps_ns[i::2], truth.xyt[i::2]) for i in (0, 1))
+    apart = np.diff(_steps(even, grid, origin_ns) - _steps(odd, grid, origin_ns), n=2, axis=0)
+    white: Array = apart**2 / 2.0
+    return white
+
+
+def _remaining(truth: Trajectory, grid: Array) -> float:
+    """Return the fraction of the truth's white noise that biases a gain as the odometry's noise of a step does.
+
+    Of samples with variance s^2 every d seconds, the slope in a window w and the pose difference over it have the
+    covariance 12 s^2 d / w^2 per second. Second differences of steps between interpolated poses show 20/6 * 2/3 s^2.
+    """
+    every_s = float(np.median(np.diff(truth.stamps_ns))) * 1e-9
+    return min(5.4 * every_s * float(grid[1] - grid[0]) / _truth_window(truth) ** 2, 1.0)
