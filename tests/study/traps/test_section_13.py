@@ -65,7 +65,9 @@ def test_2_what_a_drive_does_not_show_is_not_testable_and_never_huge():
     assert all(c.refused for c in looked.values())
     assert "not testable" in looked["turn_asymmetry"].refused
     known = looked["accel_slip"].score
-    huge = replace(known, estimate=np.array([1.05]), standard_error=np.array([0.01]), p=0.0, statistic=1e4)
+    huge = replace(
+        known, estimate=np.array([1.05]), standard_error=np.array([0.01]), p=0.0, statistic=1e4, held_out_nats=1e4
+    )
     assert "physically possible" in objection(fitted, huge, DECISIONS, level=DECISIONS.level, still=False)
 
 
