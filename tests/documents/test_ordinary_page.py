@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_the_page_of_ordinary_recordings_is_what_its_script_writes(tmp_path):
-    page, results = tmp_path / "page.md", ROOT / "benchmarks" / "ordinary" / "results" / "fifth.jsonl"
+    page, results = tmp_path / "page.md", ROOT / "benchmarks" / "ordinary" / "results" / "seventh.jsonl"
     words = [sys.executable, str(ROOT / "benchmarks" / "ordinary.py"), "page", str(results), "-o", str(page)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=100)
     assert done.returncode == 0, done.stderr
