@@ -58,7 +58,7 @@ def brief(corrected: Corrected, target: str) -> Summary:
         Line("odometry", f"{moved_words(corrected.run)} ({travel_words(corrected.run)}){topic_words(corrected.run)}")
     ]
     lines += [Line("remains", f"{e.name}: {_WHY_NOT.get(e.name, _RANDOM)}", "warning") for e in corrected.effects.left]
-    lines += [Line("remains", f"{e.name}: {_AT_REST}") for e in corrected.effects.undone if e.shown_at_rest]
+    lines += [Line("remains", f"{e.name} {_AT_REST}") for e in corrected.effects.undone if e.shown_at_rest]
     lines += [Line("remains", sentence.removeprefix("What remains is ")) for sentence in _remains(corrected)]
     odd = (sentence for sentence in _oddities(corrected.run) if not sentence.startswith("Lost: "))
     lines += [Line("odd", sentence, "warning") for sentence in odd]
