@@ -30,6 +30,8 @@ _LONG_S = 3600.0
 _STILL = 0.02
 """Speed, m/s and rad/s, over which the sign of a speed fades: a standing robot sways by about as much. With a tenth of
 it, noise of the odometry biased the fitted steps of clean drives by two standard errors."""
+_STILL_MEAN = 0.002
+"""The same for mean speeds, which have less noise: below the steps of serial protocols."""
 _NEAR_S = 0.5
 """Window of the mean speed that a correction reads, seconds: slow turns are reported as single steps among zeros."""
 _TICKS = (0.15, 1.0, 0.01)
@@ -91,8 +93,12 @@ class TruncatedVelocity(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: half a step in the direction of the motion, or upwards while a speed is reported."""
+        return TwistError(self._lost(motion, _STILL), state)
+
+    def _lost(self, motion: Motion, still: float) -> Array:
+        """Return the mean (n, 3) of what is truncated; its sign fades over the speed `still`."""
         track_m, steps = motion.track_m, motion.steps
-        fades = [u / np.hypot(u, _STILL) for u in (motion.v, motion.omega)]
+        fades = [u / np.hypot(u, still) for u in (motion.v, motion.omega)]
         if self.rounding == "down":
             lost = [0.5 * fade**2 for fade in fades]
         elif self.tick and track_m is not None and steps is not None:
@@ -102,7 +108,7 @@ class TruncatedVelocity(Effect):
             ]
         else:
             lost = [0.5 * fade for fade in fades]
-        return TwistError(stacked(self.step * lost[0], 0.0, self.turn * lost[1], motion.v), state)
+        return stacked(self.step * lost[0], 0.0, self.turn * lost[1], motion.v)
 
     def restored(self, motion: Motion) -> Motion:
         """Return the motion plus f of the mean speeds around each moment, unless the odometry reports rest."""
@@ -110,7 +116,7 @@ class TruncatedVelocity(Effect):
         v, omega = (_mean_around(speed, motion.dt_s) for speed in (motion.v, motion.omega))
         steps = speed_steps(motion.v, motion.omega, motion.dt_s, motion.track_m) if self.tick else None
         mean = replace(motion, v=v, omega=omega, steps=steps)
-        f = self.twist_error(mean, None).f * moving[:, None]
+        f = self._lost(mean, _STILL_MEAN) * moving[:, None]
         return replace(motion, v=motion.v + f[:, 0], omega=motion.omega + f[:, 2])
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:
