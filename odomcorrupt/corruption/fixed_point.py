@@ -37,8 +37,8 @@ _NUDGE = 1e-6
 _FARTHEST, _JITTER = 20.0, 1e-3
 """Odometry is not off by more than so many times the true motion, but where both are next to nothing, metres."""
 _HALVINGS, _AT_ONCE = 20, 4
-"""Halvings of the interval in which the highest speed with an inverse is searched: to a millionth, because the
-odometry's speed there goes with the root of the rest; and how many of them are made at once, where rows allow it."""
+"""Halvings of the interval in which the highest speed with an inverse is searched: to a millionth, because near it the
+odometry's speed changes as the square root of the difference; and how many are made at once, where rows allow it."""
 
 
 class Solution(NamedTuple):
