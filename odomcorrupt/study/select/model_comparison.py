@@ -112,10 +112,10 @@ def compare_with_basis(
     others = [e for e in fit.effects if e not in effects]
 
     def refuted(score: Score) -> bool:
-        """Return whether a function explains clearly less in a refit without the effects, which its score had used."""
-        if not (with_it := _with(fit, (*others, score.estimated))):
+        """Return whether a function explains clearly less in a refit without the effects, with the same weights."""
+        if not (with_it := _with(fit, (*others, score.estimated), weights_of=fit)):
             return True
-        with_it, score = with_shape_refined(with_it, score, decisions)
+        with_it, score = with_shape_refined(with_it, score, decisions, weights_of=fit)
         more = with_it.log_likelihood - fit.log_likelihood - score.penalty + penalties
         return more < -decisions.replacement_nats
 
