@@ -14,6 +14,7 @@ from odomcorrupt.study.select.confidence import (
     Evidence,
     chance_odds,
     confidence,
+    evidence_of,
     held_out_errors,
     odds_against,
     odds_formula,
@@ -80,3 +81,12 @@ def test_another_decision_selects_another_model():
     assert (step.candidates[0].name, step.candidates[0].refused) == ("unequal_wheels", "")
     assert (none.added, none.fit.effects) == ((), ())
     assert none.decisions.max_effects == 0
+
+
+@pytest.mark.slow
+def test_errors_of_the_heading_beside_a_dead_band_have_even_odds_at_most():
+    run = as_recording(simulate(91, "wheelbase", duration_s=120.0))
+    for recording, low, high in ((run, 0.9, 1.0), (replace(run, yaw_dead_band_radps=0.01), 0.3, 0.5)):
+        learned = learn([recording])
+        (step,) = (step for step in learned.steps if step.added == "wheelbase")
+        assert low < confidence(evidence_of(step, learned)) <= high

@@ -129,6 +129,8 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     if step.added not in (*RIVALS, *_DECAYING) and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
         # the pose updates of a filter imitate gains and biases of any kind
         rivals = (*rivals, own)
+    if _may_be_dead_band(step.added or "", learned):
+        rivals = (*rivals, own)
     if _may_be_of_wheels(step.added or "", learned):
         rivals = (*rivals, own)
     if learned.may_be_losses(step.added or ""):
@@ -168,8 +170,20 @@ def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
     own = held_out_limit(gain.effect.name, gain.nats, learned)
     late = [step.candidates[0].gain for step in learned.steps if step.added in _LATE]
     misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT_GAIN * max(late, default=0.0)
-    misfit |= gain.effect.name in CORRELATED_NOISE and learned.drifts_too_far
+    misfit |= gain.effect.name in CORRELATED_NOISE and (learned.drifts_too_far or _loses_slow_turns(learned))
     return Evidence(own, (own,) if misfit else (), left=left)
+
+
+def _loses_slow_turns(learned: Learned) -> bool:
+    return any(recording.yaw_dead_band_radps > 0.0 for recording in learned.fit.problem.recordings)
+
+
+def _may_be_dead_band(name: str, learned: Learned) -> bool:
+    """Return whether an effect changes the heading of an odometry whose slow turns a dead band has removed."""
+    effect = next((e for e in learned.fit.effects if e.name == name), None)
+    if effect is None or not _loses_slow_turns(learned):
+        return False
+    return any(error_of(effect, motion)[:, 2].any() for motion in learned.fit.problem.motions)
 
 
 def _may_be_remainder(name: str, learned: Learned) -> bool:

@@ -1,0 +1,67 @@
+"""Dead band of a gyro: yaw rates below a threshold are reported as exactly zero, although the robot turns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.geometry.increments import increments
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.raw_trajectory import Samples
+
+_ZERO_RAD, _ZERO_M = 1e-9, 1e-6
+"""Largest turn and travel in an interval that count as zero: rounding of quaternions and of sums."""
+_FEWEST = 30
+"""Fewest intervals with a turn between once and twice the threshold. Of a smooth density, as many would lie below."""
+_EDGE, _SPREAD = 0.05, 0.5
+"""Turns within this fraction of the band's end or of its double may be multiples of a step (ticks, truncated rates);
+least share of the others: 0.9 if turns are evenly distributed."""
+_RUN_S, _RUNS = 1.0, 5
+"""Shortest time, s, at zero in motion over which the truth's turn is compared with its noise, and fewest such times."""
+_TURNS, _ERRORS = 0.1, 3.0
+"""Least root mean square rate of the truth in these times, as a fraction of the threshold, and least ratio of its mean
+square turn to that of the truth's noise."""
+
+
+def yaw_dead_band(odometry: Samples, truth: Samples) -> float:
+    """Return the threshold, rad/s, below which an odometry's yaw rate reads exactly zero; 0 if there is no such band.
+
+    The smallest reported turns are far from zero and are no multiples of a step. In motion many are exactly zero, and
+    the truth turns meanwhile; a robot whose commands have a least turn does not. The truth needs headings.
+    """
+    if not truth.headed or len(odometry.stamps_ns) < _FEWEST:
+        return 0.0
+    t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    steps = increments(odometry.trajectory().xyt)
+    turn = np.abs(steps.dtheta_rad)
+    turning = turn[turn > _ZERO_RAD]
+    least = float(turning.min(initial=np.inf))
+    above = turning[turning < 2.0 * least] / least - 1.0
+    between = (above > _EDGE) & (above < 1.0 - _EDGE)
+    if len(above) < _FEWEST or np.mean(between) < _SPREAD:
+        return 0.0
+    threshold = least / float(np.median(np.diff(t_s)))
+    zero = (turn <= _ZERO_RAD) & (np.abs(steps.ds_m) > _ZERO_M)
+    return threshold if _turns_within(t_s, zero, truth, int(odometry.stamps_ns[0]), threshold) else 0.0
+
+
+def _turns_within(t_s: Array, zero: NDArray[np.bool_], truth: Samples, origin_ns: int, threshold: float) -> bool:
+    """Return whether the truth turns while the odometry's intervals `zero` (n - 1,) last, beyond the truth's noise."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], zero, [0]))))
+    first, last = t_s[edges[::2]], t_s[edges[1::2]]
+    own = truth.seconds_since(origin_ns)
+    long = (last - first >= _RUN_S) & (first >= own[0]) & (last <= own[-1])
+    if np.count_nonzero(long) < _RUNS:
+        return False
+    heading = np.unwrap(truth.yaw_rad)
+    turned = np.interp(last[long], own, heading) - np.interp(first[long], own, heading)
+    # 0.4549 is the median of chi-square with 1 degree of freedom; second differences have 6 variances, turns 2
+    noise = 2.0 * float(np.median(np.diff(heading, n=2) ** 2)) / 0.4549 / 6.0
+    seen = float(np.mean(turned**2)) - noise
+    lasted_s = float(np.sqrt(np.mean((last[long] - first[long]) ** 2)))
+    return seen > (_ERRORS - 1.0) * noise and seen > (_TURNS * threshold * lasted_s) ** 2
