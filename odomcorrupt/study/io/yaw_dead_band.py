@@ -26,6 +26,9 @@ _RUN_S, _RUNS = 1.0, 5
 _TURNS, _ERRORS = 0.1, 3.0
 """Least root mean square rate of the truth in these times, as a fraction of the threshold, and least ratio of its mean
 square turn to that of the truth's noise."""
+_SOME, _MISSING, _SURE = 0.3, 0.2, 5.0
+"""Least share of zeros in such a time with slow turns; least ratio of the turn that the odometry misses in these times to
+the turn that it reports, larger than any scale error, and its least value in standard errors."""
 
 
 def yaw_dead_band(odometry: Samples, truth: Samples) -> float:
@@ -47,7 +50,11 @@ def yaw_dead_band(odometry: Samples, truth: Samples) -> float:
         return 0.0
     threshold = least / float(np.median(np.diff(t_s)))
     zero = (turn <= _ZERO_RAD) & (np.abs(steps.ds_m) > _ZERO_M)
-    return threshold if _turns_within(t_s, zero, truth, int(odometry.stamps_ns[0]), threshold) else 0.0
+    origin_ns = int(odometry.stamps_ns[0])
+    lost = _turns_within(t_s, zero, truth, origin_ns, threshold) or _misses_slow_turns(
+        t_s, steps.dtheta_rad, zero, truth, origin_ns, threshold
+    )
+    return threshold if lost else 0.0
 
 
 def _turns_within(t_s: Array, zero: NDArray[np.bool_], truth: Samples, origin_ns: int, threshold: float) -> bool:
@@ -65,3 +72,29 @@ def _turns_within(t_s: Array, zero: NDArray[np.bool_], truth: Samples, origin_ns
     seen = float(np.mean(turned**2)) - noise
     lasted_s = float(np.sqrt(np.mean((last[long] - first[long]) ** 2)))
     return seen > (_ERRORS - 1.0) * noise and seen > (_TURNS * threshold * lasted_s) ** 2
+
+
+def _misses_slow_turns(
+    t_s: Array, turn: Array, zero: NDArray[np.bool_], truth: Samples, origin_ns: int, threshold: float
+) -> bool:
+    """Return whether the truth turns farther than the odometry, in the same direction, where turns are slow.
+
+    The robot's own jitter lifts a part of its yaw rates above the threshold, so that zeros do not last.
+
+    turn, zero : (n - 1,) turns of the odometry, rad, and whether they are zero in motion
+    """
+    own = truth.seconds_since(origin_ns)
+    ends = np.arange(max(t_s[0], own[0]), min(t_s[-1], own[-1]), _RUN_S)
+    if len(ends) < _FEWEST:
+        return False
+    reported, zeros = (
+        np.diff(np.interp(ends, t_s, np.concatenate(([0.0], np.cumsum(part))))) for part in (turn, zero * np.diff(t_s))
+    )
+    missed = np.diff(np.interp(ends, own, np.unwrap(truth.yaw_rad))) - reported
+    slow = (np.abs(reported) < threshold * _RUN_S) & (zeros > _SOME * _RUN_S)
+    x, y = reported[slow], missed[slow]
+    if len(x) < _FEWEST or not x.any():
+        return False
+    ratio = float(x @ y) / float(x @ x)
+    error = float(np.sqrt(np.mean((y - ratio * x) ** 2) / (x @ x)))
+    return ratio > max(_MISSING, _SURE * error)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from odomcorrupt.geometry.increments import increments
+from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.reader import recordings_of
 from odomcorrupt.study.io.yaw_dead_band import yaw_dead_band
@@ -57,6 +59,14 @@ def test_a_dead_band_is_recognised_with_its_threshold():
     assert any("below 0.015 rad/s read exactly zero" in note for note in recording.notes)
 
 
+def test_a_dead_band_is_recognised_where_jitter_interrupts_the_zeros():
+    def rough(w, rng):
+        rates = w + rng.normal(0.0, 0.7 * BAND, len(w))
+        return np.where(np.abs(rates) < BAND, 0.0, rates)
+
+    assert yaw_dead_band(*run(rough)) == pytest.approx(BAND, rel=0.02)
+
+
 @pytest.mark.parametrize(
     "reported",
     [
@@ -77,3 +87,16 @@ def test_a_robot_that_never_turns_slowly_has_no_dead_band():
     w = np.where(np.abs(w) < BAND, 0.0, w)
     truth = samples("/mocap/pose", v, w, (5e-4, 1e-3), rng)
     assert yaw_dead_band(samples("/odom", v, w), truth) == 0.0
+
+
+def test_the_detected_band_is_an_effect_with_which_corruption_makes_such_odometry():
+    odometry, truth = run(banded)
+    (recording,) = recordings_of("run", odometry, truth)
+    (effect,) = encoder_effects(recording)
+    assert effect.name == "gyro_dead_band"
+    steps = increments(truth.trajectory().xyt)
+    smooth = np.column_stack((steps.ds_m, steps.dl_m, np.diff(np.unwrap(run(lambda w, _: w)[0].yaw_rad))))
+    reported = effect.recorded(smooth, TIMES[1:], None, effect.start(np.random.default_rng(1))).steps[:, 2]
+    own = increments(odometry.trajectory().xyt).dtheta_rad
+    assert np.mean(reported == 0.0) == pytest.approx(np.mean(np.abs(own) < 1e-9), abs=0.02)
+    assert np.array_equal(reported[reported != 0.0], smooth[reported != 0.0, 2])
