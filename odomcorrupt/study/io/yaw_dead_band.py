@@ -27,8 +27,8 @@ _TURNS, _ERRORS = 0.1, 3.0
 """Least root mean square rate of the truth in these times, as a fraction of the threshold, and least ratio of its mean
 square turn to that of the truth's noise."""
 _SOME, _MISSING, _SURE = 0.3, 0.2, 5.0
-"""Least share of zeros in such a time with slow turns; least ratio of the turn that the odometry misses in these times to
-the turn that it reports, larger than any scale error, and its least value in standard errors."""
+"""Least share of zeros in such a time with slow turns; least ratio of the turn that the odometry then misses to the
+turn that it reports, larger than any scale error, and its least value in standard errors."""
 
 
 def yaw_dead_band(odometry: Samples, truth: Samples) -> float:
