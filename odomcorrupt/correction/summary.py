@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.run import Outcome
 
 _WHY_NOT = {
+    "gyro_dead_band": "turns below its threshold were not reported",
     "quantization": "travel below the encoder's resolution was not reported",
     "heavy_tails": "its random draws were not recorded",
 }

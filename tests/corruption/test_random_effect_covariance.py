@@ -23,6 +23,7 @@ RANDOM = {
     "bursts of both wheels": ("slip_burst", {"rate": 0.3, "slip": 0.2, "duration": 0.3}),
     "bursts of a wheel": ("slip_burst", {"rate": 0.1, "slip": 0.1, "duration": 0.3}),
     "losses": ("lost_increments", {"fraction": 0.02}),
+    "dead band": ("gyro_dead_band", {"threshold": 0.2, "noise": 0.1}),
 }
 BOUNDED = {"quantization", "heavy_tails"}
 """The error of the one never grows; the other draws within the law's own variance."""

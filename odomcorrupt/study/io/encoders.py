@@ -1,4 +1,4 @@
-"""Encoder faults that the odometry alone shows: lost increments and coarse ticks."""
+"""Faults of encoders and gyros that the odometry shows: lost increments, coarse ticks, and a dead band of turns."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _STILL_M = 1e-6
 
 
 def encoder_effects(recording: Recording) -> list[Effect]:
-    """Return the effects `lost_increments` and `quantization`, with parameters, if the odometry shows them."""
+    """Return `lost_increments`, `quantization` and `gyro_dead_band`, with parameters, if the odometry shows them."""
     found = []
     shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
     if shown.seen >= _MIN_LOST and shown.fraction > _MIN_LOST_FRACTION:
@@ -41,6 +41,8 @@ def encoder_effects(recording: Recording) -> list[Effect]:
     step = _tick(recording)
     if step is not None:
         found.append(effect_from_values("quantization", {"step": step}))
+    if recording.yaw_dead_band_radps:
+        found.append(effect_from_values("gyro_dead_band", {"threshold": recording.yaw_dead_band_radps}))
     return found
 
 

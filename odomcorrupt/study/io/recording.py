@@ -71,6 +71,7 @@ class Recording:
     pulled_per_s : decay rate of the odometry's errors towards the truth, as of a filter that receives poses, 1/s
     pose_corrections : number of steps of such a filter that were removed from the odometry
     truth_level : noise of the truth relative to that of a study's first recording, position and heading
+    yaw_dead_band_radps : threshold below which the odometry's yaw rate reads zero while the truth turns; 0 if none
     odometry_topic : topic of the odometry; "" if it was no topic
     stamp_error_s : standard deviation of a clock offset hidden by rounded stamps, seconds
     stamp_jitter_s : standard deviation of stamps of arrival, seconds; they are late by about as much
@@ -111,6 +112,7 @@ class Recording:
     pose_steps: tuple[PoseStep, ...] = ()
     pulled_per_s: float = 0.0
     pose_corrections: int = 0
+    yaw_dead_band_radps: float = 0.0
     drive_type: str = AUTO
     odometry_topic: str = ""
 

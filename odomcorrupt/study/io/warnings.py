@@ -146,6 +146,18 @@ def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> li
     return [f"{odometry.name}: looks like a filter's output, not like wheel odometry ({', '.join(signs)}); {what}"]
 
 
+def dead_band_warnings(odometry: Samples, threshold_radps: float) -> list[str]:
+    """Return a warning if the odometry's yaw rate reads zero below a threshold, rad/s, while the truth turns."""
+    if not threshold_radps:
+        return []
+    what = (
+        "a dead band of the gyro or of its driver. What it loses resembles other errors of the heading, whose "
+        "confidence is limited; switch it off, or apply it at rest only"
+    )
+    band = f"yaw rates below {threshold_radps:.2g} rad/s read exactly zero although the robot turns"
+    return [f"{odometry.name}: {band}: {what}"]
+
+
 def _shrinks(variance: Array) -> int:
     """Return how often the reported variance drops to less than 70 % from one sample to the next."""
     if len(variance) < _MIN_STEPS:

@@ -4,17 +4,20 @@ Let g be the gain of the effect and g_i the gains of its rivals, in nats and min
 u is the gain that a dependence still offers, w the gain of correlated noise, and m the gain of the effect over the best
 basis function in its place. The odds against the effect are
 
-    sum_i exp(T (g_i - g))  +  exp(-T g)  +  exp(D - T m)  +  E + (U u + C w) / g
+    sum_i exp(T (g_i - g))  +  N exp(-T g)  +  B(p)  +  exp(D - T m)  +  E + (U u + C w) / g
 
-for rivals, chance, a basis function, and unlisted causes. A library effect explains an unlisted cause only in part; the
-rest appears as a dependence or as correlated noise. T, D, E, U and C are `temper`, `dependence_nats`, `elsewhere`,
-`unexplained` and `correlated` of `decisions.PriorOdds`.
+for rivals, chance under the noise model, chance under any noise, a basis function, and unlisted causes. N candidates
+were tested, in units of a common one: the largest of many gains is large by chance (Gross & Vitells 2010, European
+Physical Journal C 70). p is the probability that held-out blocks of the drive gain as much if the expected gain is
+zero, and B(p) = -e p ln p its least odds (Sellke, Bayarri & Berger 2001, American Statistician 55). A library effect
+explains an unlisted cause only in part; the rest appears as a dependence or as correlated noise. T, D, E, U and C are
+`temper`, `dependence_nats`, `elsewhere`, `unexplained` and `correlated` of `decisions.PriorOdds`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import exp, inf, isfinite
+from math import e, erfc, exp, inf, isfinite, log, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +26,7 @@ from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
-from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.decisions import DECISIONS, equal_candidates
 from odomcorrupt.study.select.remainder import within_remainder
 
 if TYPE_CHECKING:
@@ -58,6 +61,8 @@ class Evidence:
     left : gain of the most significant dependence that the final model leaves
     correlated : gain of correlated noise in the final model
     margin : gain over the best basis function in place of the effect, in the final model
+    candidates : number of effects that were tested, in units of a common one, see `equal_candidates`
+    held_out_errors : gain on held-out data in standard errors; infinite if it was not tested
     """
 
     own: float
@@ -65,6 +70,8 @@ class Evidence:
     left: float = 0.0
     correlated: float = 0.0
     margin: float = inf
+    candidates: float = 1.0
+    held_out_errors: float = inf
 
 
 def confidence(evidence: Evidence, prior: PriorOdds = DECISIONS.prior) -> float:
@@ -78,10 +85,16 @@ def odds_against(evidence: Evidence, prior: PriorOdds = DECISIONS.prior) -> floa
     if not evidence.own > 0.0:
         return inf
     rivals = sum(_exp(prior.temper * (g - evidence.own)) for g in evidence.rivals if isfinite(g))
-    nothing = _exp(-prior.temper * evidence.own)
+    chance = evidence.candidates * _exp(-prior.temper * evidence.own) + chance_odds(evidence.held_out_errors)
     dependence = _exp(prior.dependence_nats - prior.temper * evidence.margin)
     rest = prior.unexplained * max(evidence.left, 0.0) + prior.correlated * max(evidence.correlated, 0.0)
-    return rivals + nothing + dependence + prior.elsewhere + rest / evidence.own
+    return rivals + chance + dependence + prior.elsewhere + rest / evidence.own
+
+
+def chance_odds(errors: float) -> float:
+    """Return the least odds that the expected value of an estimate this many standard errors above zero is zero."""
+    p = 0.5 * erfc(errors / sqrt(2.0))
+    return -e * p * log(p) if 0.0 < p < 1.0 / e else float(p > 0.0)
 
 
 def odds_formula(prior: PriorOdds = DECISIONS.prior) -> str:
@@ -89,7 +102,7 @@ def odds_formula(prior: PriorOdds = DECISIONS.prior) -> str:
     t = "" if prior.temper == 1.0 else f"{prior.temper:g} * "
     left = "u" if prior.unexplained == 1.0 else f"{prior.unexplained:g} * u"
     return (
-        f"sum(exp({t}(g_i - g)) for g_i in rivals) + exp(-{t}g) + exp({prior.dependence_nats:g} - {t}m)"
+        f"sum(exp({t}(g_i - g)) for g_i in rivals) + n * exp(-{t}g) + B(p) + exp({prior.dependence_nats:g} - {t}m)"
         f" + {prior.elsewhere:g} + ({left} + {prior.correlated:g} * w) / g"
     )
 
@@ -116,6 +129,8 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     if step.added not in (*RIVALS, *_DECAYING) and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
         # the pose updates of a filter imitate gains and biases of any kind
         rivals = (*rivals, own)
+    if _may_be_dead_band(step.added or "", learned):
+        rivals = (*rivals, own)
     if _may_be_of_wheels(step.added or "", learned):
         rivals = (*rivals, own)
     if learned.may_be_losses(step.added or ""):
@@ -123,8 +138,26 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     if _may_be_remainder(step.added or "", learned) or _may_be_misfit(step, learned):
         rivals = (*rivals, own)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
-    margin = learned.margins.get(step.added or "", inf)
-    return Evidence(own, rivals, learned.left_nats, correlated, margin)
+    return Evidence(
+        own,
+        rivals,
+        learned.left_nats,
+        correlated,
+        margin=learned.margins.get(step.added or "", inf),
+        candidates=equal_candidates([c.name for c in step.candidates], learned.decisions),
+        held_out_errors=held_out_errors(*learned.held_out.get(step.added or "", (inf, inf))),
+    )
+
+
+def held_out_errors(nats: float, error: float) -> float:
+    """Return a held-out gain in standard errors; infinite if its standard error is unknown.
+
+    Gains of blocks differ also because a drive excites the effect in some of them only. If the noise model is right,
+    the standard deviation of a gain of G nats is sqrt(2 G), so the smaller of the two is used.
+    """
+    if error == inf:
+        return inf
+    return nats / max(min(error, sqrt(2.0 * nats) if nats > 0.0 else inf), 1e-9)
 
 
 def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
@@ -137,8 +170,20 @@ def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
     own = held_out_limit(gain.effect.name, gain.nats, learned)
     late = [step.candidates[0].gain for step in learned.steps if step.added in _LATE]
     misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT_GAIN * max(late, default=0.0)
-    misfit |= gain.effect.name in CORRELATED_NOISE and learned.drifts_too_far
+    misfit |= gain.effect.name in CORRELATED_NOISE and (learned.drifts_too_far or _loses_slow_turns(learned))
     return Evidence(own, (own,) if misfit else (), left=left)
+
+
+def _loses_slow_turns(learned: Learned) -> bool:
+    return any(recording.yaw_dead_band_radps > 0.0 for recording in learned.fit.problem.recordings)
+
+
+def _may_be_dead_band(name: str, learned: Learned) -> bool:
+    """Return whether an effect changes the heading of an odometry whose slow turns a dead band has removed."""
+    effect = next((e for e in learned.fit.effects if e.name == name), None)
+    if effect is None or not _loses_slow_turns(learned):
+        return False
+    return any(error_of(effect, motion)[:, 2].any() for motion in learned.fit.problem.motions)
 
 
 def _may_be_remainder(name: str, learned: Learned) -> bool:

@@ -189,6 +189,11 @@ def error_shares(names: Sequence[str], decisions: Decisions) -> list[float]:
     return [weight / sum(weights) for weight in weights]
 
 
+def equal_candidates(names: Sequence[str], decisions: Decisions) -> float:
+    """Return the number of common effects with the prior probability of all these effects together."""
+    return float(sum(np.exp(-_rare_nats(name, decisions)) for name in names))
+
+
 def _rare_nats(name: str, decisions: Decisions) -> float:
     """Return the prior penalty of a library effect relative to a common one, nats; 0 for any other term."""
     return decisions.rare_nats if name in registry() and name not in decisions.common else 0.0
