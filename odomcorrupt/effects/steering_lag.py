@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 _BEYOND = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85)
 """Parts of all lag, summed over time, that are due to lags larger than a trial limit."""
+_OF_CURVATURE = (1.0, 0.85)
+"""Trial limits of large angles, as parts of those of the curvature: angles change less than their tangents."""
 _ROLLS_MPS = 0.01
 """Speed from which a path shows the wheels' angle, m/s. Wheels turn quickest at the low speeds of starts and reversals,
 where odometry from a steering angle has the exact ratio of turn to travel."""
@@ -143,7 +145,8 @@ class SteeringLag(Effect):
         With a limit, those for large steering angles; without one, these differ from small ones in second order only.
         """
         if self.rate or self.stop:
-            return () if self.axles else on_every_axle_distance(self, motions)[1:]
+            steep = () if self.axles else on_every_axle_distance(self, motions)[1:]
+            return tuple(replace(one, rate=p * one.rate, stop=p * one.stop) for one in steep for p in _OF_CURVATURE)
         if not self.tau > 0.0:
             return ()
         followed = [self._followed(m, _Steering()) for m in motions]

@@ -20,6 +20,8 @@ from odomcorrupt.study.select.score import project_out, score_columns
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -81,7 +83,7 @@ def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
 
     Trial values are tested as single columns, the change from the unlimited effect. The best is refitted with the same
     robust weights, and moved to the maximum of the likelihood. It has to gain the penalty of its additional parameter
-    and of the number of trials. A limit may itself have one, as that of a steering angle has the tangent of large ones.
+    and of the number of trials. Then those of the limited effect are tried.
     """
     effect = next(e for e in fit.effects if e.name == name)
     trials = effect.limited(fit.problem.motions)
@@ -93,14 +95,28 @@ def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
     price = 0.5 * more * float(np.log(len(fit.problem.nodes))) + float(np.log(len(trials)))
     if not (scores[best].significant(decisions.level) and 0.5 * scores[best].statistic > price):
         return fit
-    found = _refitted(fit, effect, trials[best], fit)
+    found = _limited(fit, effect, [trials[best]], price, decisions)
     if found is None:
         return fit
-    found = _at_maximum(found, name, decisions, fit)
+    (effect,) = (e for e in found.effects if e.name == name)
+    further = effect.limited(fit.problem.motions)
+    if not further:
+        return found
+    # its limit changes with it, so that it has no single column
+    price = 0.5 * float(np.log(len(fit.problem.nodes))) + float(np.log(len(further)))
+    return _limited(found, effect, further, price, decisions) or found
+
+
+def _limited(fit: Fit, effect: Effect, trials: Sequence[Effect], price: float, decisions: Decisions) -> Fit | None:
+    """Return the fit with the likeliest of trial limits of an effect, refined; None if it gains less than its price."""
+    tried = [one for one in (_refitted(fit, effect, trial, fit) for trial in trials) if one is not None]
+    if not tried:
+        return None
+    found = _at_maximum(max(tried, key=lambda one: one.log_likelihood), effect.name, decisions, fit)
     gain = found.log_likelihood - fit.log_likelihood - price
     if gain <= decisions.reshape_nats or drift_grows(drift(found), drift(fit), decisions):
-        return fit
-    return with_limit(found.refit(), name, decisions)
+        return None
+    return found.refit()
 
 
 def _moves(fit: Fit, effect: Effect) -> tuple[Array, float]:
