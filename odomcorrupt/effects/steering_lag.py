@@ -20,17 +20,23 @@ from odomcorrupt.effects.effect import (
     parameters,
     stacked,
 )
-from odomcorrupt.effects.steering import CREEP_MPS
+from odomcorrupt.effects.steering import axles_parameter, curvature_at, on_every_axle_distance, steered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.random import Generator
+    from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
 
 _BEYOND = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85)
 """Parts of all lag, summed over time, that are due to lags larger than a trial limit."""
+_OF_CURVATURE = (1.0, 0.85)
+"""Trial limits of large angles, as parts of those of the curvature: angles change less than their tangents."""
+_ROLLS_MPS = 0.01
+"""Speed from which a path shows the wheels' angle, m/s. Wheels turn quickest at the low speeds of starts and reversals,
+where odometry from a steering angle has the exact ratio of turn to travel."""
 _ONE_WAY = 0.5
 """Least part of the recent travel that is in one direction where a path rolls; noise of a robot at rest has none."""
 _SHARE_S = 2.0
@@ -41,16 +47,16 @@ with so much noise that it is all that their turn rate shows."""
 
 
 class _Steering(NamedTuple):
-    """State of the wheels, and of a path from which their curvature is taken.
+    """State of the wheels, and of a path from which their angle is taken.
 
-    curvature : of the wheels when they last rolled, 1/m; None before
+    angle : of the wheels when they last rolled, per distance between the axles, rad/m; None before
     ago_s, last_s : time since then, and last stamp
     sums : way (m), turn (rad), travel (m) and time (s), with weights that decay with age
     turn_rate, change : last turn rate of a path and its last change, rad/s
     shaken, moved : mean change that the next one takes back, and mean change, rad/s
     """
 
-    curvature: float | None = None
+    angle: float | None = None
     ago_s: float = 0.0
     last_s: float = 0.0
     sums: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -75,15 +81,25 @@ class _Steering(NamedTuple):
     def rolls(self) -> bool:
         """Whether the path shows the curvature: it is neither at rest, with or without noise, nor creeping."""
         way, _, travel, time_s = self.sums
-        return abs(way) >= max(CREEP_MPS * time_s, _ONE_WAY * travel)
+        return abs(way) >= max(_ROLLS_MPS * time_s, _ONE_WAY * travel)
+
+
+class _Followed(NamedTuple):
+    """Where the car rolls (n,), there the angles (k,) of its wheels and of its odometry, rad/m, and the state after."""
+
+    rolls: NDArray[np.bool_]
+    wheels: Array
+    shown: Array
+    after: _Steering
 
 
 @dataclass(frozen=True, slots=True)
 class SteeringLag(Effect):
-    """f = (0, 0, v (true curvature - omega / v)): the true curvature follows the odometry's with a first-order lag.
+    """f = (0, 0, v tan(L delta) / L - omega): the wheels' angle L delta follows the odometry's with a first-order lag.
 
-    The wheels turn no faster than a servo's largest `rate`, and lag no further than the `stop` of a soft linkage, both
-    stated for small steering angles. A delay by tau has the same f for steering slow against tau. A change of speed in
+    With L the distance between the axles; without it angles are assumed small. The wheels turn no faster than a servo's
+    largest `rate`, and lag no further than the `stop` of a soft linkage. A delay by tau has the same f for steering
+    slow against tau. A change of speed in
     a curve of constant radius is no steering and causes no error. While the robot is at rest its wheels continue to the
     steering angle.
 
@@ -97,8 +113,8 @@ class SteeringLag(Effect):
     summary = "a car's or tricycle's wheels follow the steering angle of its odometry late"
     drives = STEERED
     about = About(
-        equation="f_yaw = v k - omega, tau dk / dt + k = omega / v: the true curvature k lags behind the odometry's, "
-        "|dk / dt| <= rate, |k - omega / v| <= stop",
+        equation="f_yaw = v tan(L d) / L - omega, tau dd / dt + d = e: the wheels' angle d lags behind the odometry's "
+        "e = atan(L omega / v) / L, |dd / dt| <= rate, |d - e| <= stop",
         typical="50 to 300 ms by a steering servo whose command is taken for its angle; wheels that turn by 1 to 5 "
         "rad/s at most have a rate of 3 to 15 rad/(m s) on 0.3 m between the axles (an estimate)",
         source="first-order lag; Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model); largest "
@@ -116,6 +132,7 @@ class SteeringLag(Effect):
         "rad/m", "largest lag of the wheels' angle, per distance between the axles; 0: no limit",
         low=0.0, high=100.0, typical=0.5, amplitude=False, optional=True,
     )  # fmt: skip
+    axles: float = axles_parameter()
 
     @property
     def acts(self) -> bool:
@@ -123,12 +140,17 @@ class SteeringLag(Effect):
         return self.tau != 0.0 or self.rate != 0.0
 
     def limited(self, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return the lag with trial limits that a part of its steering on these motions exceeds."""
-        if self.rate or self.stop or not self.tau > 0.0:
+        """Return the lag with trial limits that a part of its steering on these motions exceeds.
+
+        With a limit, those for large steering angles; without one, these differ from small ones in second order only.
+        """
+        if self.rate or self.stop:
+            steep = () if self.axles else on_every_axle_distance(self, motions)[1:]
+            return tuple(replace(one, rate=p * one.rate, stop=p * one.stop) for one in steep for p in _OF_CURVATURE)
+        if not self.tau > 0.0:
             return ()
-        f = np.abs(np.concatenate([self.twist_error(m, _Steering()).f[:, 2] for m in motions]))
-        v = np.abs(np.concatenate([m.v for m in motions]))
-        lags = np.sort(np.divide(f, v, out=np.zeros_like(f), where=v >= CREEP_MPS))[::-1]
+        followed = [self._followed(m, _Steering()) for m in motions]
+        lags = np.sort(np.abs(np.concatenate([one.wheels - one.shown for one in followed])))[::-1]
         total = np.cumsum(lags)
         if not total.size or total[-1] == 0.0:
             return ()
@@ -146,22 +168,26 @@ class SteeringLag(Effect):
         if self.tau < 0.0:  # the opposite of what the lag adds to a largest rate alone
             late, after = replace(self, tau=-self.tau).twist_error(motion, state)
             return TwistError(2.0 * replace(self, tau=0.0).twist_error(motion, state).f - late, after)
+        rolls, wheels, shown, after = self._followed(motion, state)
         f = np.zeros(len(motion))
-        curvature, ago_s = state.curvature, state.ago_s
-        rows = zip(motion.v.tolist(), motion.omega.tolist(), motion.dt_s.tolist(), strict=True)
-        for i, (v, omega, dt_s) in enumerate(rows):
-            ago_s += dt_s
-            if abs(v) < CREEP_MPS or not dt_s > 0.0:
-                continue
-            steered = omega / v
-            if curvature is None:
-                curvature = steered
+        f[rolls] = motion.v[rolls] * (curvature_at(wheels, self.axles) - curvature_at(shown, self.axles))
+        return TwistError(stacked(0.0, 0.0, f, f), after)
+
+    def _followed(self, motion: Motion, state: _Steering) -> _Followed:
+        """Return the angles of the wheels and of the odometry wherever the car rolls."""
+        rolls = (np.abs(motion.v) >= _ROLLS_MPS) & (motion.dt_s > 0.0)
+        shown = steered(motion.omega[rolls] / motion.v[rolls], self.axles)
+        time_s = np.concatenate(([-state.ago_s], np.cumsum(motion.dt_s)[rolls]))
+        wheels, angle = np.empty_like(shown), state.angle
+        for i, (ahead, ago_s) in enumerate(zip(shown.tolist(), np.diff(time_s).tolist(), strict=True)):
+            if angle is None:
+                angle = ahead
             else:
-                followed = steered + lag_remainder(self.tau, ago_s) * (curvature - steered)
-                followed = _within(followed, curvature, self.rate * ago_s)
-                curvature = _within(followed, steered, self.stop)
-            f[i], ago_s = v * (curvature - steered), 0.0
-        return TwistError(stacked(0.0, 0.0, f, f), state._replace(curvature=curvature, ago_s=ago_s))
+                followed = ahead + lag_remainder(self.tau, ago_s) * (angle - ahead)
+                angle = _within(_within(followed, angle, self.rate * ago_s), ahead, self.stop)
+            wheels[i] = angle
+        rest_s = float(motion.dt_s.sum() - time_s[-1])
+        return _Followed(rolls, wheels, shown, state._replace(angle=angle, ago_s=rest_s))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the increments (n, 3) computed from the steering angle whose lagging wheels cause these."""
@@ -177,11 +203,13 @@ class SteeringLag(Effect):
             state = state.seen(ds, turn, dt_s)._replace(last_s=now_s, ago_s=state.ago_s + dt_s)
             if not state.rolls:
                 continue
-            true = state.sums[1] / state.sums[0]
-            if state.curvature is not None:
-                moved = _within(true - state.curvature, 0.0, self.rate * state.ago_s)
-                reported[i, 2] += ds * _within(self.tau / state.ago_s * moved, 0.0, self.stop)
-            state = state._replace(curvature=true, ago_s=0.0)
+            (true,) = steered(np.array([state.sums[1] / state.sums[0]]), self.axles).tolist()
+            if state.angle is not None:
+                moved = _within(true - state.angle, 0.0, self.rate * state.ago_s)
+                ahead = true + _within(self.tau / state.ago_s * moved, 0.0, self.stop)
+                before, after = curvature_at(np.array([true, ahead]), self.axles).tolist()
+                reported[i, 2] += ds * (after - before)
+            state = state._replace(angle=true, ago_s=0.0)
         return Recorded(reported, state)
 
 

@@ -85,7 +85,19 @@ def test_wheels_turn_no_faster_than_their_rate_and_lag_no_further_than_their_sto
         assert within == (effect.rate + effect.stop > 0.0)
 
 
-@pytest.mark.parametrize("limits", [{}, {"rate": 0.15}, {"stop": 0.012}])
+def test_limits_of_large_angles_are_those_of_the_angle_and_not_of_its_tangent():
+    # breaks where the curvature is limited: at 30 degrees it changes by a third more than the angle
+    steps, _ = steered_path(top=0.35)
+    seen = motion(steps[:, 0] * RATE_HZ, steps[:, 2] * RATE_HZ, seconds=SECONDS)
+    effect = SteeringLag(tau=0.2, stop=0.005, axles=AXLES_M)
+    f = effect.twist_error(seen, effect.start(None)).f[:, 2]
+    shown, wheels = (np.arctan(AXLES_M * turn / seen.v) / AXLES_M for turn in (seen.omega, seen.omega + f))
+    assert np.abs(wheels - shown).max() == pytest.approx(0.005)
+    limited = np.isclose(np.abs(wheels - shown), 0.005)
+    assert np.ptp(np.abs(f / seen.v)[limited]) > 0.2 * 0.005
+
+
+@pytest.mark.parametrize("limits", [{}, {"rate": 0.15}, {"stop": 0.012}, {"stop": 0.012, "axles": AXLES_M}])
 def test_correction_takes_out_the_lag_of_corruption(limits):
     effect = SteeringLag(tau=0.2, **limits)
     steps, t_s = steered_path()
@@ -107,3 +119,17 @@ def test_noise_of_the_path_becomes_no_drift_beside_the_lag(sigma_m, sigma_rad):
     effect = SteeringLag(tau=0.15)
     exact, noisy = added(effect, steps, t_s), added(effect, steps + np.diff(shaken, axis=0), t_s)
     assert np.std(noisy - exact) < 2.0 * np.std(exact)
+
+
+def test_wheels_follow_while_a_car_creeps():
+    # breaks where the angle is unknown below 0.05 m/s: wheels were where they were before the car slowed down
+    t_s = np.arange(1, int(SECONDS * RATE_HZ) + 1) / RATE_HZ
+    v = 0.02 + 0.5 * (np.sin(0.5 * t_s) > 0.0)
+    steps = np.stack((v, np.zeros_like(v), 0.4 * np.sin(0.9 * t_s) * v), axis=1) / RATE_HZ
+    effect = SteeringLag(tau=0.15)
+    reported = effect.recorded(steps, t_s, None, effect.start(None)).steps
+    seen = motion(v, reported[:, 2] * RATE_HZ, seconds=SECONDS)
+    f = effect.twist_error(seen, effect.start(None)).f[:, 2]
+    slow = v < 0.05
+    assert np.abs(f[slow]).max() > 0.1 * 0.15 * 0.4 * 0.9 * 0.02
+    assert np.abs(np.cumsum(reported[:, 2] + f / RATE_HZ - steps[:, 2])).max() < 1e-9

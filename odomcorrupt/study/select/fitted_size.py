@@ -20,13 +20,18 @@ from odomcorrupt.study.select.score import project_out, score_columns
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
 
 _MOST_MOVES = 5
 """Largest number of moves; two or three are usual."""
+_PARTS = (1.0, 0.5, 0.25)
+"""Parts of a move that are tried in turn until the likelihood rises: far from the maximum a whole one goes too far."""
 _STEP = 0.02
 """Step of numerical slopes, as a fraction of a shape parameter's typical size."""
 
@@ -51,17 +56,26 @@ def _at_maximum(fit: Fit, name: str, decisions: Decisions, weights_of: Fit | Non
     """
     for _ in range(_MOST_MOVES):
         (effect,) = (e for e in fit.effects if e.name == name)
-        moved, nats = _moved(fit, effect)
-        if nats <= decisions.reshape_nats:
-            break
-        try:
-            shaped = fit.refit([moved if e is effect else e for e in fit.effects], weights_of=weights_of)
-        except FitError:  # too far off to start from
-            break
-        if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
+        moves, nats = _moves(fit, effect)
+        shaped = None
+        if nats > decisions.reshape_nats:
+            for part in _PARTS:
+                shaped = _refitted(fit, effect, _moved(effect, part * moves), weights_of)
+                if shaped is not None and shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
+                    break
+                shaped = None
+        if shaped is None:
             break
         fit = shaped
     return fit
+
+
+def _refitted(fit: Fit, effect: Effect, moved: Effect, weights_of: Fit | None) -> Fit | None:
+    """Return the fit with an effect replaced; None if it is too far off to start from."""
+    try:
+        return fit.refit([moved if e is effect else e for e in fit.effects], weights_of=weights_of)
+    except FitError:
+        return None
 
 
 def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
@@ -69,7 +83,7 @@ def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
 
     Trial values are tested as single columns, the change from the unlimited effect. The best is refitted with the same
     robust weights, and moved to the maximum of the likelihood. It has to gain the penalty of its additional parameter
-    and of the number of trials.
+    and of the number of trials. Then those of the limited effect are tried.
     """
     effect = next(e for e in fit.effects if e.name == name)
     trials = effect.limited(fit.problem.motions)
@@ -81,25 +95,41 @@ def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
     price = 0.5 * more * float(np.log(len(fit.problem.nodes))) + float(np.log(len(trials)))
     if not (scores[best].significant(decisions.level) and 0.5 * scores[best].statistic > price):
         return fit
-    try:
-        found = fit.refit([trials[best] if e is effect else e for e in fit.effects], weights_of=fit)
-    except FitError:  # too far off to start from
+    found = _limited(fit, effect, [trials[best]], price, decisions)
+    if found is None:
         return fit
-    found = _at_maximum(found, name, decisions, fit)
+    (effect,) = (e for e in found.effects if e.name == name)
+    further = effect.limited(fit.problem.motions)
+    if not further:
+        return found
+    # its limit changes with it, so that it has no single column
+    price = 0.5 * float(np.log(len(fit.problem.nodes))) + float(np.log(len(further)))
+    return _limited(found, effect, further, price, decisions) or found
+
+
+def _limited(fit: Fit, effect: Effect, trials: Sequence[Effect], price: float, decisions: Decisions) -> Fit | None:
+    """Return the fit with the likeliest of trial limits of an effect, refined; None if it gains less than its price."""
+    tried = [one for one in (_refitted(fit, effect, trial, fit) for trial in trials) if one is not None]
+    if not tried:
+        return None
+    found = _at_maximum(max(tried, key=lambda one: one.log_likelihood), effect.name, decisions, fit)
     gain = found.log_likelihood - fit.log_likelihood - price
     if gain <= decisions.reshape_nats or drift_grows(drift(found), drift(fit), decisions):
-        return fit
+        return None
     return found.refit()
 
 
-def _moved(fit: Fit, effect: Effect) -> tuple[Effect, float]:
-    """Return an effect of a fit at the shape with the largest likelihood to first order, and the gain there, nats."""
+def _moves(fit: Fit, effect: Effect) -> tuple[Array, float]:
+    """Return the changes (s,) of an effect's shape to its largest likelihood, to first order, and the gain, nats."""
     own = [p._replace(step=_STEP * p.typical) for p in shapes(effect)]
     rest = project_out(fit)
     white = rest.of(fit.noise.whitener.whiten(fit.problem.columns(effect, own)))
-    moves = np.linalg.lstsq(white, rest.residual, rcond=None)[0]
-    values = {
-        p.name: float(np.clip(getattr(effect, p.name) + d, p.low, p.high)) for p, d in zip(own, moves, strict=True)
-    }
-    nats = 0.5 * float((white @ moves) @ rest.residual)
-    return replace(effect, **values), nats  # type: ignore[type-var]  # effects are dataclasses
+    moves = np.linalg.lstsq(white, rest.residual, rcond=None)[0].astype(np.float64)
+    return moves, 0.5 * float((white @ moves) @ rest.residual)
+
+
+def _moved(effect: Effect, moves: Array) -> Effect:
+    """Return an effect with its shape changed by `moves` (s,), within bounds."""
+    own = zip(shapes(effect), moves, strict=True)
+    values = {p.name: float(np.clip(getattr(effect, p.name) + move, p.low, p.high)) for p, move in own}
+    return replace(effect, **values)  # type: ignore[type-var]  # effects are dataclasses
