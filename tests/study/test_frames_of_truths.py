@@ -13,9 +13,12 @@ from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.study.estimate.calibrate import model_of
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
+from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.terms.splines import curve_regressors
@@ -91,3 +94,5 @@ def test_functions_of_places_and_headings_are_not_tried_on_several_maps(first, o
     names, regressors = tried([first, other])
     assert not names
     assert not {"heading", "position"} & regressors
+    design = CoarseDesign(pose_problem([first, other], approach=Approach()))
+    assert "ground" not in {action.target for action in design.actions}  # which only places move

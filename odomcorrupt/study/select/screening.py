@@ -71,8 +71,8 @@ class CoarseDesign:
 
     @property
     def actions(self) -> list[Action]:
-        """All actions of basis functions that these motions allow."""
-        return actions_on(self._motions)
+        """All actions that these motions allow and that are tried with any basis function."""
+        return [action for action in actions_on(self._motions) if self.reaching(action)]
 
     def reaching(self, action: Action) -> list[BasisFunction]:
         """Return the basis functions that are tried with an action."""
