@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from odomcorrupt.errors import ModelError
@@ -132,7 +132,8 @@ class MotionModel:
 
     standard_errors : by "effect.parameter" or name of a coefficient, one standard error, if the model was fitted
     correlation : correlations of these errors, for the parameters that it names
-    source : origin of the values: "recordings" lists the fitted files, "odometry" is their topic
+    source : origin of the values: "recordings" lists the fitted files, "odometry" is their topic, "frame" the frame of
+        their truth if it is that of one run only
     """
 
     noise: Noise
@@ -154,6 +155,12 @@ class MotionModel:
         """Effects that depend on places or headings in the frame of the truth that the model was learned from."""
         learned = bool(self.source.get("recordings"))
         return tuple(effect for effect in self.effects if learned and effect.reads_places and effect.acts)
+
+    def in_frame(self, frame: str) -> MotionModel:
+        """Return the model without learned effects of places if they were learned in another frame of a truth."""
+        if self.source.get("frame", "") == frame or not self.placed:
+            return self
+        return replace(self, effects=tuple(effect for effect in self.effects if effect not in self.placed))
 
     @property
     def silent(self) -> bool:

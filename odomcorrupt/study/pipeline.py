@@ -13,6 +13,7 @@ from odomcorrupt.study.design.advise import Advice, advise
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
+from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, compare, sequence_comparison
@@ -145,6 +146,8 @@ def diagnose_model(
     name : name of the model in the comparison
     watch : called before each stage
     """
+    if model is not None:
+        model = model.in_frame(shared_frame(recordings) or "")
     start = () if model is None else (*model.effects, *model.setup.effects)
     work = Work(watch, following=3.7)
     search = learn(recordings, start, law_name=LAW if model is None else model.noise.law_name, work=work)

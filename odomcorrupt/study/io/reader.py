@@ -133,6 +133,7 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
         replace(
             r,
             name=f"{r.name}, map part {i + 1}" if len(parts) > 1 else r.name,
+            frame=name,
             truth_scale_error=error,
             clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
             notes=(r.notes[0], *([chosen] if chosen and i == 0 else []), *r.notes[1:], *([said] if i == 0 else [])),
@@ -170,6 +171,7 @@ def _by_motions(source: Source, path: Path) -> list[Recording]:
         replace(
             r,
             name=f"{r.name}, chain {i + 1}" if len(found) > 1 else r.name,
+            frame=f"{r.name}, chain {i + 1}" if len(found) > 1 else r.name,
             truth_scale_error=error,
             clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
             notes=(*r.notes, *([said] if i == 0 else [])),

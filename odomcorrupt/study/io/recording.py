@@ -10,6 +10,8 @@ import numpy as np
 from odomcorrupt.drive_types import AUTO
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.motion_model import Origin
@@ -61,6 +63,8 @@ class Recording:
     turn_bias_error : standard deviation of a bias common to all yaw rates of the truth, rad/s
     heading_source : source of the odometry's heading according to a gyro: "wheels", "gyro", or "" if unknown
     geodetic_origin : origin of the truth's frame, for satellite fixes
+    frame : name of the truth's frame if it is that of one run only, such as a laser's map, in which places and headings
+        of other runs have no meaning; "" if runs share it
     localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are correlated along the path
     of_base : whether the truth is a localisation of the odometry's own frame (map -> odom -> base_link), and so has
         neither lever arm nor mounting yaw
@@ -102,6 +106,7 @@ class Recording:
         return [*([0, 1] if self.positioned else []), *([2] if self.headed else [])]
 
     geodetic_origin: Origin | None = None
+    frame: str = ""
     truth_level: tuple[float, float] = (1.0, 1.0)
     stamp_error_s: float = 0.0
     stamp_jitter_s: float = 0.0
@@ -125,3 +130,9 @@ class Recording:
     def odometry_s(self) -> Array:
         """Times of the odometry (n,), seconds since the origin."""
         return self.odometry.seconds_since(self.origin_ns)
+
+
+def shared_frame(recordings: Sequence[Recording]) -> str | None:
+    """Return the `frame` that all recordings have; None if they differ, so that no place is common to them."""
+    frames = {recording.frame for recording in recordings}
+    return frames.pop() if len(frames) == 1 else None

@@ -20,6 +20,7 @@ from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import distance_windows, time_windows
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
+from odomcorrupt.study.io.recording import shared_frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,9 +84,13 @@ def contributions(
     Parameters
     ----------
     fitted : the model; it is refitted without each part
-    recordings, clocks : recordings to measure on, such as held-out ones, and their clocks; default the fitted ones
+    recordings, clocks : recordings to measure on, such as held-out ones, and their clocks; default the fitted ones, as
+        for recordings in another frame if the model has effects of places
     """
     problem = fitted.problem
+    frames = {shared_frame(recordings), shared_frame(problem.recordings)} if recordings else ()
+    if len(frames) > 1 and any(effect.reads_places for effect in fitted.effects):
+        recordings, clocks = (), ()
     pairs = zip(recordings or problem.recordings, clocks or problem.clocks, strict=True)
     on_time = [recording for recording in (aligned(r, c) for r, c in pairs) if recording.positioned]
     if not fitted.effects or not on_time:

@@ -16,6 +16,7 @@ import numpy as np
 
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.study.estimate.problem import by_column
+from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.closed_loop import hardly_turns, may_be_steering
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.periodic import waves
@@ -204,7 +205,7 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
     turn = np.concatenate([MOVES["omega"](m) * m.dt_s for m in motions])
     amounts = {"m": travel, "rad": turn, "s": np.concatenate([m.dt_s for m in motions])}
     names, groups, centres = [], [], []
-    regressors = curve_regressors(motions)
+    regressors = curve_regressors(motions, placed=shared_frame(fit.problem.recordings) is not None)
     for name, regressor in regressors.items():
         shapes = [regressor(m) for m in motions]
         hats = np.concatenate([values.T for values, _ in shapes], axis=1)

@@ -17,6 +17,7 @@ from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError
 from odomcorrupt.study.estimate.problem import by_column
+from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import MOVES, actions_on, views
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
@@ -59,18 +60,19 @@ class CoarseDesign:
 
     def __init__(self, problem: Problem) -> None:
         self._nodes, self._motions = problem.nodes, problem.motions
+        self._placed = shared_frame(problem.recordings) is not None
         self._means: dict[tuple[str, frozenset[str], str], Array] = {}
         self._units: dict[Action, list[tuple[str, Array]]] = {}
 
     @cached_property
     def functions(self) -> list[BasisFunction]:
         """All basis functions that are tried on this drive."""
-        return basis_functions(self._motions)
+        return basis_functions(self._motions, placed=self._placed)
 
     @property
     def actions(self) -> list[Action]:
-        """All actions of basis functions that these motions allow."""
-        return actions_on(self._motions)
+        """All actions that these motions allow and that are tried with any basis function."""
+        return [action for action in actions_on(self._motions) if self.reaching(action)]
 
     def reaching(self, action: Action) -> list[BasisFunction]:
         """Return the basis functions that are tried with an action."""

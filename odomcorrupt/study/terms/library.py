@@ -10,6 +10,7 @@ from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.estimate.drive_type import MOUNTING, DriveType, drive_type_of, mountings
 from odomcorrupt.study.estimate.heading_source import is_settled
 from odomcorrupt.study.estimate.regressors import drives_sideways
+from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -25,7 +26,8 @@ def library_families(
     """Return every systematic library effect that a robot can have and that can be tested, at every shape.
 
     Clocks are excluded. Of aliases only one is tested and the others are reported as other readings; if that one is no
-    effect of this drive type, its alias is tested. Effects of single wheels need a track, given or as a parameter.
+    effect of this drive type, its alias is tested. Effects of single wheels need a track, given or as a parameter,
+    effects of places and headings a frame that all recordings share.
 
     Parameters
     ----------
@@ -35,10 +37,12 @@ def library_families(
     drive = drive_type_of(recordings)
     track = not drive.steered and all(m.track_m is not None for m in motions)
     sideways = drive.name == "omni" or (drive.name != "differential" and drives_sideways(motions))
+    placed = shared_frame(recordings) is not None
     families = []
     for name, kind in registry().items():
         wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _is_tested(kind, drive)
         possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
+        possible = possible and (placed or not kind.reads_places)
         if name in MOUNTING and name not in mountings(recordings):
             continue
         if wanted and possible:

@@ -26,8 +26,13 @@ _FINEST = 0.05
 """Least distance of hats, as a fraction of the regressor's range: noise of the odometry enters regressor and error."""
 
 
-def curve_regressors(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
-    """Return for each regressor a function from a motion to the hats (n, m) and their centres."""
+def curve_regressors(
+    motions: Sequence[Motion], *, placed: bool = True
+) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
+    """Return for each regressor a function from a motion to the hats (n, m) and their centres.
+
+    placed : whether the motions are in one frame, so that heading and position are regressors
+    """
     of: dict[str, Callable[[Motion], Array]] = {
         "speed": lambda m: m.v,
         "yaw_rate": lambda m: m.omega,
@@ -45,6 +50,8 @@ def curve_regressors(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], 
         knots = _apart(np.quantile(moving, np.linspace(0.02, 0.98, _HATS[name])))
         if len(knots) > 2:
             regressors[name] = _hats(value, knots)
+    if not placed:
+        return regressors
     regressors["heading"] = _harmonics
     xs, ys = (_spread(np.concatenate(axis)) for axis in ([m.x for m in motions], [m.y for m in motions]))
     regressors["position"] = _tiles(xs, ys)

@@ -136,14 +136,15 @@ def clocks_beside(
 
     A strong effect can mask or imitate a clock offset, so clocks are also estimated from the model's residuals.
     """
-    plain, effects = plain or find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
-    if not any(effect.kind != "noise" for effect in effects):
+    plain = plain or find_clocks(recordings, approach)
+    effects = [(*model.in_frame(r.frame).effects, *model.setup.effects) for r in recordings]
+    if not any(effect.kind != "noise" for own in effects for effect in own):
         return plain
-    applied = find_clocks([_without_effects(recording, effects) for recording in recordings], approach)
+    applied = find_clocks([_without_effects(r, own) for r, own in zip(recordings, effects, strict=True)], approach)
 
     def error_m(clocks: Sequence[Clock]) -> float:
         on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
-        return phased_rmse([with_recomputed_headings(undo(recording, effects)) for recording in on_time])
+        return phased_rmse([with_recomputed_headings(undo(r, own)) for r, own in zip(on_time, effects, strict=True)])
 
     found = plain
     n = len(recordings)
@@ -228,6 +229,10 @@ def _all_failures(pieces: Sequence[Evaluation]) -> list[Failure]:
 
 def _notes(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
     notes = []
+    used = {effect for piece in pieces for effect in piece.model.placed}
+    unplaced = [effect.name for effect in model.placed if not any(effect.name == other.name for other in used)]
+    if unplaced:
+        notes.append(f"{', '.join(unplaced)} not applied: learned in the frame of another truth (a laser's map)")
     motion = pieces[0].problem.motions[0]
     random = [effect.name for effect in model.effects if effect.kind == "noise" and not effect.gains(motion)]
     if random:

@@ -113,7 +113,11 @@ class Evaluation:
 def evaluate_stretch(
     recording: Recording, model: MotionModel, approach: Approach, *, refitted: bool = False
 ) -> Evaluation:
-    """Return the evaluation of a model on a recording with corrected clock."""
+    """Return the evaluation of a model on a recording with corrected clock.
+
+    Effects of places that were learned in another frame are left out.
+    """
+    model = model.in_frame(recording.frame)
     effects = (*model.effects, *model.setup.effects)
     problem = pose_problem([recording], effects, approach=approach)
     nodes = problem.nodes

@@ -22,6 +22,7 @@ from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned, clock_leaders
+from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.confidence import confidence, evidence_of, noise_evidence
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.cross_validation import split_of
@@ -80,11 +81,12 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     """
     fitted, said = learned.fit, list[HeldOut]()
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
+    placed = shared_frame([*fitted.problem.recordings, *others]) is not None
     timed = {law.name for law in learned.laws if law.regressor == "time"} if len(_runs(fitted)) == 1 else set()
     while parts := [(part,) for part in _parts(fitted)]:
         # Also test all parts jointly: each may compensate another's error while all of them are worse than none.
-        together = [tuple(part for (part,) in parts)] if len(parts) > 1 else []
-        found = _test(fitted, [*parts, *together], others, clocks)
+        together = tuple(part for (part,) in parts if placed or not part.reads_places)
+        found = _test(fitted, [*parts, *([together] if len(together) > 1 else [])], others, clocks)
         found = [(own, _needs_support(one, supported=bool(others)) if one.name in timed else one) for own, one in found]
         worst = max((one for one in found if one[1].failure), key=lambda one: -one[1].nats, default=None)
         if worst is None:
@@ -162,15 +164,19 @@ def _others(effects: Sequence[Effect], parts: Sequence[Effect]) -> list[Effect]:
 def _test(
     fitted: Fit, groups: Sequence[tuple[Effect, ...]], others: Sequence[Recording], clocks: Sequence[Clock]
 ) -> list[tuple[tuple[Effect, ...], HeldOut]]:
-    """Return the held-out test of each group of parts; an empty list if the data are too few for a fit."""
-    folds = _folds(fitted, others, clocks)
-    if not folds:
-        return []
+    """Return the held-out test of each group of parts that can be tested; an empty list if no fit is possible.
+
+    Effects of places have no meaning on others in frames of their own (maps of a laser): these are tested on halves.
+    """
+    placed = shared_frame([*fitted.problem.recordings, *others]) is not None
+    own = [not placed and all(part.reads_places for part in group) for group in groups]
     try:
-        whole = [judged for fold in folds for judged in fold.judged(fitted, ())]
+        folds = {here: _folds(fitted, () if here else others, clocks) for here in set(own)}
+        whole = {here: [judged for fold in some for judged in fold.judged(fitted, ())] for here, some in folds.items()}
         return [
-            (group, _verdict(group, whole, [judged for fold in folds for judged in fold.judged(fitted, group)]))
-            for group in groups
+            (group, _verdict(group, whole[here], [j for fold in folds[here] for j in fold.judged(fitted, group)]))
+            for group, here in zip(groups, own, strict=True)
+            if folds[here]
         ]
     except FitError:
         return []

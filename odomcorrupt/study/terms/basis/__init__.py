@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 __all__ = ["COEFFICIENTS", "VALUES", "BasisFunction", "basis_functions"]
 
 
-def basis_functions(motions: Sequence[Motion]) -> list[BasisFunction]:
-    """Return every basis function to be tried on these motions."""
+def basis_functions(motions: Sequence[Motion], *, placed: bool = True) -> list[BasisFunction]:
+    """Return every basis function to be tried on these motions.
+
+    placed : whether the motions are in one frame, so that functions of heading and place are possible
+    """
     return [
-        *functions_of_heading(),
-        *functions_of_place(motions),
+        *((*functions_of_heading(), *functions_of_place(motions)) if placed else ()),
         *functions_of_time(motions),
         *functions_of_motion(motions),
     ]
