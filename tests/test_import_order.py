@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -23,18 +24,25 @@ def package_of(module: str) -> str:
     return "/".join(parts[:2]) if parts[:1] == ["study"] else (parts or ["odomcorrupt"])[0]
 
 
+@cache
+def trees() -> dict[Path, ast.Module]:
+    """Return the syntax trees of the package's files, by their paths."""
+    files = (ROOT / "odomcorrupt").rglob("*.py")
+    return {file.relative_to(ROOT): ast.parse(file.read_text(encoding="utf8")) for file in files}
+
+
 def imports() -> set[tuple[str, str, str]]:
     """Return importing file, its package and the imported package of all imports, also those for type checkers."""
-    found = set()
-    for file in (ROOT / "odomcorrupt").rglob("*.py"):
-        path = file.relative_to(ROOT)
+    found, modules = set(), trees()
+    folders = {path.parent for path in modules}
+    for path, tree in modules.items():
         own = package_of(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf8"))):
+        for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "odomcorrupt":
                 for name in node.names:
                     inner = f"{node.module}.{name.name}"
-                    is_module = (ROOT / inner.replace(".", "/")).with_suffix(".py").exists()
-                    module = inner if is_module or (ROOT / inner.replace(".", "/")).is_dir() else str(node.module)
+                    place = Path(inner.replace(".", "/"))
+                    module = inner if place.with_suffix(".py") in modules or place in folders else str(node.module)
                     found.add((str(path), own, package_of(module)))
     return found
 
@@ -56,8 +64,8 @@ def test_a_package_imports_only_packages_above_it_in_the_table():
 def test_a_module_assigns_each_of_its_names_once():
     # a second value silently replaces the first one, also for the functions above it
     twice = []
-    for file in (ROOT / "odomcorrupt").rglob("*.py"):
-        targets = [t for node in ast.parse(file.read_text(encoding="utf8")).body for t in getattr(node, "targets", ())]
+    for file, tree in trees().items():
+        targets = [t for node in tree.body for t in getattr(node, "targets", ())]
         names = [part.id for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)]
-        twice += [f"{file.relative_to(ROOT)}: {name}" for name in set(names) if names.count(name) > 1]
+        twice += [f"{file}: {name}" for name in set(names) if names.count(name) > 1]
     assert twice == []

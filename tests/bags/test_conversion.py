@@ -29,7 +29,7 @@ NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7")
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory):
-    """Return four seconds of the office as a ROS 2 directory and as a ROS 1 bag, written by the rosbags library."""
+    """Return two seconds of the office as a ROS 2 directory and as a ROS 1 bag, written by the rosbags library."""
     room = tmp_path_factory.mktemp("short")
     with Ros2LibraryReader(FIXTURES / "office_ros2") as reader:
         writer = Ros2LibraryWriter(room / "two", version=8, storage_plugin=StoragePlugin.SQLITE3)
@@ -44,7 +44,7 @@ def short(tmp_path_factory):
                 )
                 for one in reader.connections
             }
-            for one, log_ns, data in reader.messages(stop=reader.start_time + 4 * 10**9):
+            for one, log_ns, data in reader.messages(stop=reader.start_time + 2 * 10**9):
                 writer.write(made[one.id], log_ns, data)
     foreign(room / "two", room / "one.bag")
     return {1: room / "one.bag", 2: room / "two"}

@@ -3,6 +3,7 @@
 import shutil
 import sqlite3
 from contextlib import closing
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -75,20 +76,29 @@ def split(target, storage, parts):
     return target
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return a function that gives the office drive as a bag of a storage and of so many files, made once."""
+
+    @cache
+    def make(storage, parts):
+        return split(tmp_path_factory.mktemp("made") / "in", storage, parts)
+
+    return make
+
+
 @pytest.fixture(params=["whole sqlite3", "split sqlite3", "whole mcap", "split mcap", "without metadata", "file"])
-def bag(request, tmp_path):
+def bag(request, tmp_path, made):
     kind = request.param
     if kind == "whole sqlite3":
         return OFFICE
     if kind == "file":
         return OFFICE_DB
     if kind.startswith("split"):
-        made = split(tmp_path / "in", getattr(StoragePlugin, kind.split()[1].upper()), 3)
-        copy(made, tmp_path / "with metadata")
-        shutil.rmtree(made)
+        copy(made(getattr(StoragePlugin, kind.split()[1].upper()), 3), tmp_path / "with metadata")
         return tmp_path / "with metadata"
     if kind == "whole mcap":
-        return split(tmp_path / "in", StoragePlugin.MCAP, 1)
+        return shutil.copytree(made(StoragePlugin.MCAP, 1), tmp_path / "in")
     (tmp_path / "in").mkdir()
     shutil.copy(OFFICE_DB, tmp_path / "in")
     return tmp_path / "in"
@@ -108,10 +118,9 @@ def test_nothing_patched_keeps_every_message_topic_and_qos(bag, tmp_path):
             assert mcap_extras(out / path.name)[1:] == mcap_extras(path)[1:]
 
 
-def test_metadata_made_for_a_bag_without_says_what_the_library_counts(tmp_path):
+def test_metadata_made_for_a_bag_without_says_what_the_library_counts(made, tmp_path):
     for storage in StoragePlugin:
-        made = split(tmp_path / f"in {storage.name}", storage, 3)
-        info = info_of(copy(made, tmp_path / f"out {storage.name}"))
+        info = info_of(copy(made(storage, 3), tmp_path / f"out {storage.name}"))
         known = info_of(OFFICE)
         assert info["storage_identifier"] == storage.name.lower()
         for key in ("message_count", "starting_time", "duration"):

@@ -78,7 +78,7 @@ def test_a_drive_faster_than_a_learned_model_covers_is_corrupted_and_reported(co
     model = tmp_path / "model.toml"
     text = (
         'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot = 0\nrot_trans = 0\ntrans_trans = 0\ntrans_rot = 0\n'
-        '[[effect]]\nname = "spins"\nexpression = "along += v * (k * max(abs(v) - 0.3, 0))"\nk = -2.0\n'
+        '[[effect]]\nname = "spins"\nexpression = "along += v * (k * max(abs(v) - 0.6, 0))"\nk = -2.0\n'
     )
     model.write_text(text)
     assert corrupt("--model", str(model))[0] == 1

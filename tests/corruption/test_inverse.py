@@ -174,7 +174,7 @@ def test_acceleration_uses_the_past_and_does_not_depend_on_cuts():
     assert np.array_equal(np.concatenate(pieces), whole)
 
 
-CAPPED = user_effect("spins", "wheels += v * (k * max(abs(v) - 1.2, 0))", {"k": -0.5})
+CAPPED = user_effect("spins", "along += v * (k * max(abs(v) - 1.2, 0))", {"k": -0.5})
 """The robot reaches 1.27 m/s at 1.6 m/s of its odometry, and no more than that."""
 
 
@@ -205,31 +205,33 @@ def exact_speed(true_v):
     return np.where(true_v <= 1.2, true_v, 1.6 - np.sqrt(np.maximum(1.6**2 - 2.0 * true_v, 0.0)))
 
 
-@pytest.mark.parametrize("others", [(), (effect_from_values("channel_lag", {"tau": 0.1}),)])
+LAG = effect_from_values("channel_lag", {"tau": 0.1})
+
+
+@pytest.mark.parametrize("others", [(), (LAG,)])
 def test_a_law_beyond_its_inverse_is_the_same_however_the_path_is_cut(others):
-    t, poses = speeding(np.linspace(0.9, 2.0, 200))
-    model = replace(silent([CAPPED, *others], track_m=0.4), source={"recordings": ["a.mcap"]})
+    t, poses = speeding(np.linspace(0.9, 1.5, 100))  # beyond from 1.28 m/s on, in two of the three parts
+    model = learned(CAPPED, *others)
     whole, path = NoisyPath(model, 1).feed(t, poses).error_xyt, NoisyPath(model, 1)
     parts = [path.feed(t[i : i + 41], poses[i : i + 41]).error_xyt for i in range(0, len(t), 41)]
     assert np.array_equal(np.concatenate(parts), whole)
 
 
-BURSTS = effect_from_values("slip_burst", {"rate": 0.5, "slip": 0.4, "duration": 0.5})
+BURSTS = effect_from_values("slip_burst", {"rate": 4.0, "slip": 0.4, "duration": 0.5})
 
 
 def learned(*effects):
     return replace(silent(effects, track_m=0.4), source={"recordings": ["a.mcap"]})
 
 
-@pytest.mark.parametrize("others", [(), (effect_from_values("channel_lag", {"tau": 0.1}),)])
-@pytest.mark.parametrize("size", [41, 1000])
+@pytest.mark.parametrize(("others", "size"), [((LAG,), 41), ((), 1000)])
 def test_runs_that_share_the_systematic_part_have_the_bits_of_single_runs(others, size):
-    t, poses = speeding(np.linspace(0.9, 2.0, 200))
+    t, poses = speeding(np.linspace(0.9, 1.5, 100))
     model = learned(CAPPED, BURSTS, *others)
     shared = SystematicEffects(model)
-    paths = [NoisyPath(model, 3, run, systematic=shared) for run in range(3)]
-    parts = [[path.feed(t[i : i + size], poses[i : i + size]).error_xyt for path in paths] for i in range(0, 201, size)]
-    for run in range(3):
+    paths = [NoisyPath(model, 3, run, systematic=shared) for run in range(2)]
+    parts = [[path.feed(t[i : i + size], poses[i : i + size]).error_xyt for path in paths] for i in range(0, 101, size)]
+    for run in range(2):
         alone = NoisyPath(model, 3, run).feed(t, poses).error_xyt
         assert np.array_equal(np.concatenate([part[run] for part in parts]), alone)
     assert not np.array_equal(parts[-1][0], parts[-1][1])

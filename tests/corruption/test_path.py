@@ -45,7 +45,7 @@ def test_moments_agree_with_the_textbook_loop(law):
     [(law, None) for law in LAWS] + [(law, "0.25m,0.2rad") for law, rule in LAWS.items() if rule.per_step],
 )
 def test_any_cut_into_batches_gives_the_same_bits(law, step):
-    t, poses = office(15.0, 30.0)
+    t, poses = office(15.0, 20.0)
     chosen = model(law, step=step, effects=EFFECTS, track_m=0.5)
     whole = NoisyPath(chosen, 3).feed(t, poses)
     for seed in range(4):

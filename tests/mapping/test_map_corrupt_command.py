@@ -1,8 +1,6 @@
 """Corruption with `--map`, as a user runs it."""
 
 import io
-import json
-import shlex
 import sys
 from pathlib import Path
 
@@ -121,20 +119,6 @@ def test_pipe_needs_a_map_file_and_a_pose(corridor, tmp_path, capsys, monkeypatc
         feed(monkeypatch, OFFICE)
         assert run(["-", str(tmp_path / "out.mcap"), "--odom-topic", "/odom", "--seed", "1", *where]) == 2
         assert "INPUT is a pipe and read once" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_batch_in_a_map_makes_the_bytes_of_its_own_single_commands(corridor, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    words = [*ALPHA, "--seed", "7", "--map", str(corridor), "--map-pose", "0,0,0", "--robot-radius", "0"]
-    assert run(["batch", str(OFFICE), "runs", "--runs", "2", "-q", *words]) == 0
-    records = [json.loads(line) for line in (tmp_path / "runs" / "manifest.jsonl").read_text().splitlines()]
-    assert len(records) == 2
-    for record in records:
-        assert run(shlex.split(record["command"])[1:]) == 0
-        assert (tmp_path / record["file"]).read_bytes() == (tmp_path / "runs" / record["file"]).read_bytes()
-    walls = free_space(read_map(corridor), 0.0, map_from_odom=np.zeros(3))
-    assert walls.free(read_drive(tmp_path / "runs" / records[1]["file"], "/odom").xyt[:, :2]).all()
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ def tab(tmp_path):
 @pytest.fixture(scope="session")
 def case(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compared")
-    run = simulate(1003, "unequal_wheels", duration_s=150.0, robot_seed=3, parameters={"curvature": CURVATURE})
+    run = simulate(1003, "unequal_wheels", duration_s=120.0, robot_seed=3, parameters={"curvature": CURVATURE})
     write_mcap(run, folder / "drive.mcap")
     robot = replace(BASE, effects=(effect_from_values("unequal_wheels", {"curvature": CURVATURE}),))
     for name, model in (("base", BASE), ("robot", robot)):

@@ -45,7 +45,6 @@ def met(cause, route, seed, path=None):
 
 PAIRS = [
     ("wheel_scale", "speed_scale", steady(0.5, 0.0)),
-    ("speed_scale", "wheel_scale", steady(0.5, 0.0)),
     ("side_slip", "mount_yaw", steady(0.5, 0.5)),
     ("mount_yaw", "lever_arm", steady(0.5, 0.5)),
 ]

@@ -47,13 +47,6 @@ def test_every_estimate_is_zero_within_its_error_on_clean_data(source):
 
 
 @pytest.mark.slow
-def test_time_offsets_of_clean_recordings_are_left_alone():
-    learned = learn([wheels(1)])
-    assert learned.clocks.free == ((False, False),)
-    assert learned.added == ()
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [400, 403])
 def test_weak_noise_of_the_odometry_is_no_dependence_on_its_own_yaw_rate(seed):
     # breaks where a curve has knots as near to each other as the odometry's noise: on straights both are the same

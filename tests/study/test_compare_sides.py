@@ -21,7 +21,7 @@ RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.
 
 @pytest.fixture(scope="module")
 def run():
-    steps = wander(3, 240.0)
+    steps = wander(3, 150.0)
     return recording(steps, noisy_path(steps, PLANTED, 3), seed=3)
 
 

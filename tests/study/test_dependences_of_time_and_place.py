@@ -84,7 +84,3 @@ def test_a_carpet_is_slip_in_a_rectangle_that_is_turned():
     assert carpet.width > 0.0
     assert ten_second_error([planted], [carpet]) < 1.1 * ten_second_error([clean])
     assert ten_second_error([planted]) > 1.5 * ten_second_error([clean])
-
-
-def test_a_clean_drive_has_no_law_of_time_or_place():
-    assert not any(learn([as_recording(simulate(seed, None, duration_s=400.0))]).unknown for seed in (91, 94))

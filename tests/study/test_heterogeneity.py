@@ -50,8 +50,3 @@ def test_a_gyro_that_was_switched_on_again_is_said():
 @pytest.mark.slow
 def test_recordings_of_one_robot_agree():
     assert learn([run(seed, scale=0.01) for seed in (805, 806)]).disagreements == ()
-
-
-@pytest.mark.slow
-def test_one_recording_agrees_with_itself():
-    assert learn([run(808, scale=0.01)]).disagreements == ()

@@ -1,4 +1,4 @@
-"""Each systematic cause of the laboratory is the first name, or a twin of it; noise is named as noise."""
+"""Systematic causes that test_hidden_effect.py does not draw are the first name; noise is named as noise."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.stepwise import learn
 
 SYSTEMATIC = (
-    "accel_slip", "backlash", "gyro_bias", "gyro_scale", "icr_shift", "lever_arm", "mount_yaw", "region_slip",
-    "scale_drift", "side_slip", "slope", "speed_scale", "turn_asymmetry", "unequal_wheels", "wheel_scale", "wheelbase",
+    "accel_slip", "backlash", "gyro_scale", "icr_shift", "region_slip", "scale_drift", "slope", "speed_scale",
+    "turn_asymmetry", "unequal_wheels",
 )  # fmt: skip
 RANDOM = ("gauss_markov", "gyro_bias_walk", "lost_increments", "quantization", "slip_burst")
 
@@ -34,9 +34,8 @@ def test_a_random_cause_is_named_as_noise_and_nothing_else_is(cause):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cause", ["time_offset", "clock_skew"])
-def test_a_clock_is_named_before_anything_else(cause):
-    learned = learn([as_recording(simulate(1, cause))])
-    assert learned.clocks.free[0][cause == "clock_skew"]
+def test_a_clock_that_runs_fast_is_named_before_anything_else():
+    learned = learn([as_recording(simulate(1, "clock_skew"))])
+    assert learned.clocks.free[0][1]
     assert learned.added == ()
     assert learned.noise == ()

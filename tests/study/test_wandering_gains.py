@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,11 +20,14 @@ from odomcorrupt.study.select.stepwise import learn
 pytestmark = pytest.mark.slow
 
 
-def _learned(seed, cause, parameters, **options):
-    clean, noisy = (
-        learn([as_recording(simulate(seed, what, duration_s=600.0, **options))])
-        for what, options in ((None, options), (cause, {"parameters": parameters, **options}))
-    )
+@cache
+def _clean(seed, yaw_from):
+    return learn([as_recording(simulate(seed, None, duration_s=600.0, yaw_from=yaw_from))])
+
+
+def _learned(seed, cause, parameters, yaw_from):
+    run = simulate(seed, cause, duration_s=600.0, parameters=parameters, yaw_from=yaw_from)
+    clean, noisy = _clean(seed, yaw_from), learn([as_recording(run)])
     return clean.fit.noise.coefficients, noisy.fit.noise.coefficients, [gain.effect for gain in noisy.noise]
 
 

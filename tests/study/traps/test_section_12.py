@@ -63,10 +63,9 @@ def steered_on_the_truth(seed: int, seconds: float = 300.0) -> Recording:
     return Recording("steered", Trajectory(stamps, paths[0]), Trajectory(stamps, seen), 0, 0.4)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
-def test_2_a_controller_that_steers_on_the_truth_is_no_slip(seed):
+def test_2_a_controller_that_steers_on_the_truth_is_no_slip():
     # breaks where regressors take the truth's side, on which the noise acts before the wheels answer it
-    learned = learn([steered_on_the_truth(seed)])
+    learned = learn([steered_on_the_truth(0)])
     assert "accel_slip" not in learned.added
     assert learned.added == ()
 
@@ -80,13 +79,12 @@ def test_3_noise_of_the_heading_is_no_wandering_gain_where_a_drive_stops_and_goe
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 49])
-def test_4_a_deterministic_cause_is_not_called_noise_and_noise_no_cause(seed):
+def test_4_a_deterministic_cause_is_not_called_noise_and_noise_no_cause():
     # breaks where a stochastic name is given before the best cause was tried, or the other way round
-    wet = learn([as_recording(simulate(seed, "region_slip"))])
+    wet = learn([as_recording(simulate(49, "region_slip"))])
     assert wet.added[:1] == ("region_slip",)
     assert wet.noise == ()
-    wobbling = learn([as_recording(simulate(seed, "gauss_markov", parameters={"sigma": 0.04, "tau": 5.0}))])
+    wobbling = learn([as_recording(simulate(49, "gauss_markov", parameters={"sigma": 0.04, "tau": 5.0}))])
     assert wobbling.added == ()
     assert [gain.effect.name for gain in wobbling.noise] == ["gauss_markov"]
 

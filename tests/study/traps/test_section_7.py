@@ -110,7 +110,7 @@ def test_5_nodes_of_a_truth_that_wanders_lie_farther_apart():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("cause", "seed"),
-    [(cause, seed) for cause in ("gauss_markov", "slip_burst") for seed in (27, 28, 29)],
+    [(cause, seed) for cause in ("gauss_markov", "slip_burst") for seed in (27, 28)],
 )
 def test_6_correlated_noise_and_bursts_are_no_bias_and_no_scale(cause, seed):
     # breaks where noise that wanders is not offered as an explanation, or bursts are not weighted down
