@@ -52,10 +52,10 @@ def learned_with(run, *effects, over_time=""):
     """Return what a search would have left that included these effects, and an expression over time."""
     laws = [user_effect("late", over_time, {"k": 0.0})] if over_time else []
     fitted = fit([run], [*(effect_from_values(name, {}) for name in effects), *laws], approach=Approach())
-    plain = (SimpleNamespace(gain=40.0, refused=""),)
+    plain = {name: (SimpleNamespace(name=name, gain=40.0, refused=""),) for name in effects}
     return Learned(
         clocks=Clocks((Clock(),), ((False, False),), ((0.0, 0.0),)),
-        rounds=tuple(Step(before=fitted, candidates=plain, added=name) for name in effects),
+        rounds=tuple(Step(before=fitted, candidates=plain[name], added=name) for name in effects),
         noise=(), unknown=(), margins={}, fit=fitted, error_m=0.0,
         laws=tuple(SimpleNamespace(name=law.name, regressor="time") for law in laws),
     )  # fmt: skip
@@ -169,7 +169,7 @@ def test_what_a_far_plainer_lag_leaves_is_no_sure_slip():
     learned = learned_with(with_truth(drive(4), 5), "channel_lag", "accel_slip")
     lag, slip = learned.rounds
     for gain, sure in ((480.0, False), (90.0, True)):
-        plainer = replace(lag, candidates=(SimpleNamespace(gain=gain, refused=""),))
+        plainer = replace(lag, candidates=(SimpleNamespace(name="channel_lag", gain=gain, refused=""),))
         beside = replace(learned, rounds=(plainer, slip))
         assert (confidence(evidence_of(slip, beside)) > 0.9) == sure
         assert confidence(evidence_of(plainer, beside)) > 0.9

@@ -113,7 +113,8 @@ def test_tails_that_a_strong_lag_may_leave_have_even_odds_at_most(lag_nats, sure
 
 @pytest.mark.parametrize("too_far", [False, True])
 def test_a_process_that_drifts_further_than_the_recordings_has_even_odds_at_most(too_far):
-    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=too_far)
+    fitted = SimpleNamespace(problem=SimpleNamespace(recordings=()))
+    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=too_far, fit=fitted)
     walk = RandomCoefficient(effect_from_values("gyro_bias_walk", {"density": 1e-3}), 500.0)
     assert (confidence(noise_evidence(walk, learned)) > 0.5) != too_far
 
