@@ -34,9 +34,9 @@ _BEYOND = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85)
 """Parts of all lag, summed over time, that are due to lags larger than a trial limit."""
 _OF_CURVATURE = (1.0, 0.85)
 """Trial limits of large angles, as parts of those of the curvature: angles change less than their tangents."""
-_ROLLS_MPS = 0.01
-"""Speed from which a path shows the wheels' angle, m/s. Wheels turn quickest at the low speeds of starts and reversals,
-where odometry from a steering angle has the exact ratio of turn to travel."""
+_ROLLS_MPS = 0.01 - 1e-9
+"""Speed from which a path shows the wheels' angle, m/s; just below a round one, which rounding may reach. Wheels turn
+quickest at the low speeds of starts and reversals, where odometry from a steering angle has the exact ratio."""
 _ONE_WAY = 0.5
 """Least part of the recent travel that is in one direction where a path rolls; noise of a robot at rest has none."""
 _SHARE_S = 2.0
