@@ -99,9 +99,8 @@ class SteeringLag(Effect):
 
     With L the distance between the axles; without it angles are assumed small. The wheels turn no faster than a servo's
     largest `rate`, and lag no further than the `stop` of a soft linkage. A delay by tau has the same f for steering
-    slow against tau. A change of speed in
-    a curve of constant radius is no steering and causes no error. While the robot is at rest its wheels continue to the
-    steering angle.
+    slow against tau. A change of speed in a curve of constant radius is no steering and causes no error. While the
+    robot is at rest its wheels continue to the steering angle.
 
     Corruption inverts the lag. How far the angle of the odometry is ahead of wheels that turn at their largest rate is
     not in their path: corruption takes the smallest lead that they show, that of the lag at this rate. As noise
