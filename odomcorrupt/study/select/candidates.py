@@ -32,7 +32,7 @@ from odomcorrupt.study.select.closed_loop import (
 )
 from odomcorrupt.study.select.decisions import error_shares
 from odomcorrupt.study.select.elimination import drift_grows, drop_term
-from odomcorrupt.study.select.fitted_size import with_limit, with_shape_at_size
+from odomcorrupt.study.select.fitted_size import with_limit, with_shape_at_size, without_optional_shape
 from odomcorrupt.study.select.integration import euler_clause
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
@@ -326,8 +326,8 @@ def with_shape_refined(
     score : the term in its present shape; fit and score are returned unchanged if another shape gains too little
     weights_of : fit whose robust weights are kept for comparison with other fits; default: re-estimated
     """
-    fit, score = _with_words_refined(fit, score, decisions)
-    if len(score.term.shape):
+    fit, score = without_optional_shape(*_with_words_refined(fit, score, decisions))
+    if len(score.term.shape) or (isinstance(score.term, LibraryTerm) and score.term.trials > 1):
         fit, score = with_shape_at_size(*_with_shape_moved(fit, score, decisions, weights_of), decisions)
     return with_limit(fit, score.term.name, decisions), score
 

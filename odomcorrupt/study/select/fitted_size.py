@@ -49,6 +49,26 @@ def with_shape_at_size(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
     return fit, replace(score, term=score.term.with_shape(shape))
 
 
+def without_optional_shape(fit: Fit, score: Score) -> tuple[Fit, Score]:
+    """Return the fit with optional shape parameters of a term left out, if it is likelier so with the same weights.
+
+    They were selected beside the noise of a model without the effect. With a wrong one (a tick whose beats differ) the
+    noise remains too large to show a better one.
+
+    score : the term of the effect; fit and score are returned unchanged if nothing is left out
+    """
+    effect = next(e for e in fit.effects if e.name == score.term.name)
+    left_out = {p.name: p.identity for p in shapes(effect) if p.optional}
+    plain = replace(effect, **left_out)  # type: ignore[type-var]  # effects are dataclasses
+    if plain == effect or not isinstance(score.term, LibraryTerm):
+        return fit, score
+    without = _refitted(fit, effect, plain, fit)
+    if without is None or not without.log_likelihood > fit.log_likelihood:
+        return fit, score
+    start = replace(score.term.start, **left_out)  # type: ignore[type-var]
+    return without.refit(), replace(score, term=replace(score.term, start=start))
+
+
 def _at_maximum(fit: Fit, name: str, decisions: Decisions, weights_of: Fit | None = None) -> Fit:
     """Return the fit with the shape of one of its effects moved as long as a step gains `reshape_nats`.
 
