@@ -54,6 +54,7 @@ def brief(corrected: Corrected, target: str) -> Summary:
         names = ", ".join(effect.name for effect in corrected.unplaced)
         said = f"{names}: taken out at places and headings of the frame {corrected.run.frames.odom}; see --start"
         lines.insert(1, Line("places", said, "warning"))
+    lines[1:1] = [Line("places", sentence, "warning") for sentence in _misplaced(corrected)]
     lines[1:1] = lost_lines(corrected.run)
     lines += [
         Line("odometry", f"{moved_words(corrected.run)} ({travel_words(corrected.run)}){topic_words(corrected.run)}")
@@ -151,7 +152,7 @@ def _misplaced(corrected: Corrected) -> list[str]:
     off_m = corrected.run.drift.end_expected_m
     if not names or corrected.model.noise.coefficients.silent or not off_m > _NEAR_M:
         return []
-    where = f"{names}: depends on the position, which by the end of this drive is uncertain by {off_m:.3g} m (1 sigma)"
+    where = f"{names}: depends on the position, which by the end is uncertain by {off_m:.3g} m or more (1 sigma)"
     return [f"{where}, so that it may have been taken out in the wrong place. `compare` uses the true position."]
 
 

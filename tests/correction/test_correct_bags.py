@@ -227,6 +227,8 @@ def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_pa
         out = tmp_path / f"{name}.mcap"
         assert run(["correct", "-v", str(FIXTURES / "office.mcap"), str(out), *noise, *patch]) == 0
         assert ("taken out in the wrong place" in capsys.readouterr().err) is said
+        assert run(["correct", str(FIXTURES / "office.mcap"), str(out), "--overwrite", *noise, *patch]) == 0
+        assert any(row.startswith("places  ") for row in capsys.readouterr().err.splitlines()) is said
 
 
 @pytest.mark.parametrize("options", [[], ["--effect", "gauss_markov:sigma=0.02"]])

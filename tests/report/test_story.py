@@ -19,7 +19,7 @@ from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
-from odomcorrupt.report.text.brief import _found_lines
+from odomcorrupt.report.text.brief import _contact_words, _found_lines
 from odomcorrupt.report.text.comparison import comparison_text, rejection, within
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.diagnosis import NOTHING, fit_text, found_text, laws_table, shares_text
@@ -127,6 +127,17 @@ def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
     assert f"fitted: {UNKNOWNS[0].expression}" in text
     assert f"suggested: {UNKNOWNS[1].expression}" in text
     assert "the yaw error per radian turned depends on yaw rate" in text
+
+
+@pytest.mark.parametrize(("track_m", "contact", "asked"), [(None, "body", 1), (0.3, "body", 0), (None, "wheels", 0)])
+def test_a_patch_asks_for_a_track_without_which_single_wheels_were_not_tried_on_it(searched, track_m, contact, asked):
+    patch = replace(effect_from_values("region_slip", {"slip": 0.1}), contact=contact)
+    problem = searched.fit.problem
+    runs = tuple(replace(run, track_m=track_m) for run in problem.recordings)
+    fit = replace(searched.fit, problem=replace(problem, recordings=runs))
+    differential = replace(searched.drive_type, name="differential")
+    search = SimpleNamespace(fit=fit, drive_type=differential)
+    assert _contact_words(patch, search).count("--track") == asked
 
 
 def test_the_headline_says_which_dependences_are_not_in_the_model(rich):

@@ -68,7 +68,8 @@ def test_a_law_that_physics_contradicts_does_not_come_again_for_ever(monkeypatch
     forbidden = SimpleNamespace(fit=None, score=SimpleNamespace(effect=None), name="accel_slip")
     for name, does in {
         "library_candidates": lambda *_: [],
-        "CoarseDesign": lambda _: None,
+        "CoarseDesign": lambda *_: None,
+        "least_thresholds": lambda _: {},
         "basis_scores": lambda *_: [],
         "dependences": lambda *_: [],
         "channels_of": lambda *_: [],

@@ -156,7 +156,8 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
             rivals = [name for name in step.alternatives if name not in {*readings_of(effect, drive), *undecided}]
             said += f"  {confidence_words(step_confidence(step, search))}"
             label = "set-up" if step.added in search.of_setup else ""
-            lines.append(Line(label, f"{said}, or {', '.join(rivals)}" if rivals else said))
+            said += f", or {', '.join(rivals)}" if rivals else ""
+            lines.append(Line(label, said + _contact_words(effect, search)))
     # missing effects of the robot come first
     lines.sort(key=lambda line: bool(line.label))
     for unknown in search.unknown[:2]:
@@ -196,6 +197,13 @@ def _drive_lines(search: Learned) -> list[Line]:
     """Return the drive type, if the names depend on an inferred one."""
     drive = search.drive_type
     return [Line("drive type", f"{drive.sentence}; --drive-type overrules it")] if drive.reason else []
+
+
+def _contact_words(effect: Effect, search: Learned) -> str:
+    """Return that an unknown track left wheels untried that slip one by one at the edge of a patch; or ""."""
+    if getattr(effect, "contact", "") != "body" or any(r.track_m is not None for r in search.fit.problem.recordings):
+        return ""
+    return "; give --track: the wheels may meet it one by one" if search.drive_type.name == "differential" else ""
 
 
 def _track_lines(search: Learned, *, failed: bool) -> list[Line]:

@@ -29,6 +29,9 @@ _STEPS_M = np.geomspace(1e-3, 0.05, 600)
 """Tested ticks, metres. The error of ticks below 1 mm is smaller than the truth resolves."""
 _MIN_REGULARITY = 0.9  # least mean cosine of increments that are multiples of a tick
 _MIN_CHANGES = 0.05  # least fraction of moving increments that differ from their predecessor by a tick
+_FEW = 20
+"""Fewest changes of speed that show a lattice: their mean cosine is 0 +- 0.16 if there is none."""
+_MOST = 1500  # largest number of increments tested, spread over the drive
 _STILL_M = 1e-6
 
 
@@ -82,7 +85,7 @@ def _lattice(travels: Sequence[Array]) -> float | None:
     """Return the largest step of which all travels (n,) are multiples and by which they change, or None."""
     lattices = []
     for travel in travels:
-        moved = travel[np.abs(travel) > _STILL_M][:1500]
+        moved = travel[np.abs(travel) > _STILL_M]
         if len(moved) < 200:
             return None
         # A moving wheel moves by at least one tick; coarser steps fit small increments only by chance.
@@ -108,5 +111,18 @@ def _change_fraction(travel: Array, step: float) -> float:
 
 
 def _regularity(travel: Array) -> Array:
-    """Return the mean cosine of travel (n,) for each step: 1 for exact multiples, about 0 for no relation."""
-    return np.array([np.mean(np.cos(2.0 * np.pi * travel / step)) for step in _STEPS_M])
+    """Return the mean cosine of travel (n,) for each step: 1 for exact multiples, about 0 for no relation.
+
+    The increments at one cruising speed are equal, and no independent evidence. Those that differ from the increment
+    before by half a step are; the result is the lesser mean, of these alone and of all, and 0 if these are few.
+    """
+    before, after = travel[:-1], travel[1:]
+    rows = np.unique(np.linspace(0, len(after) - 1, min(len(after), _MOST)).astype(np.int64))
+    before, after = before[rows], after[rows]
+    found = np.zeros(len(_STEPS_M))
+    for i, step in enumerate(_STEPS_M):
+        phases = np.cos(2.0 * np.pi * after / step)
+        changed = np.abs(after - before) > 0.5 * step
+        if np.count_nonzero(changed) >= _FEW:
+            found[i] = min(phases.mean(), phases[changed].mean())
+    return found

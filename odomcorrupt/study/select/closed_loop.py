@@ -30,6 +30,9 @@ _LEAST_DELAY_S, _PULL_MARGIN = 0.05, 2.0
 """Least delay assumed for filtered odometry, seconds, and the factor by which pose updates may exceed the estimate."""
 _LARGEST_DELAY_S = 0.15
 """Delay above which the clock and not a filter is the cause, seconds (filters at 30 Hz lag by 40 to 120 ms)."""
+_NOISE = 3.0
+"""Standard deviations of the noise of one interval that a threshold of the yaw rate exceeds: the mean of normal errors
+cut off there is that of all within 3 %; of those cut off at one deviation it is 71 % smaller."""
 _LEAST_TURNS = 4.0
 """Least chi-square of turns per interval: their root mean square is then two standard deviations of the noise."""
 
@@ -141,6 +144,27 @@ def of_pulls(fit: Fit, effect: Effect) -> bool:
     size, usual = (np.sqrt(np.mean(part**2, axis=0)) for part in (error, moved))
     as_gains = np.mean(error * moved, axis=0) / np.maximum(usual, np.finfo(float).tiny)
     return bool(np.all(size <= most * usual) and np.sum(as_gains**2) >= 0.5 * np.sum(size**2))
+
+
+def least_thresholds(fit: Fit) -> dict[str, float]:
+    """Return the least thresholds of the yaw rate, rad/s, and of the lateral acceleration, m/s^2, that can be tested.
+
+    A controller that holds the true heading turns the robot by the noise, with the opposite sign. The odometry's yaw
+    rate on a straight is then the error itself, and a threshold below `_NOISE` standard deviations of it selects the
+    intervals with a large error, whatever its cause. Regressors from the truth contain hardly any of this noise.
+    """
+    problem = fit.problem
+    if problem.approach.side == "truth":
+        return {}
+    nodes = problem.nodes
+    variance = nodes.covariance(problem.approach.law, fit.noise.coefficients, problem.steps)[:, 2, 2]
+    moving = np.hypot(*nodes.odometry_step[:, :2].T) > 0.0
+    if not moving.any():
+        return {}
+    dt_s = (nodes.end_s - nodes.start_s)[moving]
+    noise = _NOISE * np.sqrt(variance[moving]) / dt_s
+    speed = np.hypot(*nodes.odometry_step[moving, :2].T) / dt_s
+    return {"yaw_rate": float(np.median(noise)), "lateral_acceleration": float(np.median(noise * speed))}
 
 
 def _turn_columns(fit: Fit) -> Array:

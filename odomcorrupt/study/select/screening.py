@@ -23,7 +23,7 @@ from odomcorrupt.study.terms.channels import MOVES, actions_on, views
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -56,9 +56,12 @@ class CoarseDesign:
     """Approximate columns of terms on the K intervals of a problem, from the mean of each term over every interval.
 
     The design does not depend on the model, and remains valid for an unchanged problem.
+
+    least : least threshold of regressors by name, see `least_thresholds`
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, least: Mapping[str, float] | None = None) -> None:
+        self._least = least
         self._nodes, self._motions = problem.nodes, problem.motions
         self._placed = shared_frame(problem.recordings) is not None
         self._means: dict[tuple[str, frozenset[str], str], Array] = {}
@@ -67,7 +70,7 @@ class CoarseDesign:
     @cached_property
     def functions(self) -> list[BasisFunction]:
         """All basis functions that are tried on this drive."""
-        return basis_functions(self._motions, placed=self._placed)
+        return basis_functions(self._motions, placed=self._placed, least=self._least)
 
     @property
     def actions(self) -> list[Action]:

@@ -31,7 +31,7 @@ from odomcorrupt.study.select.candidates import (
     terms_of,
     with_shape_refined,
 )
-from odomcorrupt.study.select.closed_loop import is_pulled, may_be_of_lags, of_pulls
+from odomcorrupt.study.select.closed_loop import is_pulled, least_thresholds, may_be_of_lags, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
@@ -266,7 +266,7 @@ class _Selection:
 
     def _propose(self, *, alone: bool) -> Proposal | None:
         """Return the dependence to include next; if no effect is admitted (`alone`), preferably as a replacement."""
-        decisions, design = self.decisions, CoarseDesign(self.fit.problem)
+        decisions, design = self.decisions, CoarseDesign(self.fit.problem, least_thresholds(self.fit))
         found = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
         found = [
             one for one in found
@@ -326,7 +326,7 @@ class _Selection:
             # their error is an effect and not noise of every step
             self.fit = self.fit.refit((*self.fit.effects, *bursts))
         if self.compared_at is not self.fit:
-            self._compare(CoarseDesign(self.fit.problem))
+            self._compare(CoarseDesign(self.fit.problem, least_thresholds(self.fit)))
 
     def rivals(self) -> list[Dependence]:
         """Return for each included effect the dependence that explains about as much in its place, if there is one."""

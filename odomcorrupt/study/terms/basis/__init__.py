@@ -15,20 +15,23 @@ from odomcorrupt.study.terms.basis.place import functions_of_heading, functions_
 from odomcorrupt.study.terms.basis.time import functions_of_time
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from odomcorrupt.effects.effect import Motion
 
 __all__ = ["COEFFICIENTS", "VALUES", "BasisFunction", "basis_functions"]
 
 
-def basis_functions(motions: Sequence[Motion], *, placed: bool = True) -> list[BasisFunction]:
+def basis_functions(
+    motions: Sequence[Motion], *, placed: bool = True, least: Mapping[str, float] | None = None
+) -> list[BasisFunction]:
     """Return every basis function to be tried on these motions.
 
     placed : whether the motions are in one frame, so that functions of heading and place are possible
+    least : least threshold of regressors by name, in their units; others have none
     """
     return [
         *((*functions_of_heading(), *functions_of_place(motions)) if placed else ()),
         *functions_of_time(motions),
-        *functions_of_motion(motions),
+        *functions_of_motion(motions, least or {}),
     ]

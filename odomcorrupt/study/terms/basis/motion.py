@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ from odomcorrupt.effects.wheels import wheel_motions
 from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
@@ -41,16 +42,18 @@ the first of these: above a cruising speed is only odometry noise, which is also
 _HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")  # regressors with hinges
 _STILL = 0.02
 """Rates below which a robot is at rest, m/s and rad/s."""
+_ANY: Mapping[str, float] = MappingProxyType({})
+"""No least threshold of any regressor."""
 _CUTS, _TAIL = np.linspace(0.05, 0.95, 19), 0.05 * 2.0 ** (-0.5 * np.arange(1.0, 9.0))
 """Quantiles at which thresholds are tried, and further ones as fractions of the data beyond: hard braking is rare."""
 
 
-def functions_of_motion(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield every function of the motion to be tried on these motions."""
+def functions_of_motion(motions: Sequence[Motion], least: Mapping[str, float] = _ANY) -> Iterator[BasisFunction]:
+    """Yield every function of the motion to be tried on these motions; see `basis_functions`."""
     for regressor, (text, value) in VALUES.items():
         yield BasisFunction(regressor, f"k * {text}", (value,), reaches=_reaches(regressor, "one"))
         if regressor != "distance":  # nearly the same as a threshold of time
-            yield from _thresholds(regressor, motions)
+            yield from _thresholds(regressor, motions, least.get(regressor, 0.0))
         if regressor in _HINGED:
             yield from _hinges(regressor, motions)
     yield from _either_signs(motions)
@@ -71,10 +74,10 @@ def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
     )
 
 
-def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+def _thresholds(regressor: str, motions: Sequence[Motion], least: float) -> Iterator[BasisFunction]:
     """Yield steps at thresholds of a regressor, at quantiles of its values while the robot moved."""
     ways = (True, False) if regressor in _SIGNED else (True,)
-    within = (-_latest(regressor, motions, -1.0) if len(ways) > 1 else 0.0, _latest(regressor, motions))
+    within = (-_latest(regressor, motions, -1.0) if len(ways) > 1 else least, _latest(regressor, motions))
     cuts = _cuts(regressor, motions)
     cuts = cuts[(cuts >= within[0]) & (cuts <= within[1])]
     for above, (i, cut) in product(ways, enumerate(cuts)):
