@@ -135,7 +135,7 @@ def test_drives_that_come_back_show_unequal_wheels_and_the_track(tmp_path):
     found = {row["parameter"]: row for row in fit_returns(files, track_m=track).rows()}
     assert found["wheelbase.e"]["value"] == pytest.approx(e, abs=2e-3)
     assert abs(found["unequal_wheels.curvature"]["value"]) == pytest.approx(curvature, rel=0.05)
-    with pytest.raises(FitError, match="with the effects taken out: these drives did not end as given"):
+    with pytest.raises(FitError, match="deg from the given one: turn back to the first heading"):
         fit_returns(files, [(0.0, 0.0, 1.5), (0.0, 0.0, 3.0)], track_m=track)
 
 

@@ -84,7 +84,7 @@ def test_errors_of_places_in_the_truth_that_were_taken_for_noise_show_in_the_lon
     assert one.long is not None
     assert one.long.too_large
     assert one.drawn_m < 1.5 * one.measured_m
-    assert "corrupted with this model has a 120 s error of" in reproduction_sentence(one)
+    assert "after a quarter of the drive (120 s), the recording" in reproduction_sentence(one)
 
 
 def test_an_excursion_of_the_truth_alone_is_no_drift_of_the_robot():
