@@ -121,7 +121,10 @@ def lifted(run: LaserRun, before: int, after: int) -> Lift | None:
             whole = False
             pose[:2] -= matched.weak_axis * (matched.weak_axis @ (pose - own)[:2])
         seen = compose(compose(motion.mount, pose), inverse(motion.mount))
-        found.append(between(between(robot[0], robot[1]), seen))
+        apart = between(between(robot[0], robot[1]), seen)
+        # in the axes of the robot at sweep `after`
+        on = between(motion.robot(t_s[[after]])[0], robot[1])
+        found.append(compose(compose(on, apart), inverse(on)))
     away = np.array(found) - found[0]
     agree = (np.hypot(away[:, 0], away[:, 1]) < _NEAR_M) & (np.abs(wrap(away[:, 2])) < _NEAR_RAD)
     return Lift(np.array([*found[0][:2], float(wrap(found[0][2:])[0])]), whole) if agree.all() else None

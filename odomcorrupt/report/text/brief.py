@@ -225,10 +225,11 @@ def _left_out(unknown: Dependence, search: Learned) -> str:
 
 
 def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
-    names = [recording.name for recording in fit.problem.recordings]
     # parts of one run share a clock, which needs one line
-    shared = {recording.clock or recording.name: i for i, recording in reversed([*enumerate(fit.problem.recordings)])}
-    found = [one for one in clocks_found(clocks) if one.recording in shared.values()]
+    runs = fit.problem.recordings
+    names = [run.clock.rpartition(" from ")[0] or run.name for run in runs]
+    first = [[one.clock or one.name for one in runs].index(run.clock or run.name) for run in runs]
+    found = [one for one in clocks_found(clocks) if first[one.recording] == one.recording]
     return [Line("clock", f"{one.name} {one.text} in {names[one.recording]}") for one in found]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.closure import end_by_scans, lifted
 from odomcorrupt.laser.moving import without_moving
@@ -43,7 +44,7 @@ _BLIND = 0.9
 _JITTER_SAID_S = 3e-3
 _COMPARED_M, _LEAST_TRAVEL = 0.5, 0.5
 """Travel over which laser and odometry are compared, m, and the least ratio: no odometry of wheels doubles travel."""
-_BREAKS_SAID = 3
+_BREAKS_SAID, _MOVED_M, _MOVED_DEG = 3, 0.05, 2.0
 _GAP_SAID_S, _GAP_PERIODS = 2.0, 5.0
 
 
@@ -190,6 +191,11 @@ def alerts_of(run: LaserRun) -> list[str]:
             across = "" if lift.whole else " across the walls (along them is not seen)"
             what = f"the robot was moved by {turn:.0f} deg and {length:.2f} m{across}, which is not in the odometry"
             what += f"; to corrupt with it: {_push(lift.moved, t_s)}" if lift.whole else ""
+            steps = np.diff(motion.robot(np.linspace(path.t_s[k], path.t_s[k + 1], 20)), axis=0)
+            gone_m, turned_rad = np.hypot(steps[:, 0], steps[:, 1]).sum(), np.abs(wrap(steps[:, 2])).sum()
+            # what an odometry with errors of 5 % may be off by
+            if length < _MOVED_M + 0.05 * gone_m and turn < _MOVED_DEG + 0.05 * np.degrees(turned_rad):
+                what = "the odometry agrees with the scans on both sides, so the robot was not moved"
         said.append(f"at {t_s[1]:.1f} s scans do not connect: {what}; each side is a run of its own")
     if len(breaks) > _BREAKS_SAID:
         said.append(f"scans do not connect at {len(breaks) - _BREAKS_SAID} more times")
