@@ -130,7 +130,12 @@ class Diagnosis(Findings):
 
         found = self.result
         brief = findings_brief(
-            found.search, found.advice, found.sequence, notes=self.recordings.notes, following=self.following
+            found.search,
+            found.advice,
+            found.sequence,
+            notes=self.recordings.notes,
+            alerts=self.recordings.alerts,
+            following=self.following,
         )
         if all(run.positioned for run in self.recordings):
             return brief

@@ -65,6 +65,7 @@ class Learned(Findings):
             robot=found.robot,
             reproduction=found.reproduction,
             notes=(*found.dropped, *found.proof.changes, *self.recordings.notes),
+            alerts=self.recordings.alerts,
             following=self.following,
         )
 

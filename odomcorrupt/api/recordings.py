@@ -56,6 +56,11 @@ class Recordings(Sequence["Recording"]):
         """Notes of the reader on omissions and oddities, in sentences, each with the name of its recording."""
         return tuple(f"{run.name}: {note}" for run in self.runs for note in run.notes[1:])
 
+    @property
+    def alerts(self) -> tuple[str, ...]:
+        """Findings of the reader that every summary shows, in sentences."""
+        return tuple(dict.fromkeys(alert for run in self.runs for alert in run.alerts))
+
     def on_track(self, track_m: float | None) -> Recordings:
         """Return the same recordings with a known track; recordings that state their own keep it.
 

@@ -47,6 +47,7 @@ class Calibration:
     turn_s : duration of a full turn of the laser, s, if the sweeps' own times are missing or reversed; negative if the
         laser turns clockwise, 0 if the sweeps' own times are right
     said : messages about the findings
+    against_tf_rad : yaw of the mounting minus that of TF, if it is far from TF's and replaces it; otherwise 0
     """
 
     sweeps: Sweeps
@@ -54,6 +55,7 @@ class Calibration:
     mirrored: bool
     said: tuple[str, ...]
     turn_s: float = 0.0
+    against_tf_rad: float = 0.0
 
     def deskewing(self) -> Deskewing:
         """Return the sweeps corrected for the motion within them."""
@@ -125,8 +127,14 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     if evenly is not None:
         sweeps, motion, found, why = evenly
         said.append(why)
-    said += _said_of_mounting(sweeps.topic, found, motion, by_tf=known)
-    return Calibration(sweeps, motion, mirrored, tuple(said), turn_s)
+    against_tf_rad = 0.0
+    if known is None:
+        where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
+        said.append(f"{sweeps.topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot")
+    elif found is not None:
+        yaw = float(wrap(np.asarray(found[2] - known[2])))
+        against_tf_rad = yaw if abs(yaw) > _DIFFERS_RAD else 0.0
+    return Calibration(sweeps, motion, mirrored, tuple(said), turn_s, against_tf_rad)
 
 
 def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tuple[_Pairs, bool]:
@@ -187,17 +195,6 @@ def _taken_evenly(pairs: _Pairs, plain: Calibration, *, by_tf: Array | None) -> 
     off_ms = float(np.std(plain.sweeps.stamps_ns - even.stamps_ns)) * 1e-6
     said = f"{even.topic}: stamped on arrival, off by about {off_ms:.0f} ms each; the odometry fits even stamps better"
     return _Evenly(even, motion, mount, said)
-
-
-def _said_of_mounting(topic: str, found: Array | None, motion: Motion, *, by_tf: Array | None) -> list[str]:
-    """Return messages about the laser's mounting; `found` and `by_tf` (3,) are from motion and TF, None if unknown."""
-    if by_tf is None:
-        where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
-        return [f"{topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot"]
-    yaw = 0.0 if found is None else float(wrap(np.asarray(found[2] - by_tf[2])))
-    if abs(yaw) <= _DIFFERS_RAD:
-        return []
-    return [f"{topic}: turned by {np.degrees(yaw):.0f} deg against what TF says; mounting taken from the motion"]
 
 
 def _stated_turn_s(sweeps: Sweeps) -> float:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.laser.sweep import Sweeps
+    from odomcorrupt.laser.trajectory import LaserRun
 
 _SWEEPS = 5
 _OVERLAP = 0.6
@@ -79,6 +80,54 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
         f"{sweeps.place}: {len(poses)} of the last {_SWEEPS} sweeps fit the first: the drive does not end within "
         f"{_REACH_M:g} m of where it began; measure the end and give it with --end X,Y,YAW"
     )
+
+
+class Lift(NamedTuple):
+    """Motion of a robot (3,) that is not in its odometry, m and rad, and whether walls show all of it.
+
+    Where walls on one axis alone are seen, the part along them is taken from the odometry.
+    """
+
+    moved: Array
+    whole: bool
+
+
+def lifted(run: LaserRun, before: int, after: int) -> Lift | None:
+    """Return the robot's motion between two sweeps that is not in the odometry; None if they do not match.
+
+    The later sweep is matched with the earlier one, within 0.6 m and 90 deg of where the odometry has it. The sweeps
+    next to them have to give the same.
+
+    before, after : indices of the sweeps
+    """
+    motion, scans, t_s = run.calibration.motion, run.calibration.deskewing(), run.tracked.t_s
+    guesses = _everywhere()
+    guesses = guesses[np.abs(guesses[:, 2]) < 0.5 * np.pi]
+    found, whole = [], True
+    for first, last in ((before, after), (before - 1, after), (before, after + 1)):
+        if first < 0 or last >= len(t_s):
+            return None
+        scan, surface = scans[last], surface_of(*lines_of(scans[first]))
+        if len(scan) < _COARSE or len(surface.points) < _COARSE:
+            return None
+        laser, robot = (at(t_s[[first, last]]) for at in (motion.laser, motion.robot))
+        own = between(laser[0], laser[1])
+        guess = best_guess(scan[:: max(1, len(scan) // _COARSE)], surface, own + guesses, within_m=2.0 * _STEP_M)
+        matched = match(scan[:: max(1, len(scan) // _MOST)], surface, guess)
+        if matched is None or matched.overlap < _OVERLAP:
+            return None
+        pose = matched.pose.copy()
+        if matched.ratio < WEAK:
+            whole = False
+            pose[:2] -= matched.weak_axis * (matched.weak_axis @ (pose - own)[:2])
+        seen = compose(compose(motion.mount, pose), inverse(motion.mount))
+        apart = between(between(robot[0], robot[1]), seen)
+        # in the axes of the robot at sweep `after`
+        on = between(motion.robot(t_s[[after]])[0], robot[1])
+        found.append(compose(compose(on, apart), inverse(on)))
+    away = np.array(found) - found[0]
+    agree = (np.hypot(away[:, 0], away[:, 1]) < _NEAR_M) & (np.abs(wrap(away[:, 2])) < _NEAR_RAD)
+    return Lift(np.array([*found[0][:2], float(wrap(found[0][2:])[0])]), whole) if agree.all() else None
 
 
 def _everywhere() -> Array:

@@ -98,7 +98,7 @@ def learn_robot(
     judged_on = held_out or recordings
     comparison = compare(judged_on, models, clocks=None if held_out else search.first_clocks)
     explained = contributions(search.fit, judged_on, comparison.clocks.clocks)
-    reproduction = reproduction_of(robot.fit, proof.model)
+    reproduction = reproduction_of(robot.fit, proof.model, recordings)
     return LearnedRobot(
         recordings=recordings,
         held_out=judged_on,

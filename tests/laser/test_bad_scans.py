@@ -1,6 +1,7 @@
 """Scans with something wrong about them: found out and put right, or refused in one line."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,17 +10,18 @@ import raycaster
 
 from odomcorrupt.cli import run
 from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.mapping import largest_part
 from odomcorrupt.laser.scans import read_sweeps
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.laser_truth import laser_run, truth_of
+from odomcorrupt.study.io.laser_truth import alerts_of, laser_run, truth_of
 from odomcorrupt.study.io.reader import read_odometry
 
 
 def read(path, scan=None):
     (recording,) = read_runs(Source(path, scan=scan))
-    return recording, " | ".join(recording.notes)
+    return recording, " | ".join([*recording.notes, *recording.alerts])
 
 
 def turned_too_far(recording):
@@ -123,3 +125,17 @@ def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missin
     kept, said = largest_part(cut)
     assert kept.path.t_s.max() < 22.0
     assert "2 parts that no scan connects: the map is of 0-20 s alone; left out: 24-" in said
+    (alert,) = alerts_of(cut)
+    assert "s scans do not connect" in alert
+    assert "was not moved" in alert
+    # an odometry that lacks a turn of 20 deg during the gap
+    motion = cut.calibration.motion
+    xyt = motion.odometry.xyt.copy()
+    last = int(np.searchsorted(motion.odometry.seconds_since(motion.origin_ns), 22.0))
+    turned = compose(np.array([0.0, 0.0, -np.radians(20.0)]), between(xyt[last], xyt[last:]))
+    xyt[last:] = compose(xyt[last], turned)
+    motion = replace(motion, odometry=replace(motion.odometry, xyt=xyt))
+    (alert,) = alerts_of(replace(cut, calibration=replace(cut.calibration, motion=motion)))
+    moved = re.search(r"the robot was moved by (\d+) deg", alert)
+    assert moved is not None
+    assert float(moved[1]) == pytest.approx(20.0, abs=4.0)

@@ -12,6 +12,8 @@ from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.intervals import intervals
+from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.relative_motions import read_motions
 from recordings import RECORDINGS
@@ -84,6 +86,24 @@ def test_motions_that_do_not_join_are_refused_and_loop_closures_left_out(tmp_pat
     assert any("loop closures" in note for note in recording.notes)
 
 
+def test_a_gross_motion_breaks_the_chain_and_errors_of_motions_add_up(tmp_path):
+    simulated = drive(31, duration_s=100.0)
+    odometry, path = odometry_file(tmp_path / "odom.csv", simulated), motions_file(tmp_path / "m.csv", simulated)
+    (whole,) = read_runs(Source(odometry, relative=path))
+    one, three = (intervals(whole, np.array([0, last])) for last in (1, 3))
+    assert three.end_shape == pytest.approx(3.0 * one.end_shape)
+    lines = path.read_text().splitlines()
+    middle = len(lines) // 2
+    t0, t1, *_ = lines[middle].split(",")
+    lines[middle] = f"{t0},{t1},0.5,0.4,0.3"
+    path.write_text("\n".join(lines) + "\n")
+    runs = read_runs(Source(odometry, relative=path))
+    assert [run.name for run in runs] == ["odom.csv, chain 1", "odom.csv, chain 2"]
+    assert any("1 motion differs grossly from the odometry's and is left out" in note for note in runs[0].notes)
+    assert runs[0].truth.covariance is None
+    assert phased_rmse(runs) < 1.5 * phased_rmse([whole])
+
+
 @pytest.mark.recordings
 @pytest.mark.slow
 def test_the_kheperas_wheels_are_those_of_censi_et_al(tmp_path):
@@ -135,7 +155,7 @@ def test_drives_that_come_back_show_unequal_wheels_and_the_track(tmp_path):
     found = {row["parameter"]: row for row in fit_returns(files, track_m=track).rows()}
     assert found["wheelbase.e"]["value"] == pytest.approx(e, abs=2e-3)
     assert abs(found["unequal_wheels.curvature"]["value"]) == pytest.approx(curvature, rel=0.05)
-    with pytest.raises(FitError, match="with the effects taken out: these drives did not end as given"):
+    with pytest.raises(FitError, match="deg from the given one: turn back to the first heading"):
         fit_returns(files, [(0.0, 0.0, 1.5), (0.0, 0.0, 3.0)], track_m=track)
 
 

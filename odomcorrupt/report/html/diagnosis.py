@@ -15,7 +15,7 @@ from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_
 from odomcorrupt.report.plots.residuals import draw_residuals
 from odomcorrupt.report.text.comparison import SIGNS, rejection, size
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
-from odomcorrupt.report.text.diagnosis import NOTHING, evidence_words, unnamed
+from odomcorrupt.report.text.diagnosis import NOTHING, evidence_words, selected_instead, unnamed
 from odomcorrupt.report.text.numbers import (
     clock_lines,
     effects_with_errors,
@@ -128,7 +128,7 @@ def _named(name: str, alternatives: Sequence[str], learned: Learned) -> str:
 
 
 def _next(story: SearchReport) -> str:
-    items = [*advice_sentences(story.advice)]
+    items = [*advice_sentences(story.advice, selected_instead(story.learned))]
     items += [f"suggested: {u.expression}" for u in story.learned.unknown[:3] if u not in story.learned.laws]
     listed = f"<ul>{''.join(f'<li>{prose(item)}.</li>' for item in items)}</ul>" if items else ""
     command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import degrees, isfinite
+from math import degrees, isfinite, radians
 from typing import TYPE_CHECKING
 
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.report.text.comparison import HELD, measures_words, reproduction_sentence, sentence, size, within
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
 from odomcorrupt.report.text.numbers import (
+    SIGNIFICANT,
     clocks_found,
     confidence_words,
     effects_with_errors,
@@ -39,6 +41,8 @@ if TYPE_CHECKING:
 
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
 """Effects that resemble errors of single wheels: a larger wheel shifts turns as the y of a lever arm does."""
+_LEAST_TURNED_RAD, _LEAST_APART_M = radians(0.1), 0.005
+"""Least yaw and displacement of the truth's tracked point that are reported; mountings are rarely measured better."""
 _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
 _TONES: dict[str, Tone] = {"better": "good", "mixed": "warning", "worse": "bad", "same": "plain"}
 _SHOWN_MODELS = 4
@@ -59,6 +63,7 @@ def findings_brief(
     fit: Fit | None = None,
     robot: RobotFit | None = None,
     notes: Sequence[str] = (),
+    alerts: Sequence[str] = (),
     reproduction: Reproduction | None = None,
     following: str = "",
 ) -> Summary:
@@ -68,17 +73,20 @@ def findings_brief(
     comparison : the evaluated models; the first one lacks the findings
     fit : final fit, if it is not that of the search
     robot : source of the noise with intervals, for the noise that a localisation hides
-    notes : the reader's notes on the recordings
+    notes, alerts : the reader's notes on the recordings, and findings that are shown in any case
     reproduction : drift of the final model relative to the recordings, if known
     following : suggested next command, "" for none
     """
     undecided = {name for choice in advice.choices for name in choice.names}
     lines, negligible = _found_lines(search, fit or search.fit, undecided)
     verdict, tone = _verdict(search, comparison)
-    apart = _apart_words(search)
+    mounted = _mounting_words(search, fit or search.fit)
+    apart = ", and ".join([*_clock_words(search), *([mounted] if mounted else [])])
     none = "nothing that matters is missing" if negligible else "no known effect explains more than chance"
     none = f"the robot's model is complete; {apart}" if apart else none
     named = verdict != "COMPLETE" and bool(lines)
+    if named and mounted:
+        lines.append(Line("set-up", mounted))
     first = ": ".join(filter(None, (lines[0].label, lines[0].text))) if named else none
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: what the fit left out as outliers"
@@ -89,6 +97,7 @@ def findings_brief(
     if len(comparison.judgements) > 1:
         agreement = agreement_of(comparison)
         said = f"{measures_words(comparison)} ({held})"
+        said += "; effects are chosen by likelihood" if agreement.verdict == "mixed" else ""
         lines.insert(max(len(search.matters), 1), Line("errors", said, _TONES[agreement.verdict]))
     elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
         change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
@@ -98,7 +107,9 @@ def findings_brief(
     lines[at:at] = [*_open_lines(search, advice), *_limit_lines(advice), *_drive_lines(search)]
     last = comparison.judgements[-1]
     if last.verdict.fails:
-        said = f"the model is still rejected: errors are {last.verdict.misfit:.2g} times the predicted ones"
+        misfit = last.verdict.misfit
+        why = "the model's noise is too large" if misfit < 1.0 else "the model is still rejected"
+        said = f"{why}: errors are {misfit:.2g} times the predicted ones"
         lines.insert(1, Line("rejected", said, "warning"))
     drifts = reproduction_sentence(reproduction) if reproduction is not None else ""
     named = any(gain.effect.name == "slip_burst" for gain in search.noise)
@@ -108,6 +119,7 @@ def findings_brief(
     if reproduction is not None and drifts and not (reproduction.holds and named):
         # first of all: a simulation with this model would drift far too little or far too much
         lines.insert(1, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
+    lines[1:1] = [Line("data", alert, "warning") for alert in alerts]
     if notes:
         lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
     return Summary((*lines, command_line(following)))
@@ -115,24 +127,49 @@ def findings_brief(
 
 def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
     if search.unexplained and not search.laws:
-        return "UNKNOWN", "warning"
+        # an effect was identified, but a dependence beside it remains unexplained
+        return "PROBABLY" if search.lacking else "UNKNOWN", "warning"
     if search.lacking or search.noise or search.unexplained:
         mixed = len(comparison.judgements) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
         return "MISSING", "warning" if mixed else "good"
     return "COMPLETE", "good"
 
 
-def _apart_words(search: Learned) -> str:
-    """Return the findings about the recording itself, its clocks and the tracked point; "" for none."""
+def _clock_words(search: Learned) -> list[str]:
+    """Return the findings about the clocks of the recordings."""
     said = []
     for one in {one.name: one for one in reversed([*clocks_found(search.clocks)])}.values():
         late, early = ("odometry", "truth") if one.value > 0.0 else ("truth", "odometry")
         by = f"{float(f'{abs(one.value) * 1e3:.2g}'):g} ms"
         offset = one.name == "time_offset"
         said.append(f"the {late} is stamped {by} later than the {early}" if offset else "the two clocks run apart")
-    if search.of_setup:
-        said.append(f"the truth follows another point than the base ({', '.join(search.of_setup)})")
-    return ", and ".join(said)
+    return said
+
+
+def _mounting_words(search: Learned, fit: Fit) -> str:
+    """Return where the truth's tracked point sits on the robot and how it is turned, if significant; "" if not.
+
+    A set-up effect that the search selected has a line of its own.
+    """
+    said = []
+    for effect, errors in effects_with_errors(fit):
+        values = [getattr(effect, p.name) for p in amplitudes(effect)]
+        if effect.name in search.added:
+            continue
+        if effect.name == "mount_yaw" and abs(values[0]) > max(SIGNIFICANT * errors[0], _LEAST_TURNED_RAD):
+            against = " against TF" if any(r.matched for r in fit.problem.recordings) else ""
+            said.append(f"the truth is turned by {degrees(values[0]):.2g} deg{against}")
+        elif effect.name == "lever_arm":
+            sides = zip(values, errors, (("ahead of", "behind"), ("left of", "right of")), strict=True)
+            where = [
+                f"{abs(v) * 1e2:.2g} cm {words[v < 0.0]}"
+                for v, e, words in sides
+                if abs(v) > max(SIGNIFICANT * e, _LEAST_APART_M)
+            ]
+            twins = readings_of(effect, search.drive_type)
+            other = f" (lever_arm, or {' or '.join(twins)} of the robot)" if twins else " (lever_arm)"
+            said.append(f"the truth follows a point {' and '.join(where)} the base{other}" if where else "")
+    return ", and ".join(filter(None, said))
 
 
 def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[Line], list[Line]]:
@@ -189,8 +226,12 @@ def _left_out(unknown: Dependence, search: Learned) -> str:
 
 
 def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
-    names = [recording.name for recording in fit.problem.recordings]
-    return [Line("clock", f"{one.name} {one.text} in {names[one.recording]}") for one in clocks_found(clocks)]
+    # parts of one run share a clock, which needs one line
+    runs = fit.problem.recordings
+    names = [run.clock.rpartition(" from ")[0] or run.name for run in runs]
+    first = [[one.clock or one.name for one in runs].index(run.clock or run.name) for run in runs]
+    found = [one for one in clocks_found(clocks) if first[one.recording] == one.recording]
+    return [Line("clock", f"{one.name} {one.text} in {names[one.recording]}") for one in found]
 
 
 def _drive_lines(search: Learned) -> list[Line]:

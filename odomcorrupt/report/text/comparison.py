@@ -303,7 +303,8 @@ def reproduction_sentence(one: Reproduction) -> str:
     if one.too_large:
         if one.long is not None and one.long.too_large:
             after, drawn, measured = f"{one.long.after_s:.0f} s", one.long.drawn_m, one.long.measured_m
-            drifts = f"a truth corrupted with this model has a {after} error of {size('along', drawn)}, the recording "
+            drifts = f"a truth corrupted with this model has an error of {size('along', drawn)} after a quarter of the "
+            drifts += f"drive ({after}), the recording "
             drifts += size("along", measured)
         return f"{drifts}: its noise is too large, that of the truth may be in it"
     return carry if one.by_outliers else ""

@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.report.text.numbers import value_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
     from odomcorrupt.study.design.plan import Plan
 
 
-def advice_text(advice: Advice) -> str:
-    """Return all advice, one sentence per line; "" if no alternatives are open."""
-    return "\n".join(advice_sentences(advice))
+def advice_text(advice: Advice, instead: Mapping[str, str] | None = None) -> str:
+    """Return all advice, one sentence per line; "" if no alternatives are open.
+
+    instead : as of `advice_sentences`
+    """
+    return "\n".join(advice_sentences(advice, instead))
 
 
-def advice_sentences(advice: Advice) -> list[str]:
-    """Return a sentence for every ambiguity, and one per group of effects with the same reason and drive."""
+def advice_sentences(advice: Advice, instead: Mapping[str, str] | None = None) -> list[str]:
+    """Return a sentence for every ambiguity, and one per group of effects with the same reason and drive.
+
+    instead : effects with evidence of their own, each with the effect that was selected in its place
+    """
     groups: dict[tuple[str, str], list[UntestableEffect]] = {}
     for one in advice.untestable:
-        groups.setdefault((one.why, _drive_words(one.plan, one.hint)), []).append(one)
+        chosen = (instead or {}).get(one.effect)
+        own = replace(one, why=f"not separated from {chosen}" if chosen else f"not testable here: {one.why}")
+        groups.setdefault((own.why, _drive_words(one.plan, one.hint)), []).append(own)
     return [*map(_choice_sentence, advice.choices), *map(_untestable_sentence, groups.values())]
 
 
@@ -64,10 +73,10 @@ def inseparable_sentence(advice: Advice, readings: Callable[[str], Sequence[str]
 
 
 def _untestable_sentence(group: Sequence[UntestableEffect]) -> str:
-    """Return "A, B: not testable here: never reversed; drive X" of effects that share reason and drive."""
+    """Return "A, B: not testable here: never reversed; drive X" of effects with the same reason and drive."""
     names = ", ".join(one.effect for one in group)
     words = _drive_words(group[0].plan, group[0].hint)
-    return f"{names}: not testable here: {group[0].why}" + (f"; {words}" if words else "")
+    return f"{names}: {group[0].why}" + (f"; {words}" if words else "")
 
 
 def _drive_words(plan: Plan | None, hint: str) -> str:

@@ -79,8 +79,19 @@ def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None 
     elif evaluated is not None and evaluated.verdict.rejected:
         lines.append(f"the model holds in practice: {within(evaluated)}")
     lines = lines or [NOTHING]
-    lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
+    lines += [text for text in (advice_text(advice, selected_instead(learned)), limits_sentence(advice.limits)) if text]
     return "\n".join(lines)
+
+
+def selected_instead(learned: Learned) -> dict[str, str]:
+    """Return effects with evidence in a step that included another effect, each with the name of that effect."""
+    return {
+        one.name: step.added
+        for step in learned.steps
+        if step.added is not None
+        for one in step.candidates[1:]
+        if one.gain > learned.decisions.alternative_nats and one.name not in learned.added
+    }
 
 
 def _moved_words(name: str, learned: Learned) -> str:

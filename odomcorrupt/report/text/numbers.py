@@ -6,6 +6,7 @@ from math import degrees
 from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
+from odomcorrupt.effects.region_slip import RegionSlip
 from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, noise_evidence
 
 if TYPE_CHECKING:
@@ -44,7 +45,18 @@ def numbers_text(effect: Effect, errors: Sequence[float]) -> list[str]:
     shown = zip(own, errors, strict=True)
     sizes = [f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}" for p, error in shown]
     shapes = [p for p in parameters(effect) if not p.amplitude]
-    return sizes + [f"{p.name} {_shape_text(getattr(effect, p.name), p.unit)}" for p in shapes]
+    extent = _extent(effect)
+    shapes = [p for p in shapes if not (extent and p.name in ("radius", "width"))]
+    return [*sizes, *(f"{p.name} {_shape_text(getattr(effect, p.name), p.unit)}" for p in shapes), *extent]
+
+
+def _extent(effect: Effect) -> list[str]:
+    """Return the full size of a region in words; its parameters are half sizes."""
+    if not isinstance(effect, RegionSlip):
+        return []
+    if not effect.width:
+        return [f"diameter {2.0 * effect.radius:.2g} m"]
+    return [f"{2.0 * effect.radius:.1f} m x {2.0 * effect.width:.1f} m"]
 
 
 def noise_text(effect: Effect) -> list[str]:
@@ -78,7 +90,7 @@ def words_text(effect: Effect) -> str:
 
 
 _CLOCKS = ("time_offset", "clock_skew")
-_SIGNIFICANT = 3.9
+SIGNIFICANT = 3.9
 """Standard errors from which a clock error counts as significant; others were only estimated."""
 
 
@@ -112,7 +124,7 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
     for position, name in enumerate(_CLOCKS):
         for i, (clock, free, errors) in enumerate(zip(clocks.clocks, clocks.free, clocks.errors, strict=True)):
             value, error = (clock.offset_s, clock.rate)[position], errors[position]
-            if free[position] and abs(value) > _SIGNIFICANT * error:
+            if free[position] and abs(value) > SIGNIFICANT * error:
                 own = 0.5 * (value / error) ** 2
                 margins, left = (clocks.margins_nats, clocks.left_nats) if name == "time_offset" else ((), 0.0)
                 sure = confidence(Evidence(own, tuple(own - max(nats, 0.0) for nats in margins), left))

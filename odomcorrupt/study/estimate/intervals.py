@@ -187,6 +187,8 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
     in_position, in_heading = recording.truth_level
     level = np.array([in_position, in_position, in_heading])
     shape = shape * np.outer(level, level)
+    # Errors of relative motions add up over an interval.
+    motions = np.diff(picked)[kept][:, None, None] if truth.relative else 1.0
     odometry_step = between(all_xyt[at_node[kept]], end_xyt)
     gone = end - start
     first = np.searchsorted(k, np.arange(len(kept)))
@@ -206,8 +208,8 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         lever=(lever0 + lever1) / 2.0,
         lever0=lever0,
         lever1=lever1,
-        start_shape=shape[kept],
-        end_shape=shape[kept + 1],
+        start_shape=shape[kept] * motions,
+        end_shape=shape[kept + 1] * motions,
         way_m=way_m,
         field=_field_over(recording.truth_field, truth_step),
         memory=memory_over(way_m, recording.truth_correlation_m or 0.0),

@@ -16,7 +16,7 @@ from scipy.stats import t as student
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import FitError
-from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.se2 import compose, wrap
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
@@ -42,6 +42,8 @@ _ALIASED = 0.99
 _ONE_WAY = 0.2
 """Minimum share of the total turning that is to the rarer side."""
 _PULSE_S = 1.0
+_TURNED_RAD = np.radians(30.0)
+"""Error of the final heading that no usual track causes in a few turns: the drive ended in another heading."""
 _SCATTERED = 5.0
 """Ratio of the ends' scatter to placing errors and usual noise above which the given end poses must be wrong."""
 
@@ -111,6 +113,13 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
     first = left.residual if first is None else first
     before, after = (float(np.sqrt(np.mean(np.sum(r[:, :2] ** 2, axis=1)))) for r in (first, left.residual))
     if spread > _SCATTERED and after > before:
+        turned = float(np.median(np.abs(wrap(first[:, 2]))))
+        if turned > _TURNED_RAD:
+            given = "given" if any(np.ptp(drive.truth.xyt[:, 2]) for drive in drives) else "first"
+            raise FitError(
+                f"the odometry's final heading is {np.degrees(turned):.0f} deg from the {given} one: turn back to the "
+                "first heading before the end, or give the measured end with --end X,Y,YAW or --scan TOPIC"
+            )
         raise FitError(
             f"the ends lie {before:.2f} m off, and {after:.2f} m with the effects taken out: these drives did not end "
             "as given, headings included; measure the ends with --end X,Y,YAW or --scan TOPIC"

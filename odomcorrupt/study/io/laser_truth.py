@@ -8,8 +8,9 @@ import numpy as np
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.laser.calibrate import calibrate
-from odomcorrupt.laser.closure import end_by_scans
+from odomcorrupt.laser.closure import end_by_scans, lifted
 from odomcorrupt.laser.moving import without_moving
 from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
@@ -43,6 +44,7 @@ _BLIND = 0.9
 _JITTER_SAID_S = 3e-3
 _COMPARED_M, _LEAST_TRAVEL = 0.5, 0.5
 """Travel over which laser and odometry are compared, m, and the least ratio: no odometry of wheels doubles travel."""
+_BREAKS_SAID, _MOVED_M, _MOVED_DEG = 3, 0.05, 2.0
 _GAP_SAID_S, _GAP_PERIODS = 2.0, 5.0
 
 
@@ -160,13 +162,50 @@ def truth_of(run: LaserRun) -> list[Samples]:
             f"{sweeps.place}: no part of the map lasts {_LEAST_PART_S:g} s ({'; '.join(notes)}); drive slower, or name "
             "another topic with --scan"
         )
-    if len(found) > 1:
-        notes.append(f"the map is in {len(found)} parts that nothing connects; each is a run of its own")
     lost = int(np.count_nonzero(run.tracked.keyframe < 0))
     if lost:
         notes.append(f"{lost} of {len(sweeps)} sweeps fit nowhere and are left out")
     found[0] = found[0].noted(*(note.removeprefix(f"{sweeps.topic}: ") for note in notes))
     return found
+
+
+def alerts_of(run: LaserRun) -> list[str]:
+    """Return sentences on findings that change what the laser's trajectory is: wrong TF, and breaks of the map.
+
+    The parts on both sides of a break are placed relative to each other by the sweeps next to it, which are matched
+    from every heading within 0.6 m of where the odometry has them.
+    """
+    said, path, motion = [], run.path, run.calibration.motion
+    if yaw := run.calibration.against_tf_rad:
+        said.append(
+            f"the laser is turned by {np.degrees(yaw):.0f} deg against what TF says; its mounting is taken from the "
+            "motion"
+        )
+    breaks = np.flatnonzero(np.diff(path.part))
+    for k in breaks[:_BREAKS_SAID]:
+        t_s = path.t_s[[k, k + 1]] + motion.lag_s
+        lift = lifted(run, int(path.row[k]), int(path.row[k + 1]))
+        what = "moved or lifted?"
+        if lift is not None:
+            length, turn = float(np.hypot(lift.moved[0], lift.moved[1])), abs(float(np.degrees(lift.moved[2])))
+            across = "" if lift.whole else " across the walls (along them is not seen)"
+            what = f"the robot was moved by {turn:.0f} deg and {length:.2f} m{across}, which is not in the odometry"
+            what += f"; to corrupt with it: {_push(lift.moved, t_s)}" if lift.whole else ""
+            steps = np.diff(motion.robot(np.linspace(path.t_s[k], path.t_s[k + 1], 20)), axis=0)
+            gone_m, turned_rad = np.hypot(steps[:, 0], steps[:, 1]).sum(), np.abs(wrap(steps[:, 2])).sum()
+            # what an odometry with errors of 5 % may be off by
+            if length < _MOVED_M + 0.05 * gone_m and turn < _MOVED_DEG + 0.05 * np.degrees(turned_rad):
+                what = "the odometry agrees with the scans on both sides, so the robot was not moved"
+        said.append(f"at {t_s[1]:.1f} s scans do not connect: {what}; each side is a run of its own")
+    if len(breaks) > _BREAKS_SAID:
+        said.append(f"scans do not connect at {len(breaks) - _BREAKS_SAID} more times")
+    return said
+
+
+def _push(moved: Array, t_s: Array) -> str:
+    """Return the option that adds a displacement (3,) between two times (2,) to a simulation."""
+    x, y, yaw = moved.tolist()
+    return f"--effect push:along={x:.3g},across={y:.3g},yaw={yaw:.3g},time={t_s[0]:.4g},duration={t_s[1] - t_s[0]:.2g}"
 
 
 def _said(run: LaserRun) -> list[str]:

@@ -16,7 +16,7 @@ from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jumps import without_excursions, without_outliers
-from odomcorrupt.study.io.laser_truth import NO_SCAN, laser_run, only_scan, truth_of
+from odomcorrupt.study.io.laser_truth import NO_SCAN, alerts_of, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import MAP_SCALE_ACCURACY, corrections_alone, is_of_base
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.raw_trajectory import in_order
@@ -136,6 +136,7 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
             frame=name,
             truth_scale_error=error,
             clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
+            alerts=tuple(alerts_of(run)) if i == 0 else (),
             notes=(r.notes[0], *([chosen] if chosen and i == 0 else []), *r.notes[1:], *([said] if i == 0 else [])),
         )
         for i, r in enumerate(found)

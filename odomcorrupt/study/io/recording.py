@@ -55,6 +55,7 @@ class Recording:
     track_m : the robot's nominal track, if known
     drive_type : steering of the wheels, see `drive_types`; "auto" if not given
     notes : removals and findings of the reader, for reports
+    alerts : findings of the reader that every summary shows
     clock : name of the clock, and of the origin, shared by stretches of one run; "" if not shared
     heading_error_rad : for a truth of positions only, standard deviation of the headings estimated for it
     truth_scale_error : standard deviation of a scale error common to all lengths of the truth (of a laser, or of a map)
@@ -120,6 +121,7 @@ class Recording:
     yaw_dead_band_radps: float = 0.0
     drive_type: str = AUTO
     odometry_topic: str = ""
+    alerts: tuple[str, ...] = ()
 
     @property
     def headed(self) -> bool:

@@ -20,9 +20,10 @@ from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.laser.calibrate import hand_eye
 from odomcorrupt.study.io.columns import guess_tick
 from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.segments import MIN_HEADED_S
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -109,9 +110,18 @@ def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
     RecordingError
         If no chain lasts 15 s.
     """
-    motions, said = _on_robot(motions, odometry)
-    chains = _chains(motions)
-    lasting = [c for c in chains if float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 >= _MIN_S]
+    motions, gross, said = _on_robot(motions, odometry)
+    chains = _chains(motions, gross)
+    lasting = _lasting(motions, chains)
+    if len(gross):
+        whole = _lasting(motions, _chains(motions))
+        # An error of one motion would count in all that is computed over longer times.
+        breaks = 2 * sum(map(len, lasting)) >= sum(map(len, whole))
+        if not breaks:
+            motions, lasting = _weightless(motions, gross), whole
+        many = "1 motion differs" if len(gross) == 1 else f"{len(gross)} motions differ"
+        verb = "is" if len(gross) == 1 else "are"
+        said.append(f"{many} grossly from the odometry's and {verb} {'left out' if breaks else 'given no weight'}")
     if not lasting:
         longest = max((float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 for c in chains), default=0.0)
         raise RecordingError(
@@ -152,13 +162,23 @@ def _chain(motions: Motions, rows: NDArray[np.int64]) -> Samples:
     )
 
 
-def _chains(motions: Motions) -> list[list[int]]:
-    """Return chains of rows that join end to end; of motions with the same start, the shortest is used."""
+def _lasting(motions: Motions, chains: Sequence[list[int]]) -> list[list[int]]:
+    """Return the chains of at least 15 s; if there are longer ones, only those with enough intervals for two halves."""
+    span_s = [float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 for c in chains]
+    least_s = MIN_HEADED_S if max(span_s, default=0.0) >= MIN_HEADED_S else _MIN_S
+    return [chain for chain, own_s in zip(chains, span_s, strict=True) if own_s >= least_s]
+
+
+def _chains(motions: Motions, without: Container[int] = ()) -> list[list[int]]:
+    """Return chains of rows that join end to end; of motions with the same start, the shortest is used.
+
+    without : rows that no chain contains
+    """
     order = np.lexsort((motions.end_ns, motions.start_ns))
     span = motions.end_ns - motions.start_ns
     chains: list[list[int]] = []
     for row in order.tolist():
-        if span[row] <= 0:
+        if span[row] <= 0 or row in without:
             continue
         if chains:
             last = chains[-1][-1]
@@ -173,11 +193,27 @@ def _chains(motions: Motions) -> list[list[int]]:
     return chains
 
 
-def _on_robot(motions: Motions, odometry: Samples) -> tuple[Motions, list[str]]:
-    """Return the motions in the robot's frame with gross errors marked as unknown, and notes on both.
+def _weightless(motions: Motions, gross: frozenset[int]) -> Motions:
+    """Return the motions with a covariance that removes the weight of some."""
+    plain = np.broadcast_to(np.diag([1e-4, 1e-4, 1e-4]), (len(motions.xyt), 3, 3))
+    covariance = (plain if motions.covariance is None else motions.covariance).copy()
+    covariance[sorted(gross)] = np.diag([_UNKNOWN_M2, _UNKNOWN_M2, _UNKNOWN_M2])
+    return motions._replace(covariance=covariance)
+
+
+class _OnRobot(NamedTuple):
+    """Motions in the robot's frame, rows with gross errors, and a note on the sensor's mounting if it was taken out."""
+
+    motions: Motions
+    gross: frozenset[int]
+    said: list[str]
+
+
+def _on_robot(motions: Motions, odometry: Samples) -> _OnRobot:
+    """Return the motions in the robot's frame, and those with gross errors.
 
     The sensor's mounting is removed if its yaw is large. Motions that differ from the odometry's by more than ten times
-    the median difference are failed matches and get a covariance that removes their weight.
+    the median difference are failed matches.
     """
     path, origin = odometry.trajectory(), int(odometry.stamps_ns[0])
     start: Array = (motions.start_ns - origin).astype(np.float64) * 1e-9
@@ -201,14 +237,7 @@ def _on_robot(motions: Motions, odometry: Samples) -> tuple[Motions, list[str]]:
     miss = seen[inside] - own
     away, turned = np.hypot(miss[:, 0], miss[:, 1]), np.abs(wrap(miss[:, 2]))
     gross = inside[(away > _GROSS * np.median(away) + 1e-6) | (turned > _GROSS * np.median(turned) + 1e-6)]
-    covariance = motions.covariance
-    if len(gross):
-        if covariance is None:
-            covariance = np.broadcast_to(np.diag([1e-4, 1e-4, 1e-4]), (len(seen), 3, 3))
-        covariance = covariance.copy()
-        covariance[gross] = np.diag([_UNKNOWN_M2, _UNKNOWN_M2, _UNKNOWN_M2])
-        said.append(f"{len(gross)} motions differ grossly from the odometry's: nothing follows from them")
-    return motions._replace(xyt=seen, covariance=covariance), said
+    return _OnRobot(motions._replace(xyt=seen), frozenset(gross.tolist()), said)
 
 
 def _layout(header: Sequence[str], place: str) -> _Layout:

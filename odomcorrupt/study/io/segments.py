@@ -21,7 +21,7 @@ GAP_STEPS = 5.0  # shortest gap in median intervals; both have to be exceeded
 _MIN_SPEED = np.array([0.02, 0.05])  # m/s and rad/s; a faster robot should change the truth
 _CLOCKS_S = 3.0
 """Largest clock offset that the study can find: truth and odometry are kept this long beyond a stretch."""
-_MIN_HEADED_S, _MIN_UNHEADED_S = 25.0, 50.0
+MIN_HEADED_S, _MIN_UNHEADED_S = 25.0, 50.0
 """Shortest stretches, with and without headings, with enough intervals for two halves; used if longer ones exist."""
 
 
@@ -115,7 +115,7 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
 
 def _long_pairs(pairs: list[tuple[Samples, Samples]]) -> list[tuple[Samples, Samples]]:
     """Return the pairs of odometry and truth with an overlap long enough for all of a study; if none has, all pairs."""
-    enough = [pair for pair in pairs if _shared_s(*pair) >= (_MIN_HEADED_S if pair[1].headed else _MIN_UNHEADED_S)]
+    enough = [pair for pair in pairs if _shared_s(*pair) >= (MIN_HEADED_S if pair[1].headed else _MIN_UNHEADED_S)]
     return enough or pairs
 
 

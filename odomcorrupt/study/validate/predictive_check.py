@@ -195,19 +195,22 @@ class Reproduction:
         return self.outlier_share > _MAIN_CAUSE
 
 
-def reproduction_of(fit: Fit, model: MotionModel, *, runs: int = _RUNS) -> Reproduction:
+def reproduction_of(
+    fit: Fit, model: MotionModel, recordings: Sequence[Recording] = (), *, runs: int = _RUNS
+) -> Reproduction:
     """Return the 10 s errors of the fitted recordings and of a model that corrupts the same drives.
 
     Parameters
     ----------
     fit : to the recordings, with its outliers
     model : the model for corruption, as written to a file
+    recordings : as recorded, because the model loses increments that the fit restored; default: those of the fit
     runs : number of corrupted runs of each drive
     """
     problem, left_out = fit.problem, events(fit)
     measured, calm = list[Recording](), list[Recording]()
     drawn = [list[Recording]() for _ in range(runs)]
-    for recording, clock in zip(problem.recordings, problem.clocks, strict=True):
+    for recording, clock in zip(recordings or problem.recordings, problem.clocks, strict=True):
         whole = overlapping(undo(with_recomputed_headings(aligned(recording, clock)), model.setup.effects))
         own = [event for event in left_out if event.recording == recording.name]
         without_excursions = _replaced(whole, [event for event in own if not event.lasting])
