@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import shapes
-from odomcorrupt.errors import FitError
+from odomcorrupt.errors import EffectError, FitError
 from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.select.elimination import drift_grows
 from odomcorrupt.study.select.score import project_out, score_columns
@@ -91,10 +91,10 @@ def _at_maximum(fit: Fit, name: str, decisions: Decisions, weights_of: Fit | Non
 
 
 def _refitted(fit: Fit, effect: Effect, moved: Effect, weights_of: Fit | None) -> Fit | None:
-    """Return the fit with an effect replaced; None if it is too far off to start from."""
+    """Return the fit with an effect replaced; None if it is too far off to start from, or lacks its track."""
     try:
         return fit.refit([moved if e is effect else e for e in fit.effects], weights_of=weights_of)
-    except FitError:
+    except (FitError, EffectError):
         return None
 
 
