@@ -30,7 +30,7 @@ _NEAR_M = 0.2
 _PLAIN_OFFSET_S = 1e-3
 """Learned clock offset below which a correction is not suggested, seconds: a millimetre at 1 m/s."""
 _RANDOM = "its random course was not recorded"
-_AT_REST = "is read only where the robot stands for 0.6 s or more, and interpolated between"
+_AT_REST = "is read where the robot stands for 0.6 s or more, interpolated between rests, and held after the last one"
 
 
 def brief(corrected: Corrected, target: str) -> Summary:
