@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 _ZERO_RAD, _ZERO_M = 1e-9, 1e-6
 """Largest turn and travel in an interval that count as zero: rounding of quaternions and of sums."""
+_CLEAR = 1e3
+"""Least turn of a band, as a multiple of the largest that counts as zero: smaller ones are what rounding leaves."""
 _FEWEST = 30
 """Fewest intervals with a turn between once and twice the threshold. Of a smooth density, as many would lie below."""
 _EDGE, _SPREAD = 0.05, 0.5
@@ -44,6 +46,8 @@ def yaw_dead_band(odometry: Samples, truth: Samples) -> float:
     turn = np.abs(steps.dtheta_rad)
     turning = turn[turn > _ZERO_RAD]
     least = float(turning.min(initial=np.inf))
+    if least < _CLEAR * _ZERO_RAD:
+        return 0.0
     above = turning[turning < 2.0 * least] / least - 1.0
     between = (above > _EDGE) & (above < 1.0 - _EDGE)
     if len(above) < _FEWEST or np.mean(between) < _SPREAD:
@@ -51,14 +55,20 @@ def yaw_dead_band(odometry: Samples, truth: Samples) -> float:
     threshold = least / float(np.median(np.diff(t_s)))
     zero = (turn <= _ZERO_RAD) & (np.abs(steps.ds_m) > _ZERO_M)
     origin_ns = int(odometry.stamps_ns[0])
-    lost = _turns_within(t_s, zero, truth, origin_ns, threshold) or _misses_slow_turns(
+    lost = _turns_within(t_s, steps.ds_m, zero, truth, origin_ns, threshold) or _misses_slow_turns(
         t_s, steps.dtheta_rad, zero, truth, origin_ns, threshold
     )
     return threshold if lost else 0.0
 
 
-def _turns_within(t_s: Array, zero: NDArray[np.bool_], truth: Samples, origin_ns: int, threshold: float) -> bool:
-    """Return whether the truth turns while the odometry's intervals `zero` (n - 1,) last, beyond the truth's noise."""
+def _turns_within(
+    t_s: Array, ds_m: Array, zero: NDArray[np.bool_], truth: Samples, origin_ns: int, threshold: float
+) -> bool:
+    """Return whether the truth turns while the odometry's intervals `zero` (n - 1,) last, beyond the truth's noise.
+
+    Turns in proportion to the travel or to time do not count: unequal wheels and a bias turn a robot whose command is
+    straight.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate(([0], zero, [0]))))
     first, last = t_s[edges[::2]], t_s[edges[1::2]]
     own = truth.seconds_since(origin_ns)
@@ -67,6 +77,10 @@ def _turns_within(t_s: Array, zero: NDArray[np.bool_], truth: Samples, origin_ns
         return False
     heading = np.unwrap(truth.yaw_rad)
     turned = np.interp(last[long], own, heading) - np.interp(first[long], own, heading)
+    way = np.concatenate(([0.0], np.cumsum(ds_m)))
+    travel = np.interp(last[long], t_s, way) - np.interp(first[long], t_s, way)
+    steady = np.stack((travel, (last - first)[long]), axis=1)
+    turned = turned - steady @ np.linalg.lstsq(steady, turned, rcond=None)[0]
     # 0.4549 is the median of chi-square with 1 degree of freedom; second differences have 6 variances, turns 2
     noise = 2.0 * float(np.median(np.diff(heading, n=2) ** 2)) / 0.4549 / 6.0
     seen = float(np.mean(turned**2)) - noise

@@ -67,6 +67,12 @@ def test_a_dead_band_is_recognised_where_jitter_interrupts_the_zeros():
     assert yaw_dead_band(*run(rough)) == pytest.approx(BAND, rel=0.02)
 
 
+def remainder(w):
+    """Rates (n,) that decay to zero as those of commands do: a few are not rounded to zero yet."""
+    k = np.arange(len(w))
+    return np.where(k % (2 * HZ) < 4, BAND * 1e-5 * (1.0 + 0.3 * (k % 3)), 0.0)
+
+
 @pytest.mark.parametrize(
     "reported",
     [
@@ -75,6 +81,7 @@ def test_a_dead_band_is_recognised_where_jitter_interrupts_the_zeros():
         lambda w, rng: BAND * np.trunc(gyro(w, rng) / BAND),  # truncated to steps
         lambda w, _: BAND / 20.0 * np.rint(w / BAND * 20.0),  # fine steps, of ticks
         lambda w, _: w,  # exact
+        lambda w, _: np.where(np.abs(w) < BAND, remainder(w), w),
     ],
 )
 def test_other_zeros_are_no_dead_band(reported):
@@ -86,6 +93,14 @@ def test_a_robot_that_never_turns_slowly_has_no_dead_band():
     v, w = driven(rng)
     w = np.where(np.abs(w) < BAND, 0.0, w)
     truth = samples("/mocap/pose", v, w, (5e-4, 1e-3), rng)
+    assert yaw_dead_band(samples("/odom", v, w), truth) == 0.0
+
+
+def test_unequal_wheels_that_turn_a_robot_with_straight_commands_are_no_dead_band():
+    rng = np.random.default_rng(3)
+    v, w = driven(rng)
+    w = np.where(np.abs(w) < BAND, 0.0, w)
+    truth = samples("/mocap/pose", v, w + 0.05 * v, (5e-4, 1e-3), rng)
     assert yaw_dead_band(samples("/odom", v, w), truth) == 0.0
 
 
