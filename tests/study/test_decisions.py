@@ -36,7 +36,7 @@ def test_the_page_prints_the_formula_of_the_decisions():
 def test_the_printed_formula_is_what_is_computed(prior):
     numbers = {"g": EVIDENCE.own, "m": EVIDENCE.margin, "u": EVIDENCE.left, "w": EVIDENCE.correlated}
     numbers |= {"n": EVIDENCE.candidates, "p": 0.0062097, "rivals": EVIDENCE.rivals}  # p of 2.5 standard errors
-    named = {**numbers, "B": lambda p: -e * p * log(p), "exp": exp, "sum": sum, "__builtins__": {}}
+    named = {**numbers, "B": lambda p: -e * p * log(p), "exp": exp, "sum": sum, "max": max, "__builtins__": {}}
     printed = eval(odds_formula(prior), named)  # noqa: S307 - our own formula
     assert odds_against(EVIDENCE, prior) == pytest.approx(printed)
     assert confidence(EVIDENCE, prior) == pytest.approx(1.0 / (1.0 + printed))

@@ -4,9 +4,9 @@ Let g be the gain of the effect and g_i the gains of its rivals, in nats and min
 u is the gain that a dependence still offers, w the gain of correlated noise, and m the gain of the effect over the best
 basis function in its place. The odds against the effect are
 
-    sum_i exp(T (g_i - g))  +  N exp(-T g)  +  B(p)  +  exp(D - T m)  +  E + (U u + C w) / g
+    sum_i exp(T (g_i - g))  +  N exp(-T g)  +  exp(D - T m)  +  E + U u / g + max(B(p), C w / g)
 
-for rivals, chance under the noise model, chance under any noise, a basis function, and unlisted causes. N candidates
+for rivals, chance under the noise model, a basis function, unlisted causes, and noise not as modelled. N candidates
 were tested, in units of a common one: the largest of many gains is large by chance (Gross & Vitells 2010, European
 Physical Journal C 70). p is the probability that held-out blocks of the drive gain as much if the expected gain is
 zero, and B(p) = -e p ln p its least odds (Sellke, Bayarri & Berger 2001, American Statistician 55). A library effect
@@ -85,10 +85,12 @@ def odds_against(evidence: Evidence, prior: PriorOdds = DECISIONS.prior) -> floa
     if not evidence.own > 0.0:
         return inf
     rivals = sum(_exp(prior.temper * (g - evidence.own)) for g in evidence.rivals if isfinite(g))
-    chance = evidence.candidates * _exp(-prior.temper * evidence.own) + chance_odds(evidence.held_out_errors)
+    chance = evidence.candidates * _exp(-prior.temper * evidence.own)
     dependence = _exp(prior.dependence_nats - prior.temper * evidence.margin)
-    rest = prior.unexplained * max(evidence.left, 0.0) + prior.correlated * max(evidence.correlated, 0.0)
-    return rivals + chance + dependence + prior.elsewhere + rest / evidence.own
+    left = prior.unexplained * max(evidence.left, 0.0) / evidence.own
+    # both measure noise that is not as modelled, which counts once
+    noise = max(chance_odds(evidence.held_out_errors), prior.correlated * max(evidence.correlated, 0.0) / evidence.own)
+    return rivals + chance + dependence + prior.elsewhere + left + noise
 
 
 def chance_odds(errors: float) -> float:
@@ -102,8 +104,8 @@ def odds_formula(prior: PriorOdds = DECISIONS.prior) -> str:
     t = "" if prior.temper == 1.0 else f"{prior.temper:g} * "
     left = "u" if prior.unexplained == 1.0 else f"{prior.unexplained:g} * u"
     return (
-        f"sum(exp({t}(g_i - g)) for g_i in rivals) + n * exp(-{t}g) + B(p) + exp({prior.dependence_nats:g} - {t}m)"
-        f" + {prior.elsewhere:g} + ({left} + {prior.correlated:g} * w) / g"
+        f"sum(exp({t}(g_i - g)) for g_i in rivals) + n * exp(-{t}g) + exp({prior.dependence_nats:g} - {t}m)"
+        f" + {prior.elsewhere:g} + {left} / g + max(B(p), {prior.correlated:g} * w / g)"
     )
 
 
