@@ -22,7 +22,7 @@ def held_on_line(seed, duration_s=240.0):
     rng = np.random.default_rng(seed)
     n, dt = int(duration_s * RATE_HZ), 1.0 / RATE_HZ
     goal, heading, rate = 0.0, 0.0, 0.0
-    told, turned, gone = np.zeros(n), np.zeros(n), np.zeros(n)
+    commanded, turned, gone = np.zeros(n), np.zeros(n), np.zeros(n)
     until = 0
     for i in range(n):
         if i == until:
@@ -31,11 +31,11 @@ def held_on_line(seed, duration_s=240.0):
         wanted = np.clip(2.5 * (goal - heading), -1.0, 1.0)
         rate += np.clip(wanted - rate, -2.0 * dt, 2.0 * dt)
         gone[i] = V * dt if abs(goal - heading) < 0.3 else 0.0
-        told[i] = rate * dt
-        turned[i] = told[i] - CURVATURE * gone[i] + ROT_TRANS * np.sqrt(gone[i]) * rng.standard_normal()
+        commanded[i] = rate * dt
+        turned[i] = commanded[i] - CURVATURE * gone[i] + ROT_TRANS * np.sqrt(gone[i]) * rng.standard_normal()
         heading += turned[i]
     zeros = np.zeros(n)
-    odometry = accumulate(np.zeros(3), Increments(gone, zeros, told))
+    odometry = accumulate(np.zeros(3), Increments(gone, zeros, commanded))
     return recording(Increments(gone, zeros, turned), odometry, truth_mm=1.0, truth_rad=0.0003, seed=seed)
 
 
