@@ -13,7 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-SHELF_BYTES = 12 << 20
+ARENA_BYTES = 12 << 20
 """What is put side by side: more would save no more time."""
 
 
@@ -27,7 +27,7 @@ class BufferPool:
 
     def place(self, size: int) -> NDArray[np.uint8]:
         """Return a writable buffer (size,), placed directly after the previous one if there is room."""
-        if size > SHELF_BYTES:
+        if size > ARENA_BYTES:
             return np.empty(size, dtype=np.uint8)
         if size > self._buffer.size - self._used:
             self._take_buffer()
@@ -37,7 +37,7 @@ class BufferPool:
     def _take_buffer(self) -> None:
         self._buffer = np.empty(0, dtype=np.uint8)
         # not zeroed: a short bag never touches most of it
-        memory = self._free.pop() if self._free else np.empty(SHELF_BYTES, dtype=np.uint8)
+        memory = self._free.pop() if self._free else np.empty(ARENA_BYTES, dtype=np.uint8)
         self._buffer = np.frombuffer(memory.data, dtype=np.uint8)
         # All buffers are views of this array: without the last of them, the memory is free.
         weakref.finalize(self._buffer, self._free.append, memory).atexit = False

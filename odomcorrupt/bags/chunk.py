@@ -102,7 +102,7 @@ def _chunks_of(
 ) -> Iterator[Chunk]:
     """Yield the decompressed pieces of a chunk as chunks of whole records."""
     named, begin = f"{source.name}: {head.what}", 0
-    for data in record_blocks(pieces, head.size, record_bytes, source.shelf.place, named):
+    for data in record_blocks(pieces, head.size, record_bytes, source.pool.place, named):
         yield Chunk(data, head.codec, f"{named}, from byte {begin} of its records" if begin else named)
         begin += data.size
 
@@ -111,7 +111,7 @@ def _read_whole(source: Source, head: ChunkHead, named: str) -> NDArray[np.uint8
     actual = 0
     if head.codec != "none":
         packed = source.read_scratch(head.packed, head.what)
-        data = decompress(head.codec, packed, head.size, named, source.shelf, source.budget)
+        data = decompress(head.codec, packed, head.size, named, source.pool, source.budget)
         actual = crc32(data.data) if head.crc else 0
     elif head.crc:
         data, actual = source.read_summed(head.packed, head.what)

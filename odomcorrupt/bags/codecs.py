@@ -13,7 +13,7 @@ import xxhash
 import zstandard
 
 from odomcorrupt.bags.budget import Budget
-from odomcorrupt.bags.buffer_pool import SHELF_BYTES
+from odomcorrupt.bags.buffer_pool import ARENA_BYTES
 from odomcorrupt.bags.codec_streams import DAMAGE, PackedInMemory, end_of_frame, require_size, unpacked
 from odomcorrupt.errors import BagError
 
@@ -101,32 +101,32 @@ _zstd = _Zstd()
 
 
 def decompress(
-    codec: str, data: memoryview, size: int, what: str, shelf: BufferPool, budget: Budget | None = None
+    codec: str, data: memoryview, size: int, what: str, pool: BufferPool, budget: Budget | None = None
 ) -> NDArray[np.uint8]:
     """Return the decompressed bytes (size,) of a chunk in a writable array.
 
     data : compressed bytes
     size : decompressed size stated by the bag, bytes
     what : name of the chunk in error messages
-    shelf : allocator; memory is taken for actual, not for stated sizes
+    pool : allocator; memory is taken for actual, not for stated sizes
     budget : limit of the bag
     """
     if codec == "none":
         require_size(len(data), size, what)
-        placed = shelf.place(size)
+        placed = pool.place(size)
         placed.data[:] = data
         return placed
     budget = Budget() if budget is None else budget
-    if codec == "bz2" or size > SHELF_BYTES or (codec == "zstd" and not _is_one_frame(data, size)):
+    if codec == "bz2" or size > ARENA_BYTES or (codec == "zstd" and not _is_one_frame(data, size)):
         pieces = unpacked(codec, PackedInMemory(data), size, what, budget)
-        placed, came = shelf.place(size), 0
+        placed, came = pool.place(size), 0
         for piece in pieces:
             placed.data[came : came + len(piece)] = piece
             came += len(piece)
         return placed
     budget.require(size, len(data), what)
     try:
-        placed, came = (_unlz4 if codec == "lz4" else _unzstd)(data, size, shelf)
+        placed, came = (_unlz4 if codec == "lz4" else _unzstd)(data, size, pool)
     except DAMAGE as error:
         raise BagError(f"{what}: {codec} cannot decompress it: {error}; --recover saves what is whole") from error
     budget.take(came, what)
@@ -134,19 +134,19 @@ def decompress(
     return placed
 
 
-def _unlz4(data: memoryview, size: int, shelf: BufferPool) -> tuple[NDArray[np.uint8], int]:
+def _unlz4(data: memoryview, size: int, pool: BufferPool) -> tuple[NDArray[np.uint8], int]:
     """Return the decompressed array and how many bytes came out, at most one too many."""
     if size > 255 * len(data):
         raise ValueError(f"{len(data)} bytes cannot become {size}")
     out = unpack(data, size)
-    placed = shelf.place(len(out))
+    placed = pool.place(len(out))
     placed[:] = np.frombuffer(out, dtype=np.uint8)  # without Python's lock, unlike the copy of a memoryview
     return placed, len(out)
 
 
-def _unzstd(data: memoryview, size: int, shelf: BufferPool) -> tuple[NDArray[np.uint8], int]:
+def _unzstd(data: memoryview, size: int, pool: BufferPool) -> tuple[NDArray[np.uint8], int]:
     """Return the decompressed array of a single frame and how many bytes came out."""
-    placed = shelf.place(size)
+    placed = pool.place(size)
     with _zstd.decompressor.stream_reader(data) as reader:
         if (came := reader.readinto(placed.data)) < size:
             raise EOFError(f"the frame is cut short after {came} bytes")

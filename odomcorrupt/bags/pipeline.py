@@ -233,20 +233,20 @@ def read_ahead(items: Generator[T, None, None], size_of: Callable[[T], int]) -> 
     size_of : Callable
         Memory of an item, bytes.
     """
-    hall = _Hall[T]()
-    thread = threading.Thread(target=_fill, args=(hall, items, size_of), name="read", daemon=True)
+    queue = _BoundedQueue[T]()
+    thread = threading.Thread(target=_fill, args=(queue, items, size_of), name="read", daemon=True)
     thread.start()
     try:
-        while (batch := hall.take()) is not None:
+        while (batch := queue.take()) is not None:
             yield from batch
-        if hall.error is not None:
-            raise hall.error
+        if queue.error is not None:
+            raise queue.error
     finally:
-        hall.stop()
+        queue.stop()
         thread.join()
 
 
-class _Hall(Generic[T]):
+class _BoundedQueue(Generic[T]):
     """Bounded queue of batches of items between two threads.
 
     error : exception that ended the producer, if any
@@ -292,7 +292,7 @@ class _Hall(Generic[T]):
             return batch
 
 
-def _fill(hall: _Hall[T], items: Generator[T, None, None], size_of: Callable[[T], int]) -> None:
+def _fill(queue: _BoundedQueue[T], items: Generator[T, None, None], size_of: Callable[[T], int]) -> None:
     batch: list[T] = []
     size = 0
     try:
@@ -300,14 +300,14 @@ def _fill(hall: _Hall[T], items: Generator[T, None, None], size_of: Callable[[T]
             batch.append(item)
             size += size_of(item)
             if size >= _BATCH_BYTES:
-                wanted = hall.put(batch, size)
+                wanted = queue.put(batch, size)
                 batch, size = [], 0
                 if not wanted:
                     return
     except BaseException as error:  # noqa: BLE001 - raised when the items are requested
-        hall.error = error
+        queue.error = error
     finally:
         items.close()
         if batch:
-            hall.put(batch, size)
-        hall.end()
+            queue.put(batch, size)
+        queue.end()

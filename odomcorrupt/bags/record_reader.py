@@ -37,8 +37,8 @@ class RecordReader(ABC):
     """
 
     channels: Mapping[int, Channel]
-    _teller = ""
-    """What of the bag states the number of its messages."""
+    _stated_by = ""
+    """The part of the bag that states the number of its messages, as the subject and verb of a sentence."""
 
     def __init__(self, path: Path | None, source: Source, *, recover: bool, threads: int) -> None:
         self.name = source.name
@@ -83,7 +83,7 @@ class RecordReader(ABC):
         if stated is not None and self.count < stated and not self.losses:
             self._lose(
                 BagError(
-                    f"{self.name}: its {self._teller} of {stated} messages, {self.count} are there: the bag is "
+                    f"{self.name}: its {self._stated_by} {stated} messages, but it holds {self.count}: the bag is "
                     "damaged; --recover saves those"
                 )
             )

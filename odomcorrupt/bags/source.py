@@ -42,7 +42,7 @@ class Source:
     position : bytes read so far
     summing : whether the CRC is computed
     crc : CRC-32 of the bytes read since it was last set to 0
-    shelf : allocator of chunk buffers
+    pool : allocator of chunk buffers
     budget : limit of decompressed bytes
     """
 
@@ -56,7 +56,7 @@ class Source:
         self.crc = 0
         self._ahead = b""
         self._scratch = np.empty(0, dtype=np.uint8)
-        self.shelf = BufferPool()
+        self.pool = BufferPool()
         self.budget = Budget()
 
     @classmethod
@@ -166,7 +166,7 @@ class Source:
         """Return exactly `size` bytes in a new writable array."""
         self.require(size, what)
         if self.size is not None or size <= _TRUSTED_BYTES:
-            data = self.shelf.place(size)
+            data = self.pool.place(size)
             self._fill(data.data, what)
             return data
         pieces: list[NDArray[np.uint8]] = []

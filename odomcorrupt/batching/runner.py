@@ -178,7 +178,7 @@ def _make(
             one.strand.grow(portion.growth)
             data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
             if one.sink is not None:
-                one.sink.put(portion, data, _edges(one, portion, shared))
+                one.sink.write(portion, data, _edges(one, portion, shared))
     shared.require_frame()
     for one in runs:
         _put_beside(job, home, one)

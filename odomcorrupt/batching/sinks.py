@@ -13,7 +13,7 @@ import numpy as np
 import odomcorrupt
 from odomcorrupt.bags.block import Block, Message, PartFraming
 from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.writer import Foreign, McapWriter
+from odomcorrupt.bags.mcap.writer import McapWriter, ReframedReader
 from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output, OutputContext
 from odomcorrupt.corruption.inverse import acts
@@ -85,7 +85,7 @@ class TumSink(OutputContext):
         """Take the next part of the path."""
         self._waiting.append(samples)
 
-    def put(self, portion: Portion, _data: NDArray[np.uint8], _added: object = None) -> None:
+    def write(self, portion: Portion, _data: NDArray[np.uint8], _added: object = None) -> None:
         """Write the path so far."""
         for samples in self._waiting:
             xyt = samples.clean_xyt if self._clean else samples.clean_xyt + samples.error_xyt
@@ -115,7 +115,7 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
     output = Output(path, overwrite=True)
     try:
         output.open()
-        with zipfile.ZipFile(_Sink(output), "w", zipfile.ZIP_STORED) as archive:
+        with zipfile.ZipFile(_OutputStream(output), "w", zipfile.ZIP_STORED) as archive:
             for name, array in (("runs", np.array(runs)), ("stamps_ns", clean.stamps_ns), ("clean_xyt", clean.xyt)):
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
@@ -130,7 +130,7 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
         output.discard()
 
 
-class _Sink(io.RawIOBase):
+class _OutputStream(io.RawIOBase):
     """An output as a stream without seeking, for zip files."""
 
     def __init__(self, output: Output) -> None:
@@ -155,7 +155,7 @@ class Sink(Protocol):
     def crc(self) -> int | None:
         """CRC-32 of its file after the context's end; None if it was not computed while it was written."""
 
-    def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
+    def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
         """Write a portion, given its data (size,) as patched by the run.
 
         added : for each block, messages of this run alone, appended after those of all runs
@@ -194,8 +194,8 @@ class BagSink(ABC):
         return self._writer.crc if isinstance(self._writer, OutputContext) else None
 
     @abstractmethod
-    def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
-        """Write a portion, see `Sink.put`."""
+    def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
+        """Write a portion, see `Sink.write`."""
 
     def __enter__(self) -> Self:
         self._writer.__enter__()
@@ -245,7 +245,7 @@ class FullSink(BagSink):
         )
         super().__init__(job, run, writer)
 
-    def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
+    def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
         """Write the blocks; the next run patches the same ones."""
         for number in range(len(portion.blocks)):
             block = portion.put_back(number, data)
@@ -260,13 +260,13 @@ class OverlaySink(BagSink):
 
     def __init__(self, job: Job, run: int, reader: BagReader) -> None:
         c = job.container
-        foreign: Any = Foreign(reader)
+        foreign: Any = ReframedReader(reader)
         codec = None if c.compression in ("bz2", "file", "message") else c.compression
         output = Output(job.path_of(run), overwrite=True)
         super().__init__(job, run, McapWriter(output, foreign, codec, c.level, whole=False))
         self._native = _is_mcap(reader)
 
-    def put(self, portion: Portion, data: NDArray[np.uint8], _added: Added = None) -> None:
+    def write(self, portion: Portion, data: NDArray[np.uint8], _added: Added = None) -> None:
         """Write the changed topics."""
         if len(portion.table):
             raw = McapFraming("chunk", "zstd") if self._native else None

@@ -105,7 +105,7 @@ class SplitSink(BagSink):
                 file.pack = self._rests.compress_for_ros1
         return self
 
-    def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
+    def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
         """Write the unchanged messages, then the changed and added ones."""
         blocks = self._rests.of(portion)
         first_row = first_byte = 0

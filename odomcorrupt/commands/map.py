@@ -20,7 +20,7 @@ from odomcorrupt.summary import Line, Summary, command_line
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from odomcorrupt.mapping.scan_map import Survey
+    from odomcorrupt.mapping.scan_map import ScanMap
 
 
 @click.command("map", cls=AlphaCommand, short_help="What the laser sees through clean and through noisy odometry.")
@@ -75,37 +75,37 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
     chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     with Stages("drawing maps", quiet=voice.quiet):
-        notes, surveys = _surveys(bag, chosen.motion_model, seed, given)
+        notes, maps = _scan_maps(bag, chosen.motion_model, seed, given)
     origin = f" ({chosen.origin})" if chosen.origin else ""
     noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
-    text = "\n".join([noise, *notes, _table(surveys)])
+    text = "\n".join([noise, *notes, _table(maps)])
     model = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
     following = ["odomcorrupt", "map", *typed_words("--output", "--overwrite"), "-o", "map.png"]
     if output is not None:
         following = ["odomcorrupt", "preview", str(bag)]
-    brief = _brief(surveys, notes, (model, f"{seed}, run {given['run']}"), following)
+    brief = _brief(maps, notes, (model, f"{seed}, run {given['run']}"), following)
     files: dict[Path, Callable[[], object]] = {}
     if output is not None:
-        for survey, path in zip(surveys, beside.values(), strict=False):
-            files[path.with_suffix(".yaml")] = partial(_write_map, survey, path)
-        files[output] = partial(_draw, output, surveys, "added by noise")
-    voice.say(brief, text, _values(surveys, notes, seed), files=files)
+        for scan_map, path in zip(maps, beside.values(), strict=False):
+            files[path.with_suffix(".yaml")] = partial(_write_map, scan_map, path)
+        files[output] = partial(_draw, output, maps, "added by noise")
+    voice.say(brief, text, _values(maps, notes, seed), files=files)
 
 
-def _write_map(survey: Survey, path: Path) -> None:
+def _write_map(scan_map: ScanMap, path: Path) -> None:
     """Write a map as image and YAML, whatever the suffix of the path."""
     from odomcorrupt.mapping.mapfile import format_map
 
-    image, text = format_map(survey.grid, path.with_suffix(".pgm").name)
+    image, text = format_map(scan_map.grid, path.with_suffix(".pgm").name)
     write_bytes(path.with_suffix(".pgm"), image)
     write_text(path.with_suffix(".yaml"), text)
 
 
-def _draw(path: Path, surveys: Sequence[Survey], added: str) -> None:
+def _draw(path: Path, maps: Sequence[ScanMap], added: str) -> None:
     from odomcorrupt.mapping.scan_map import WINDOW_M
-    from odomcorrupt.report.plots.maps import draw_surveys
+    from odomcorrupt.report.plots.maps import draw_scan_maps
 
-    save_picture(path, draw_surveys(surveys, WINDOW_M, added))
+    save_picture(path, draw_scan_maps(maps, WINDOW_M, added))
 
 
 def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voice) -> None:
@@ -132,54 +132,54 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
         run, parts = largest_part(laser_run(bag, str(bag), odom, given["scan"], stages))
     odometry = run.odometry
     noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
-    maps = laser_maps(run, noise.error_xyt, given["resolution"])
+    drawn = laser_maps(run, noise.error_xyt, given["resolution"])
     placed = f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map"
     remarks = [*run.sweeps.notes, *run.calibration.said]
     notes = [*remarks, *([parts] if parts else []), placed]
-    thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in maps.surveys)
+    thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in drawn.maps)
     said = "\n".join([*notes, f"wall thickness (root of the mean plane variance, Razlaw et al., ECMR 2015): {thick}"])
     lines = [Line("MATCHED", placed, "good")]
     lines += [Line("parts", parts, "warning")] if parts else []
     lines += [Line("walls" if not i else "", f"{100.0 * s.thickness_m[-1]:.2f} cm thick, {s.name}") for i, s in
-              enumerate(maps.surveys)]  # fmt: skip
+              enumerate(drawn.maps)]  # fmt: skip
     lines += [Line("note", note, "warning") for note in remarks]
     following = ["odomcorrupt", "map", bag, "--method", "laser", "-o", "map.yaml"]
     following = following if output is None else ["odomcorrupt", "learn", bag, "--truth-file", files[".tum"]]
     writers: dict[str, Callable[[], object]] = {
-        ".yaml": lambda: _write_map(maps.surveys[0], files[".yaml"]),
-        ".tum": lambda: write_text(files[".tum"], tum_text(maps.trajectory)),
-        ".png": lambda: _draw(files[".png"], maps.surveys, "added by the odometry"),
+        ".yaml": lambda: _write_map(drawn.maps[0], files[".yaml"]),
+        ".tum": lambda: write_text(files[".tum"], tum_text(drawn.trajectory)),
+        ".png": lambda: _draw(files[".png"], drawn.maps, "added by the odometry"),
     }
     named = {files[end]: write for end, write in writers.items()} if files else {}
-    voice.say(Summary((*lines, command_line(following))), said, _values(maps.surveys, notes, seed), files=named)
+    voice.say(Summary((*lines, command_line(following))), said, _values(drawn.maps, notes, seed), files=named)
 
 
 def _brief(
-    surveys: Sequence[Survey], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
+    maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
 ) -> Summary:
     """Return the increase in wall thickness, the distance of hits from the walls, and the noise."""
     from odomcorrupt.mapping.scan_map import added_thickness
 
-    clean, noisy = (100.0 * s.thickness_m[-1] for s in surveys[:2])
-    added = 100.0 * added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)[-1]
-    first, last = 100.0 * surveys[1].off_surface_m[0], 100.0 * surveys[1].off_surface_m[-1]
+    clean, noisy = (100.0 * s.thickness_m[-1] for s in maps[:2])
+    added = 100.0 * added_thickness(maps[0].thickness_m, maps[1].thickness_m)[-1]
+    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
     said = f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added"
     lines = [Line("THICKER", said, "warning") if noisy > clean else Line("NO THICKER", said, "good")]
     lines.append(Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"))
-    lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in surveys[2:]]
+    lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in maps[2:]]
     lines += [Line("seed", drawn[1]), Line("model", drawn[0])]
     lines += [Line("scans" if "rays" in note else "note", note) for note in notes]
     return Summary((*lines, command_line(following)))
 
 
-def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[tuple[str, ...], list[Survey]]:
+def _scan_maps(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[tuple[str, ...], list[ScanMap]]:
     import numpy as np
 
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.mapping.frames import mount_at
     from odomcorrupt.mapping.raycast import canvas_for
-    from odomcorrupt.mapping.scan_map import place, slow_rays, survey
+    from odomcorrupt.mapping.scan_map import make_scan_map, place, slow_rays
     from odomcorrupt.mapping.scans import read_rays
     from odomcorrupt.trajectories.reader import read_drive, read_poses
 
@@ -199,40 +199,40 @@ def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[t
     canvas = canvas_for(np.concatenate(every), given["resolution"])
     notes = (*drive.notes, f"{len(slow.rays)} rays of {rays.scans} scans from {rays.frame_id}", *slow.notes)
     clean = views["clean odometry"]
-    return notes, [survey(n, paths[n].xyt, view, clean, slow.travelled_m, canvas) for n, view in views.items()]
+    return notes, [make_scan_map(n, paths[n].xyt, view, clean, slow.travelled_m, canvas) for n, view in views.items()]
 
 
-def _table(surveys: Sequence[Survey]) -> str:
+def _table(maps: Sequence[ScanMap]) -> str:
     from odomcorrupt.mapping.scan_map import WINDOW_M, added_thickness
 
-    heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in surveys), "added", "hits off"]
+    heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in maps), "added", "hits off"]
     lines = [
         f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m),",
         "what the noise added to it, and how far noisy hits are off the clean walls, cm",
         "  after      " + "".join(f"{head:>12}" for head in heads),
     ]
-    clean, noisy = (s.thickness_m for s in surveys[:2])
+    clean, noisy = (s.thickness_m for s in maps[:2])
     added = added_thickness(clean, noisy)
-    for i, mark in enumerate(surveys[0].marks_m):
-        values = (*(s.thickness_m[i] for s in surveys), added[i], surveys[1].off_surface_m[i])
+    for i, mark in enumerate(maps[0].marks_m):
+        values = (*(s.thickness_m[i] for s in maps), added[i], maps[1].off_surface_m[i])
         lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
-    first, last = 100.0 * surveys[1].off_surface_m[0], 100.0 * surveys[1].off_surface_m[-1]
+    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
     grown = f"{noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them"
     hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
     lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
     return "\n".join(lines)
 
 
-def _values(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> dict[str, Any]:
+def _values(maps: Sequence[ScanMap], notes: Sequence[str], seed: int) -> dict[str, Any]:
     from odomcorrupt.mapping.scan_map import added_thickness
 
     return {
         "schema": 2,
         "seed": seed,
         "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
-        "travelled_m": surveys[0].marks_m.tolist(),
-        "thickness_m": {s.name: s.thickness_m.tolist() for s in surveys},
-        "added_m": added_thickness(surveys[0].thickness_m, surveys[1].thickness_m).tolist(),
-        "off_surface_m": {s.name: s.off_surface_m.tolist() for s in surveys[1:]},
+        "travelled_m": maps[0].marks_m.tolist(),
+        "thickness_m": {s.name: s.thickness_m.tolist() for s in maps},
+        "added_m": added_thickness(maps[0].thickness_m, maps[1].thickness_m).tolist(),
+        "off_surface_m": {s.name: s.off_surface_m.tolist() for s in maps[1:]},
         "notes": list(notes),
     }

@@ -11,13 +11,13 @@ from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.mapping.frames import Mount
 from odomcorrupt.mapping.raycast import canvas_for
-from odomcorrupt.mapping.scan_map import place, survey
+from odomcorrupt.mapping.scan_map import make_scan_map, place
 from odomcorrupt.mapping.scans import Rays
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.trajectory import LaserRun
-    from odomcorrupt.mapping.scan_map import Survey
+    from odomcorrupt.mapping.scan_map import ScanMap
 
 _MOST_RAYS = 400_000
 _LEAST_SAID_S = 1.0
@@ -28,11 +28,11 @@ class LaserMaps:
     """Maps of one drive.
 
     trajectory : the robot's by the laser, on the odometry's clock, in the map's frame
-    surveys : maps along that trajectory, along the odometry, and along the odometry with noise
+    maps : maps along that trajectory, along the odometry, and along the odometry with noise
     """
 
     trajectory: Trajectory
-    surveys: tuple[Survey, ...]
+    maps: tuple[ScanMap, ...]
 
 
 def largest_part(run: LaserRun) -> tuple[LaserRun, str]:
@@ -77,8 +77,10 @@ def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMap
     way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1))))
     travelled = np.interp(rays.stamps_ns.astype(np.float64), odometry.stamps_ns.astype(np.float64), way)
     corrected = views["corrected by the laser"]
-    surveys = tuple(survey(name, paths[name].xyt, view, corrected, travelled, canvas) for name, view in views.items())
-    return LaserMaps(paths["corrected by the laser"], surveys)
+    maps = tuple(
+        make_scan_map(name, paths[name].xyt, view, corrected, travelled, canvas) for name, view in views.items()
+    )
+    return LaserMaps(paths["corrected by the laser"], maps)
 
 
 def tum_text(trajectory: Trajectory) -> str:

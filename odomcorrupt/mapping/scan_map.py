@@ -134,7 +134,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class ScanMap:
     """Laser map from one path.
 
     marks_m : (k,) distances travelled
@@ -194,9 +194,9 @@ def place(rays: Rays, path: Trajectory) -> View:
     return View(start, poses[:, :2] + rotate(rays.to_xy, poses[:, 2]))
 
 
-def survey(
+def make_scan_map(
     name: str, path_xyt: Array, view: View, clean: View, travelled_m: Array, canvas: Canvas, marks: int = 8
-) -> Survey:
+) -> ScanMap:
     """Return the map of a view, its wall thickness against distance, and the distance of its hits from the clean walls.
 
     clean : the same rays through the clean odometry
@@ -209,4 +209,4 @@ def survey(
     count = np.bincount(leg[known], minlength=marks)
     square = np.bincount(leg[known], off[known] ** 2, minlength=marks)
     off_surface = np.sqrt(np.divide(square, count, out=np.full(marks, np.nan), where=count > 0))
-    return Survey(name, path_xyt, draw_map(canvas, view.from_xy, view.to_xy), ends, thickness, off_surface)
+    return ScanMap(name, path_xyt, draw_map(canvas, view.from_xy, view.to_xy), ends, thickness, off_surface)

@@ -135,7 +135,7 @@ def test_a_whole_frame_behind_one_of_the_stated_size_is_found():
 
 @pytest.mark.parametrize("frame", ["lz4 linked", "lz4 high"])
 def test_a_large_lz4_chunk_is_read_piece_by_piece_with_the_same_checks(frame, monkeypatch):
-    monkeypatch.setattr(codecs, "SHELF_BYTES", -1)
+    monkeypatch.setattr(codecs, "ARENA_BYTES", -1)
     monkeypatch.setattr(codec_streams, "_PIECE_BYTES", 70_000)
     codec, pack = FRAMES[frame]
     test_frames_of_other_writers_are_read(codec, pack)

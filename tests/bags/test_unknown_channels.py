@@ -6,7 +6,7 @@ import os
 import pytest
 from oracles import OFFICE_BAG, OFFICE_MCAP
 
-from odomcorrupt.bags.mcap.channel_table import Directory
+from odomcorrupt.bags.mcap.channel_table import ChannelTable
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.ros1.writer import Connections
@@ -18,7 +18,7 @@ from odomcorrupt.errors import BagError
 def test_a_channel_that_is_neither_in_the_bag_nor_added_is_refused(source):
     with open_reader(source) as reader:
         with pytest.raises(BagError, match="channel 60000: is neither in the bag nor added to it"):
-            Directory(reader).written_id(60000)
+            ChannelTable(reader).written_id(60000)
         if source == OFFICE_BAG:
             with pytest.raises(BagError, match="channel 60000: is neither in the bag nor added to it"):
                 Connections(reader).take_records([60000])

@@ -23,7 +23,7 @@ _LAST_ID = 0xFFFF
 _LAST_FOREIGN_ID = 0xFFFFFFFF
 
 
-class Directory:
+class ChannelTable:
     """Ids and records of the channels and schemas of an output, and which of them are written.
 
     Ids of an MCAP's own channels are kept. New ones count down from the last, since on a pipe channels yet to come

@@ -32,7 +32,7 @@ from odomcorrupt.bags.mcap.resync import (
     stands_here,
     whole_records,
 )
-from odomcorrupt.bags.mcap.schema_registry import Known
+from odomcorrupt.bags.mcap.schema_registry import SchemaRegistry
 from odomcorrupt.bags.mcap.section_checksums import (
     FOOTER_BYTES,
     require_data_crc,
@@ -70,13 +70,13 @@ class McapReader(RecordReader):
     """
 
     kind: Kind = "mcap"
-    _teller = "statistics tell"
+    _stated_by = "statistics record states"
 
     def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
         super().__init__(path, source, recover=recover, threads=threads)
-        self._known = Known(self.name)
-        self.channels: Mapping[int, Channel] = self._known.channels
-        self.schemas: Mapping[int, SchemaRecord] = self._known.schemas
+        self._registry = SchemaRegistry(self.name)
+        self.channels: Mapping[int, Channel] = self._registry.channels
+        self.schemas: Mapping[int, SchemaRecord] = self._registry.schemas
         self.summary = Summary()
         try:
             self.header = self._read_header(source)
@@ -107,7 +107,7 @@ class McapReader(RecordReader):
 
     def definition(self, channel: Channel) -> Definition:
         """Return the file's definition of a channel's type."""
-        return self._known.definition(channel)
+        return self._registry.definition(channel)
 
     def _parts(self, source: Source) -> Generator[Chunk | Loose | Block, None, None]:
         """Yield chunks, collected messages outside chunks, and single records."""
@@ -236,10 +236,10 @@ class McapReader(RecordReader):
         return part if isinstance(part, Block) else self._finished(part)
 
     def _block(self, part: Chunk | Loose) -> Block:
-        return self._known.block(part)
+        return self._registry.block(part)
 
     def _salvaged(self, part: Chunk | Loose) -> Block:
-        return self._known.salvaged(part)
+        return self._registry.salvaged(part)
 
     def _read_end(self, source: Source) -> None:  # noqa: ARG002 - it is read with the data section
         self._learn_summary()
@@ -251,10 +251,10 @@ class McapReader(RecordReader):
     def _learn_summary(self) -> None:
         """Register the channels of the summary; those without a schema there are read from the data section."""
         for schema in self.summary.schemas:
-            self._known.learn(SCHEMA, schema)
+            self._registry.register(SCHEMA, schema)
         for channel in self.summary.channels:
-            if self._known.defines(channel):
-                self._known.learn(CHANNEL, channel)
+            if self._registry.defines(channel):
+                self._registry.register(CHANNEL, channel)
 
     def _learn_all(self) -> None:
         """Register the channels of a file that its summary lacks."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.mcap.chunk_messages import Record
 
 
-class Known:
+class SchemaRegistry:
     """Schemas and channels of a file or pipe, by id.
 
     name : name of the file in error messages
@@ -33,7 +33,7 @@ class Known:
         self.schemas: dict[int, SchemaRecord] = {}
         self.channels: dict[int, Channel] = {}
 
-    def learn(self, opcode: int, content: bytes) -> None:
+    def register(self, opcode: int, content: bytes) -> None:
         """Register a schema or channel; a repetition must be identical."""
         if opcode == SCHEMA:
             schema = SchemaRecord.parse(content, self.name)
@@ -75,7 +75,7 @@ class Known:
             what = part.what
         else:
             for opcode, content in part.others:
-                self.learn(opcode, content)
+                self.register(opcode, content)
             block, what = part.block(), f"{self.name}: messages outside chunks"
         unknown = block.present() - self.channels.keys()
         if unknown:
@@ -98,4 +98,4 @@ class Known:
     def _learn_within(self, data: NDArray[np.uint8], other: Record) -> None:
         """Register a record in a chunk's data if it is a schema or channel."""
         if other.opcode in (SCHEMA, CHANNEL):
-            self.learn(other.opcode, data[other.start : other.end].tobytes())
+            self.register(other.opcode, data[other.start : other.end].tobytes())

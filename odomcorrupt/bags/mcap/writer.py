@@ -12,7 +12,7 @@ import numpy as np
 from odomcorrupt.bags.block import TABLE, PartContents, PartFraming, require_all
 from odomcorrupt.bags.checksum import CAN_COMBINE, crc32
 from odomcorrupt.bags.codecs import compress, require_level
-from odomcorrupt.bags.mcap.channel_table import Directory
+from odomcorrupt.bags.mcap.channel_table import ChannelTable
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
 from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added, reframe
 from odomcorrupt.bags.mcap.index import ChunkPlace, ChunkRows, ChunkSpan, Index, message_indexes, span_ns
@@ -96,20 +96,20 @@ class McapWriter(OutputContext):
         self._level = level
         self.pack = packed
         self._index = Index()
-        self._directory = Directory(reader)
+        self._channel_table = ChannelTable(reader)
         self._sequences = Sequences()
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel with the encoding, QoS and latching of another one; return it with a new id."""
-        return self._directory.add(topic, msgtype, like)
+        return self._channel_table.add(topic, msgtype, like)
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
         """Add a channel with a given definition; return it."""
-        return self._directory.add_defined(topic, msgtype, encoding, definition)
+        return self._channel_table.add_defined(topic, msgtype, encoding, definition)
 
     def contents(self) -> PartContents:
         """Return the message counts and time span written so far."""
-        counts = {self._directory.topic(channel): count for channel, count in self._index.counts.items()}
+        counts = {self._channel_table.topic(channel): count for channel, count in self._index.counts.items()}
         return PartContents(Path(self._output.name).name, counts, self._index.start_ns or 0, self._index.end_ns)
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
@@ -148,7 +148,7 @@ class McapWriter(OutputContext):
         if native and not isinstance(block.raw, PartFraming):
             return Framed(block.data, block.table, block.ends)
         table = block.table.copy()
-        table["channel"] = self._directory.translate(table["channel"])
+        table["channel"] = self._channel_table.translate(table["channel"])
         if native:
             records = reframe(block.data, table, block.ends)
         else:
@@ -157,14 +157,14 @@ class McapWriter(OutputContext):
 
     def _added(self, block: Block) -> Framed:
         """Return records of a block's added messages, after those of the channels they need."""
-        messages = [one._replace(channel=self._directory.written_id(one.channel)) for one in block.added]
+        messages = [one._replace(channel=self._channel_table.written_id(one.channel)) for one in block.added]
         framed = frame_added(messages, self._sequences)
         self._added_count += len(messages)
         return self._records(framed.table["channel"]).followed_by(framed)
 
     def _records(self, channels: NDArray[np.uint32]) -> Framed:
         """Return the schema and channel records that these channels still need in the file."""
-        data = self._directory.take_records(channels)
+        data = self._channel_table.take_records(channels)
         return Framed(np.frombuffer(data, dtype=np.uint8), np.empty(0, dtype=TABLE))
 
     def _write_chunks(self, framed: Framed, codec: str, originals: list[Original]) -> None:
@@ -217,16 +217,16 @@ class McapWriter(OutputContext):
         begin = output.position
         output.restart_crc()
         private: list[bytes] = self._reader.summary.private if isinstance(self._reader, McapReader) else []
-        section, offsets = self._index.summary(*self._directory.packed(), private, begin)
+        section, offsets = self._index.summary(*self._channel_table.packed(), private, begin)
         footer = record(FOOTER, struct.pack("<QQI", begin, offsets, 0))[:-4]
         output.write(section, footer)
         output.write(struct.pack("<I", output.crc), MAGIC)
 
     def _begin(self) -> None:
-        self._output.write(MAGIC, record(HEADER, self._directory.header()))
+        self._output.write(MAGIC, record(HEADER, self._channel_table.header()))
 
 
-class Foreign:
+class ReframedReader:
     """A reader of an MCAP presented as one of another format, so that a writer frames its messages itself."""
 
     complete = True

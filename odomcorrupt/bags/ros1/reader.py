@@ -60,7 +60,7 @@ class Ros1Reader(RecordReader):
     """
 
     kind: Kind = "ros1"
-    _teller = "index tells"
+    _stated_by = "index states"
 
     def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
         super().__init__(path, source, recover=recover, threads=threads)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from odomcorrupt.bags.block import Block, Channel, PartFraming
 from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.mcap.reader import McapReader
-from odomcorrupt.bags.mcap.writer import Foreign, McapWriter
+from odomcorrupt.bags.mcap.writer import McapWriter, ReframedReader
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import beside, place, sweep
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, compress_file, compressed_block
@@ -192,7 +192,7 @@ class Rosbag2Writer:
     def _writer(self, part: BagReader, target: Path) -> PartWriter:
         if self._kind == "mcap":
             # another file's bytes are taken over only by a writer that knows their reader
-            source: Any = Foreign(part) if isinstance(part, McapReader) and not self._native else part
+            source: Any = ReframedReader(part) if isinstance(part, McapReader) and not self._native else part
             codec = "none" if self._codec is None and self._mode != "none" and not self._native else self._codec
             level = self._level if self._mode == "none" else None
             return McapWriter(Output(target), source, codec, level, workers=self._workers)

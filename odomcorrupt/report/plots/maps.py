@@ -19,31 +19,31 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.mapping.free_space import FreeSpace
-    from odomcorrupt.mapping.scan_map import Survey
+    from odomcorrupt.mapping.scan_map import ScanMap
 
 PATHS = (BLUE, RED, GREEN)
 
 
-def draw_surveys(surveys: Sequence[Survey], window_m: float, added: str = "added by noise") -> Figure:
+def draw_scan_maps(maps: Sequence[ScanMap], window_m: float, added: str = "added by noise") -> Figure:
     """Draw maps side by side with equal limits; below, the distance of hits from the walls and the wall thickness."""
-    left, right, bottom, top = surveys[0].grid.extent
+    left, right, bottom, top = maps[0].grid.extent
     width = 11.0
-    panel = float(np.clip(width / len(surveys) * (top - bottom) / (right - left), 2.5, 7.0))
+    panel = float(np.clip(width / len(maps) * (top - bottom) / (right - left), 2.5, 7.0))
     with drawing():
         figure = new_figure(width, panel + 3.6)
-        places = figure.add_gridspec(2, len(surveys), height_ratios=(panel, 2.2))
-        for i, survey in enumerate(surveys):
+        places = figure.add_gridspec(2, len(maps), height_ratios=(panel, 2.2))
+        for i, scan_map in enumerate(maps):
             axes = figure.add_subplot(places[0, i])
-            draw_grid(axes, survey.grid)
-            axes.plot(*survey.path_xyt[:, :2].T, color=PATHS[i], linewidth=1.4)
-            axes.plot(*survey.path_xyt[0, :2], "s", color=PATHS[i], markersize=6, markeredgecolor="white")
-            thick = 100.0 * survey.thickness_m[-1]
-            axes.set_title(f"{survey.name}\nwalls {thick:.1f} cm thick", color=PATHS[i])
+            draw_grid(axes, scan_map.grid)
+            axes.plot(*scan_map.path_xyt[:, :2].T, color=PATHS[i], linewidth=1.4)
+            axes.plot(*scan_map.path_xyt[0, :2], "s", color=PATHS[i], markersize=6, markeredgecolor="white")
+            thick = 100.0 * scan_map.thickness_m[-1]
+            axes.set_title(f"{scan_map.name}\nwalls {thick:.1f} cm thick", color=PATHS[i])
             axes.set(xlabel="x (m)", ylabel="y (m)" if i == 0 else "", xlim=(left, right), ylim=(bottom, top))
             axes.locator_params(axis="x", nbins=5)
         below = places[1, :].subgridspec(1, 2)
-        _off_surface(figure.add_subplot(below[0, 0]), surveys)
-        _thickness(figure.add_subplot(below[0, 1]), surveys, window_m, added)
+        _off_surface(figure.add_subplot(below[0, 0]), maps)
+        _thickness(figure.add_subplot(below[0, 1]), maps, window_m, added)
     return figure
 
 
@@ -74,28 +74,28 @@ def draw_free_space(axes: Axes, space: FreeSpace) -> None:
         image.set_transform(Affine2D().rotate_around(x, y, yaw) + to_odom + axes.transData)
 
 
-def _off_surface(axes: Axes, surveys: Sequence[Survey]) -> None:
+def _off_surface(axes: Axes, maps: Sequence[ScanMap]) -> None:
     """Draw the distance of hits from the clean map's walls, for each part of the drive."""
-    for colour, survey in zip(PATHS[1:], surveys[1:], strict=False):
-        middle = survey.marks_m - survey.marks_m[0] / 2.0
+    for colour, scan_map in zip(PATHS[1:], maps[1:], strict=False):
+        middle = scan_map.marks_m - scan_map.marks_m[0] / 2.0
         axes.bar(
-            middle, 100.0 * survey.off_surface_m, width=0.9 * survey.marks_m[0], color=colour, alpha=0.8,
-            label=survey.name,
+            middle, 100.0 * scan_map.off_surface_m, width=0.9 * scan_map.marks_m[0], color=colour, alpha=0.8,
+            label=scan_map.name,
         )  # fmt: skip
     axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
-    axes.set_title(f"hits off the walls of: {surveys[0].name} (RMS)")
+    axes.set_title(f"hits off the walls of: {maps[0].name} (RMS)")
     axes.grid(visible=True, axis="y", color="0.92")
     axes.legend(loc="upper left", fontsize=9)
 
 
-def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float, added: str) -> None:
-    for colour, style, survey in zip(PATHS, ("-", "-", (0, (1, 2))), surveys, strict=False):
+def _thickness(axes: Axes, maps: Sequence[ScanMap], window_m: float, added: str) -> None:
+    for colour, style, scan_map in zip(PATHS, ("-", "-", (0, (1, 2))), maps, strict=False):
         axes.plot(
-            survey.marks_m, 100.0 * survey.thickness_m, "o", linestyle=style, color=colour, markersize=4,
-            label=survey.name,
+            scan_map.marks_m, 100.0 * scan_map.thickness_m, "o", linestyle=style, color=colour, markersize=4,
+            label=scan_map.name,
         )  # fmt: skip
-    added_m = added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)
-    axes.plot(surveys[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label=added)
+    added_m = added_thickness(maps[0].thickness_m, maps[1].thickness_m)
+    axes.plot(maps[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label=added)
     axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
     axes.set_title(f"wall thickness (Razlaw et al. 2015), window {window_m:g} m")
     axes.grid(visible=True, color="0.92")
