@@ -78,6 +78,13 @@ def _judged(rows: Rows, over: str = "floor_m") -> list[float]:
     return [one for one in own if one is not None]
 
 
+def _right(rows: Rows, low: float, high: float) -> list[bool]:
+    """Return whether each name with a confidence in [low, high) is right; names equal to the cause do not count."""
+    named = [(row, *named) for row in rows for named in v.names(row)]
+    own = [v.grade(name, row) for row, name, confidence in named if low <= (confidence or 0.0) < high]
+    return [grade != "wrong" for grade in own if grade != "equal"]
+
+
 def _spread(ratios: list[float]) -> str:
     return f"{np.median(ratios):.2f} / {np.quantile(ratios, 0.9):.2f}" if ratios else ""
 
@@ -87,10 +94,6 @@ def _goals(rows: Rows) -> Lines:
     excited = _causes(rows)
     named = [row for row in excited if not CAUSES[row["case"]["cause"]].event]
     events = [row for row in excited if CAUSES[row["case"]["cause"]].event]
-    high = [
-        (v.grade(name, row) != "wrong") for row in rows for name, confidence in v.names(row)
-        if (confidence or 0.0) >= v.SURE and v.grade(name, row) != "equal"
-    ]  # fmt: skip
     used = [row for row in rows if row.get("after_m") is not None]
     return table(
         ("asked", "found", "goal"),
@@ -104,7 +107,8 @@ def _goals(rows: Rows) -> Lines:
             ["the same over what is attainable", _spread(_judged(rows, "attainable_m")), ""],
             ["above the error without a model by more than 3 %", part([v.harmed(row) for row in used]), "none"],
             ["a command failed or refused the model", part([bool(v.refusals(row)) for row in rows]), "none"],
-            ["names of confidence 0.9 or more that are right", part(high), "85 to 95 % at 0.9"],
+            ["names of confidence 0.85 to 0.95 that are right", part(_right(rows, 0.85, 0.95)), "85 to 95 %"],
+            ["names of confidence 0.9 or more that are right", part(_right(rows, v.SURE, 1.01)), ""],
         ],
     )
 
