@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.diagnosis import Findings
     from odomcorrupt.api.recordings import Recordings
-    from odomcorrupt.commands._standard import Files, Voice
+    from odomcorrupt.commands._standard import Console, Files
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,20 +44,22 @@ class Reading:
     joints: tuple[str, str] | None = None
     relative: tuple[Path, ...] = ()
 
-    def stages(self, voice: Voice) -> Stages:
+    def stages(self, console: Console) -> Stages:
         """Return the progress display."""
         require("scipy", "the study needs it", "study")
-        return Stages(quiet=voice.quiet)
+        return Stages(quiet=console.quiet)
 
-    def read(self, paths: Sequence[Path], voice: Voice, stages: Stages, *, track: float | None = None) -> Recordings:
+    def read(
+        self, paths: Sequence[Path], console: Console, stages: Stages, *, track: float | None = None
+    ) -> Recordings:
         """Return the recordings; `track` is that of a model, used if the command line gives none."""
-        return self.read_with_held_out(paths, (), voice, stages, track=track)[0]
+        return self.read_with_held_out(paths, (), console, stages, track=track)[0]
 
     def read_with_held_out(
         self,
         paths: Sequence[Path],
         held_out: Sequence[Path],
-        voice: Voice,
+        console: Console,
         stages: Stages,
         *,
         track: float | None = None,
@@ -84,7 +86,7 @@ class Reading:
                 progress=lambda stage, share: stages.reading(stage, first + part * share), **alike,
             )  # fmt: skip
             for recording in runs:
-                voice.detail("\n  ".join([describe(recording), *recording.notes]))
+                console.detail("\n  ".join([describe(recording), *recording.notes]))
             return runs
 
         first = read(paths, slice(len(paths)))

@@ -38,8 +38,8 @@ _DEFAULTS = "odomcorrupt.defaults"
 _WIDTH = 80
 
 
-class Voice(NamedTuple):
-    """Level of output of a command: eight lines, everything, nothing, or JSON."""
+class Console(NamedTuple):
+    """Prints the results of a command: eight lines, everything, nothing, or JSON."""
 
     verbose: bool = False
     quiet: bool = False
@@ -54,9 +54,9 @@ class Voice(NamedTuple):
         """
         brief = "" if self.as_json or self.verbose or self.quiet else result.summary()
         details = result.details() if self.verbose and not self.as_json else ""
-        self.say(brief, details, result.to_dict() if self.as_json else None, files=files, err=err)
+        self.print(brief, details, result.to_dict() if self.as_json else None, files=files, err=err)
 
-    def say(
+    def print(
         self, brief: Summary | str, details: str, values: Any, *, files: Files | None = None, err: bool = False
     ) -> None:
         """Print a result that is a summary, a text and values; parameters as of `show`."""
@@ -90,7 +90,7 @@ class Voice(NamedTuple):
 
 
 def written(path: Path | None, write: Callable[[Path], object]) -> Files:
-    """Return an output and its writer in the form of `Voice.show`; empty if no path is given."""
+    """Return an output and its writer in the form of `Console.show`; empty if no path is given."""
     return {} if path is None else {path: lambda: write(path)}
 
 
@@ -100,19 +100,19 @@ def _colours(stream: Any) -> bool:
 
 
 def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add -v, -q, --json and --config; the command receives the first three as one argument, `voice`."""
+    """Add -v, -q, --json and --config; the command receives the first three as one argument, `console`."""
 
     @functools.wraps(command)
     def with_voice(*args: Any, verbose: bool, quiet: bool, as_json: bool, **given: Any) -> Any:
         if quiet and verbose:
             raise click.UsageError("--quiet and --verbose: say nothing, and all; give one of them")
-        voice = Voice(verbose, quiet, as_json)
+        console = Console(verbose, quiet, as_json)
         ctx = click.get_current_context()
         file, names = ctx.meta.get(_DEFAULTS, ("", ()))
         used = [name for name in names if ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP]
         if used:
-            voice.note(f"defaults from {file}: {', '.join(used)}")
-        return command(*args, voice=voice, **given)
+            console.note(f"defaults from {file}: {', '.join(used)}")
+        return command(*args, console=console, **given)
 
     return added(
         click.option("-v", "--verbose", is_flag=True, help="Print everything that is known."),

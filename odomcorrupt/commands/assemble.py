@@ -9,7 +9,7 @@ import click
 
 from odomcorrupt.commands._bag import bag_words, container_options
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
+from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 from odomcorrupt.summary import Line, Summary, command_line
 
 
@@ -23,7 +23,7 @@ from odomcorrupt.summary import Line, Summary, command_line
 @container_options
 @standard_options
 def command(
-    run: Path, output: str | None, output_option: str | None, original: Path | None, *, voice: Voice, **given: Any
+    run: Path, output: str | None, output_option: str | None, original: Path | None, *, console: Console, **given: Any
 ) -> None:
     """Write the whole bag of RUN, an overlay made by `batch --output overlay` that has only the changed topics."""
     from odomcorrupt.api.bag_options import split_options
@@ -41,10 +41,10 @@ def command(
                 f"{original}: is not what the batch was made from any more; name the original with --input"
             )
     container = split_options(bag_words(given))[1]
-    with Stages("assembling", quiet=voice.quiet):
+    with Stages("assembling", quiet=console.quiet):
         count = assemble(run, original, target, container)
     sentence = f"{target}: {count} messages of {run} in the place of those of {original}."
     values = {"schema": 2, "output": str(target), "messages": count, "run": str(run), "input": str(original)}
     found = Line("ASSEMBLED", f"{count} messages of {run.name} in the place of those of {original.name}", "good")
     brief = Summary((found, command_line(["odomcorrupt", "info", target])))
-    voice.say(brief, sentence, values, err=True)
+    console.print(brief, sentence, values, err=True)

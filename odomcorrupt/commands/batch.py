@@ -13,7 +13,7 @@ from odomcorrupt.commands._bag import bag_words, container_options, moving_optio
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, one_of
-from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
+from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,7 +84,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @map_options
 @container_options
 @standard_options
-def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice, **given: Any) -> int:
+def command(paths: tuple[Path, ...], output_option: str | None, *, console: Console, **given: Any) -> int:
     """Make runs 0 to N - 1 of a seed: the same bytes as `odomcorrupt INPUT OUTPUT --seed S --run K` one by one.
 
     Called again, it makes the missing runs. DIRECTORY/manifest.jsonl has the command that makes any single run.
@@ -101,16 +101,16 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
     if given["dry_run"]:
         need = _need(jobs, runs, shard)
         said = _dry(need, jobs, given["jobs"])
-        voice.say(said, said, {"schema": 2, **asdict(need)})
+        console.print(said, said, {"schema": 2, **asdict(need)})
         return 0
     require_odometry(jobs)
     _require_space(jobs, runs, shard)
-    with Rate(sum(len(runs) for _ in jobs), quiet=voice.quiet) as rate:
+    with Rate(sum(len(runs) for _ in jobs), quiet=console.quiet) as rate:
         made = run_batch(
             jobs, runs, processes=given["jobs"], shard=shard, verify=given["verify"], dask=given["dask"], audience=rate
         )
     done = Batch(target, tuple(jobs), made.runs, made.failures)
-    voice.show(done, err=True)
+    console.show(done, err=True)
     return 1 if made.failures else 3 if done.losses else 0
 
 

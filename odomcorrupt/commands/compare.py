@@ -12,7 +12,7 @@ import click
 
 from odomcorrupt.commands._options import FILE, check_picture, need_pictures
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 from odomcorrupt.result_files import refuse_existing, write_text
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def command(
     plot: tuple[str, ...],
     fail_if_rejected: bool,
     overwrite: bool,
-    voice: Voice,
+    console: Console,
 ) -> int:
     """Print the error measured and expected by length of path, whether each model is rejected, and where it fails.
 
@@ -62,8 +62,8 @@ def command(
     refuse_existing(report, overwrite=overwrite)
     models = named_models(list(dict.fromkeys(names)))
     track = next((m.motion_model.track_m for m in models.values() if m.motion_model.track_m is not None), None)
-    with reading.stages(voice) as stages:
-        runs = reading.read(paths, voice, stages, track=track)
+    with reading.stages(console) as stages:
+        runs = reading.read(paths, console, stages, track=track)
         stages("comparison", 0.0)
         result = compare(runs, models)
     words = shlex.join([*map(str, paths), *reading.words(), names[-1]])
@@ -71,7 +71,7 @@ def command(
     if report is not None:
         files[report] = lambda: write_text(report, result.report())
     use = f"odomcorrupt sim.bag noisy.bag --model {shlex.quote(names[-1])}"
-    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.fails else use), files=files)
+    console.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.fails else use), files=files)
     return REJECTED if fail_if_rejected and result.fails else 0
 
 

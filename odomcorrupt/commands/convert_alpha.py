@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._options import usage_errors
-from odomcorrupt.commands._standard import Voice, standard_options
+from odomcorrupt.commands._standard import Console, standard_options
 from odomcorrupt.errors import ModelError
 from odomcorrupt.summary import Line, Summary, command_line
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @click.option("--to-step", metavar="STEP", help="Step of the other law. [default: the same]")
 @standard_options
 def command(
-    alphas: tuple[str, ...], *, source: str, target: str, step: str | None, to_step: str | None, voice: Voice
+    alphas: tuple[str, ...], *, source: str, target: str, step: str | None, to_step: str | None, console: Console
 ) -> None:
     """Convert the alphas of one law to another that drifts the same on straight drives and on turns.
 
@@ -50,7 +50,7 @@ def command(
             source, law.coefficients([parse_alpha(a) for a in alphas]), _step(step) if law.per_step else None
         )
         after = convert(before, other, _step(to_step or step) if other.per_step else None)
-    voice.say(_brief(before, after), _text(before, after), _values(before, after))
+    console.print(_brief(before, after), _text(before, after), _values(before, after))
 
 
 def _step(text: str | None) -> Step | None:

@@ -11,7 +11,7 @@ from odomcorrupt.commands._bag import bag_words, container_options, frame_option
 from odomcorrupt.commands._model import choose_model
 from odomcorrupt.commands._options import FILE, START, usage_errors
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
+from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 from odomcorrupt.errors import EffectError
 
 
@@ -35,7 +35,7 @@ from odomcorrupt.errors import EffectError
 @click.option("--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays.")
 @container_options
 @standard_options
-def command(input_: str, output: str | None, output_option: str | None, *, voice: Voice, **given: Any) -> int:
+def command(input_: str, output: str | None, output_option: str | None, *, console: Console, **given: Any) -> int:
     """Take the effects of a model out of a bag's odometry: its poses, twists and covariances, and its TF edges.
 
     INPUT is read twice, because the correction at a time depends on the whole motion; it cannot be a pipe, OUTPUT can.
@@ -55,7 +55,7 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     if chosen is not None and given["start"] is None:
         with usage_errors(EffectError):
             require_start(chosen.motion_model)
-    with Progress(quiet=voice.quiet) as progress:
+    with Progress(quiet=console.quiet) as progress:
         done = correct(input_, target, model=chosen, start_xyt=given["start"], watch=progress, **bag_words(given))
-    voice.show(done, err=True)
+    console.show(done, err=True)
     return 3 if done.losses else 0

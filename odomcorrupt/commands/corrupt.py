@@ -12,7 +12,7 @@ from odomcorrupt.commands._bag import bag_words, container_options, moving_optio
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import Voice, chosen_output, output_option, standard_options
+from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Names of parameters in glibc's malloc.h."""
@@ -44,7 +44,7 @@ def keep_freed_memory() -> None:
 @container_options
 @threads_option
 @standard_options
-def command(input_: str, output: str | None, output_option: str | None, *, voice: Voice, **given: Any) -> int:
+def command(input_: str, output: str | None, output_option: str | None, *, console: Console, **given: Any) -> int:
     """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.
 
     INPUT and OUTPUT are bags of any kind; - is a pipe. With --map no pose is drawn into a wall: motion as a particle
@@ -61,8 +61,8 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     options = bag_words(given)
     condition = choose_condition_of_run(given, source, split_options(options)[0], model.motion_model)
     keep_freed_memory()
-    with Progress(quiet=voice.quiet) as progress:
+    with Progress(quiet=console.quiet) as progress:
         asked = {"seed": given["seed"], "run": given["run"], "within": condition, "watch": progress}
         done = corrupt(input_, target, model=model, **asked, **options)
-    voice.show(done, err=True)
+    console.show(done, err=True)
     return 3 if done.losses else 0

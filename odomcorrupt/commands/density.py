@@ -11,7 +11,7 @@ import click
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_move, move_options
 from odomcorrupt.commands._options import FILE, POSE, check_picture, one_of, save_picture, usage_errors
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def command(
     reading: Literal["pose", "product", "hypothetical"],
     poses: tuple[tuple[float, ...], ...],
     overwrite: bool,
-    voice: Voice,
+    console: Console,
     **given: Any,
 ) -> None:
     """Say how likely end poses of one motion are, in closed form, beside samples of it.
@@ -65,4 +65,4 @@ def command(
     if output is not None:
         following = ["sample", *typed_words("--output", "--overwrite", "--at", "--reading")]
     shown = replace(found, following=shlex.join(["odomcorrupt", *following]))
-    voice.show(shown, files=written(output, draw))
+    console.show(shown, files=written(output, draw))

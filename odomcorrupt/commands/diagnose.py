@@ -15,7 +15,7 @@ from odomcorrupt.commands._recordings import (
     recording_options,
     split_arguments,
 )
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,7 +37,7 @@ def command(
     drive: Path | None,
     report: Path | None,
     overwrite: bool,
-    voice: Voice,
+    console: Console,
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and suggest the next command."""
     from odomcorrupt.api.diagnosis import diagnose
@@ -49,12 +49,12 @@ def command(
     check_advice(drive, report, overwrite=overwrite)
     # an unreadable model is reported before minutes of work
     model = Model.load(names[0]) if names else None
-    with reading.stages(voice) as stages:
-        runs = reading.read(paths, voice, stages, track=model.motion_model.track_m if model else None)
+    with reading.stages(console) as stages:
+        runs = reading.read(paths, console, stages, track=model.motion_model.track_m if model else None)
         result = diagnose(runs, names[0] if names else None, watch=stages)
     words = [*map(str, paths), *reading.words()]
     result = replace(result, following=_following(result, words, names))
-    voice.show(result, files=advice_files(result, drive, report))
+    console.show(result, files=advice_files(result, drive, report))
 
 
 def _following(result: Diagnosis, words: list[str], models: list[str]) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._standard import Voice, standard_options
+from odomcorrupt.commands._standard import Console, standard_options
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @click.command("effects", short_help="List the physical effects, or explain one.")
 @click.argument("name", required=False)
 @standard_options
-def command(name: str | None, *, voice: Voice) -> None:
+def command(name: str | None, *, console: Console) -> None:
     """List the physical effects that make odometry depart from the truth, or explain one of them.
 
     --effect NAME:parameter=value adds an effect to a bag, diagnose tests for it, and correct removes it.
@@ -38,13 +38,13 @@ def command(name: str | None, *, voice: Voice) -> None:
 
     if name is not None:
         kind = effect_named(name)
-        voice.say(_brief_page(kind), _page(kind), _facts(kind))
+        console.print(_brief_page(kind), _page(kind), _facts(kind))
         return
     kinds = registry()
     effects = [{"name": n, "kind": k.kind, "summary": k.summary} for n, k in kinds.items()]
     width = max(map(len, kinds))
     rows = [f"{n:<{width}}  {k.kind:<6}  {k.summary}" for n, k in kinds.items()]
-    voice.say(_brief(kinds), "\n".join([*rows, _LEGEND]), {"schema": 2, "effects": effects})
+    console.print(_brief(kinds), "\n".join([*rows, _LEGEND]), {"schema": 2, "effects": effects})
 
 
 _LEGEND = """

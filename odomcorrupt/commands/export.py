@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._options import FILE, TRACK, Decorator, Number, usage_errors
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError
 from odomcorrupt.result_files import refuse_existing, write_text
 from odomcorrupt.summary import Line, Summary, command_line
@@ -46,7 +46,7 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
 @overwrite_option()
 @standard_options
 def command(
-    model: Path, *, target: str, controller: str, output: Path | None, overwrite: bool, voice: Voice, **given: Any
+    model: Path, *, target: str, controller: str, output: Path | None, overwrite: bool, console: Console, **given: Any
 ) -> None:
     """Print a model as YAML; -v as a block to paste, with what it assumes and cannot express, as -o writes it.
 
@@ -69,7 +69,7 @@ def command(
         text = wheels_text(robot, wheel_multipliers(robot, given["track"]), controller)
     values = {"schema": 2, "to": target, "yaml": text}
     if output is None:
-        voice.say(condensed(text, robot), text, values)
+        console.print(condensed(text, robot), text, values)
         return
     load = {
         "nav2": ["ros2", "run", "nav2_amcl", "amcl", "--ros-args", "--params-file", output],
@@ -77,7 +77,7 @@ def command(
         "robot_localization": ["ros2", "run", "robot_localization", "ekf_node", "--ros-args", "--params-file", output],
     }
     brief = _brief(robot, f"{model.name} for {target}", text, load[target])
-    voice.say(brief, text, values, files={output: lambda: write_text(output, text + "\n")})
+    console.print(brief, text, values, files={output: lambda: write_text(output, text + "\n")})
 
 
 def _brief(robot: MotionModel, name: str, text: str, following: Sequence[object]) -> Summary:

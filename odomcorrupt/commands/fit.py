@@ -11,7 +11,7 @@ import click
 
 from odomcorrupt.commands._options import FILE
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def command(
     returns: bool,
     ends: tuple[str, ...],
     overwrite: bool,
-    voice: Voice,
+    console: Console,
 ) -> None:
     """Fit the noise coefficients, the truth's own noise, clocks and set-up, and the requested effects.
 
@@ -66,23 +66,28 @@ def command(
     if returns or ends:
         if ends and reading.scan:
             raise click.UsageError("--end and --scan: scans measure where a drive ended; leave one of them out")
-        _square_test(paths, ends or ("0,0,0",), reading, add, output, voice)
+        _square_test(paths, ends or ("0,0,0",), reading, add, output, console)
         return
     begin = None if start is None else Model.load(start)
     require_effects(begin, add)
-    with reading.stages(voice) as stages:
-        runs = reading.read(paths, voice, stages, track=begin.motion_model.track_m if begin else None)
+    with reading.stages(console) as stages:
+        runs = reading.read(paths, console, stages, track=begin.motion_model.track_m if begin else None)
         stages("fit", 0.0)
         result = fit(runs, add, start=begin, law=law)
     words = [*map(str, paths), *reading.words()]
     shown = replace(result, following=f"odomcorrupt compare {shlex.join([*words, str(output)])}")
     if output is None:
         shown = replace(result, following=shlex.join(["odomcorrupt", "fit", *typed_words(), "-o", "robot.toml"]))
-    voice.show(shown, files=written(output, lambda path: result.model.save(path, overwrite=True)))
+    console.show(shown, files=written(output, lambda path: result.model.save(path, overwrite=True)))
 
 
 def _square_test(
-    paths: Sequence[Path], ends: Sequence[str], reading: Reading, add: Sequence[str], output: Path | None, voice: Voice
+    paths: Sequence[Path],
+    ends: Sequence[str],
+    reading: Reading,
+    add: Sequence[str],
+    output: Path | None,
+    console: Console,
 ) -> None:
     """Fit a square test's effects to the ends of drives."""
     from odomcorrupt.api.returns import fit_returns
@@ -95,10 +100,10 @@ def _square_test(
     poses = [_end(text) for text in ends]
     if len(poses) not in (1, len(paths)):
         raise click.UsageError(f"{len(poses)} --end for {len(paths)} drives; give one for all, or one for each")
-    with reading.stages(voice) as stages:
+    with reading.stages(console) as stages:
         stages("fit", 0.0)
         result = fit_returns(paths, poses, effects=add, odom=reading.odom, track_m=reading.track, scan=reading.scan)
-    voice.show(result, files=written(output, lambda path: result.model.save(path, overwrite=True)))
+    console.show(result, files=written(output, lambda path: result.model.save(path, overwrite=True)))
 
 
 def _end(text: str) -> tuple[float, float, float]:

@@ -6,7 +6,7 @@ import click
 
 from odomcorrupt.commands._bag import bag_options, report_losses, source_of
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import Voice, standard_options
+from odomcorrupt.commands._standard import Console, standard_options
 
 
 @click.command("info", short_help="Show a bag's odometry, and what corruption would move.")
@@ -14,7 +14,13 @@ from odomcorrupt.commands._standard import Voice, standard_options
 @bag_options
 @standard_options
 def command(
-    input_: str, *, odom_topic: str | None, odom_frame: str | None, base_frame: str | None, recover: bool, voice: Voice
+    input_: str,
+    *,
+    odom_topic: str | None,
+    odom_frame: str | None,
+    base_frame: str | None,
+    recover: bool,
+    console: Console,
 ) -> int:
     """Show a bag's topics, frames and edges, its motion, what is odd, and which topics still hold the true motion."""
     from odomcorrupt.bags.open import open_reader
@@ -23,11 +29,11 @@ def command(
     from odomcorrupt.info.summary import brief, summarise, summary_text
 
     source = source_of(input_)
-    with open_reader(source, recover=recover) as reader, Progress(quiet=voice.quiet) as progress:
+    with open_reader(source, recover=recover) as reader, Progress(quiet=console.quiet) as progress:
         watcher = ProvenanceWatcher(progress)
         seen = scan_bag(reader, watcher)
         losses = list(reader.losses)
     values = summarise(seen, odom_topic=odom_topic, odom_frame=odom_frame, base_frame=base_frame)
     values["provenance"] = [*watcher.provenance(source)]
-    voice.say(brief(values, input_), summary_text(values), values)
+    console.print(brief(values, input_), summary_text(values), values)
     return report_losses(losses)

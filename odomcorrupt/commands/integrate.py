@@ -10,7 +10,7 @@ import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture, usage_errors
-from odomcorrupt.commands._standard import Voice, chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.commands._standard import Console, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.result_files import refuse_existing
 from odomcorrupt.summary import Line, Summary, command_line
@@ -45,7 +45,7 @@ _BAG = click.Path(path_type=Path)
 @overwrite_option("existing outputs")
 @unpack_option
 @standard_options
-def command(input_: Path, output: Path | None, output_option: str | None, *, voice: Voice, **given: Any) -> None:
+def command(input_: Path, output: Path | None, output_option: str | None, *, console: Console, **given: Any) -> None:
     """Integrate the velocities of a bag's odometry, and write them as its poses.
 
     OUTPUT gets run 0, in the Odometry messages and the TF edges that go with them; everything else stays.
@@ -98,7 +98,7 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     if plot is not None:
         files[plot] = partial(_draw, plot, drive, clean, runs, truth, rule, noise)
     values = {"schema": 2, "rule": rule, "hold": given["hold"], "sentences": said}
-    voice.say(brief, "\n".join(said), values, files=files)
+    console.print(brief, "\n".join(said), values, files=files)
 
 
 def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], following: Sequence[object]) -> Summary:

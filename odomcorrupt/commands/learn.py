@@ -17,7 +17,7 @@ from odomcorrupt.commands._recordings import (
     recording_options,
     split_arguments,
 )
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def command(
     report: Path | None,
     drive: Path | None,
     overwrite: bool,
-    voice: Voice,
+    console: Console,
 ) -> None:
     """Learn which effects a robot has, write its model, and show how the error changes.
 
@@ -62,15 +62,15 @@ def command(
     refuse_existing(output, overwrite=overwrite)
     check_picture(plot, overwrite=overwrite)
     check_advice(drive, report, overwrite=overwrite)
-    with reading.stages(voice) as stages:
-        runs, held_out = reading.read_with_held_out(paths, validate, voice, stages)
+    with reading.stages(console) as stages:
+        runs, held_out = reading.read_with_held_out(paths, validate, console, stages)
         result = learn(runs, validate=held_out or (), watch=stages)
     evaluated_on = [*map(str, validate or paths), *reading.words()]
     usable = not result.comparison.fails and result.result.reproduction.holds
     following = _following(output, [*map(str, paths), *reading.words()], evaluated_on, usable=usable)
     result = replace(result, following=following)
     saved = written(output, lambda path: result.model.save(path, overwrite=True))
-    voice.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})
+    console.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})
 
 
 def _following(model: Path | None, words: Sequence[str], evaluated_on: Sequence[str], *, usable: bool) -> str:

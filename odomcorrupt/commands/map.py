@@ -12,7 +12,7 @@ from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.summary import Line, Summary, command_line
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 @overwrite_option("existing outputs")
 @unpack_option
 @standard_options
-def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> None:
+def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -> None:
     """Draw the map a laser makes through a bag's odometry, and through the same odometry with noise on it.
 
     Reports the wall thickness of both, and its growth along the drive.
@@ -66,7 +66,7 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
     if str(bag) == "-":
         raise OdomCorruptError("-: maps take the whole drive, which a pipe cannot show twice; name a file")
     if given["method"] == "laser":
-        _by_laser(bag, output, given, voice)
+        _by_laser(bag, output, given, console)
         return
     beside = {} if output is None else {name: output.with_name(f"{output.stem}_{name}") for name in ("clean", "noisy")}
     check_picture(output, overwrite=given["overwrite"])
@@ -74,7 +74,7 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
         refuse_existing(path, overwrite=given["overwrite"])
     chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    with Stages("drawing maps", quiet=voice.quiet):
+    with Stages("drawing maps", quiet=console.quiet):
         notes, maps = _scan_maps(bag, chosen.motion_model, seed, given)
     origin = f" ({chosen.origin})" if chosen.origin else ""
     noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
@@ -89,7 +89,7 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
         for scan_map, path in zip(maps, beside.values(), strict=False):
             files[path.with_suffix(".yaml")] = partial(_write_map, scan_map, path)
         files[output] = partial(_draw, output, maps, "added by noise")
-    voice.say(brief, text, _values(maps, notes, seed), files=files)
+    console.print(brief, text, _values(maps, notes, seed), files=files)
 
 
 def _write_map(scan_map: ScanMap, path: Path) -> None:
@@ -108,7 +108,7 @@ def _draw(path: Path, maps: Sequence[ScanMap], added: str) -> None:
     save_picture(path, draw_scan_maps(maps, WINDOW_M, added))
 
 
-def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voice) -> None:
+def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], console: Console) -> None:
     """Write the map made by scan matching with its trajectory, and the picture of the maps side by side."""
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.laser.mapping import largest_part, laser_maps, tum_text
@@ -128,7 +128,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
-    with Stages(quiet=voice.quiet) as stages:
+    with Stages(quiet=console.quiet) as stages:
         run, parts = largest_part(laser_run(bag, str(bag), odom, given["scan"], stages))
     odometry = run.odometry
     noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
@@ -151,7 +151,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
         ".png": lambda: _draw(files[".png"], drawn.maps, "added by the odometry"),
     }
     named = {files[end]: write for end, write in writers.items()} if files else {}
-    voice.say(Summary((*lines, command_line(following))), said, _values(drawn.maps, notes, seed), files=named)
+    console.print(Summary((*lines, command_line(following))), said, _values(drawn.maps, notes, seed), files=named)
 
 
 def _brief(

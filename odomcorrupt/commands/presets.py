@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._options import usage_errors
-from odomcorrupt.commands._standard import Voice, standard_options
+from odomcorrupt.commands._standard import Console, standard_options
 from odomcorrupt.errors import ModelError
 from odomcorrupt.summary import Line, Summary, command_line
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.command("presets", short_help="List the ready-made noise models, or print one as a model file.")
 @click.argument("name", required=False)
 @standard_options
-def command(name: str | None, *, voice: Voice) -> None:
+def command(name: str | None, *, console: Console) -> None:
     """List the presets with law, numbers and source, or print one of them as a model file, to edit and to add effects.
 
     The numbers are alpha1, alpha2, ...; what they mean depends on the law.
@@ -33,7 +33,7 @@ def command(name: str | None, *, voice: Voice) -> None:
     if name is None:
         chosen = list(PRESETS.values())
         use = "odomcorrupt INPUT OUTPUT --preset NAME uses one; odomcorrupt presets NAME > robot.toml is for --model"
-        voice.say(
+        console.print(
             _brief(chosen),
             "\n".join([*map(_lines, chosen), use]),
             {"schema": 2, "presets": [_values(p) for p in chosen]},
@@ -43,7 +43,7 @@ def command(name: str | None, *, voice: Voice) -> None:
         preset = preset_named(name)
     source = {"preset": preset.name, "from": preset.source}
     text = format_model(MotionModel(preset.noise, source=source))
-    voice.say(text.rstrip("\n"), text.rstrip("\n"), {"schema": 2} | _values(preset))
+    console.print(text.rstrip("\n"), text.rstrip("\n"), {"schema": 2} | _values(preset))
 
 
 def _brief(presets: Sequence[Preset]) -> Summary:

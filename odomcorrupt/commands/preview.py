@@ -13,7 +13,7 @@ from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, check_picture, save_picture
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("an existing picture")
 @standard_options
-def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> int:
+def command(input_: str, output: Path | None, *, console: Console, **given: Any) -> int:
     """Draw many runs of a motion model over a bag's odometry and show how far they drift; no bag is written.
 
     Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command about
@@ -51,7 +51,7 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     source, seed = source_of(input_), given["seed"]
     options = Options(given["odom_topic"], given["odom_frame"], given["base_frame"])
     condition = choose_condition_of_run(given, source, options, model)
-    with open_reader(source, recover=given["recover"]) as reader, Progress(quiet=voice.quiet) as progress:
+    with open_reader(source, recover=given["recover"]) as reader, Progress(quiet=console.quiet) as progress:
         drive = read_clean_drive(reader, model, options, progress)
         losses = list(reader.losses)
     systematic = SystematicEffects(model)
@@ -75,7 +75,7 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     if output is not None:
         following = ["odomcorrupt", *typed_words("--output", "--overwrite", "--runs"), "noisy.mcap"]
     said = brief(outlook, model, chosen.origin, seed, following)
-    voice.say(said, text, forecast_json(outlook, model, seed), files=written(output, draw))
+    console.print(said, text, forecast_json(outlook, model, seed), files=written(output, draw))
     return report_losses(losses)
 
 

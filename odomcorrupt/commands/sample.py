@@ -23,7 +23,7 @@ from odomcorrupt.commands._options import (
     save_picture,
     usage_errors,
 )
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, typed_words, written
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.result_files import refuse_existing, write_text
 
@@ -35,7 +35,9 @@ _RUNS = 300
 """Default number of runs along a bag."""
 
 
-def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
+def _sample_along(
+    bag: Path, output: Path | None, kind: str | None, *, console: Console, given: Mapping[str, Any]
+) -> None:
     """Draw runs of a bag's drive, evaluate them at distances along it, and print and write the result."""
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.mapping.conditioned_runs import free_paths
@@ -72,7 +74,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
             drive.stamps_ns, drive.xyt, chosen.motion_model, condition, seed=seed, runs=range(runs), places=places
         )  # fmt: skip
         cloud = particles_at(drive, places, free.xyt, seed)
-        voice.note(free.account())
+        console.note(free.account())
     origin = f" ({chosen.origin})" if chosen.origin else ""
     text = f"noise: {law_words(chosen.motion_model.noise)}{origin}\n{report_text(cloud)}"
 
@@ -92,7 +94,7 @@ def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Vo
         following = ["odomcorrupt", "preview", str(bag)]
     words = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
     said = brief(cloud, words, f"{drive.topic} of {bag}", following)
-    voice.say(said, text, {"schema": 2, **json.loads(json_text(cloud))}, files=written(output, write))
+    console.print(said, text, {"schema": 2, **json.loads(json_text(cloud))}, files=written(output, write))
 
 
 def _round(value: float) -> float:
@@ -112,7 +114,7 @@ def _round(value: float) -> float:
 @overwrite_option()
 @unpack_option
 @standard_options
-def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Voice, **given: Any) -> None:
+def command(bag: Path | None, output: Path | None, *, overwrite: bool, console: Console, **given: Any) -> None:
     """Draw where one motion may have ended, or, with a BAG, where the robot may be along its drive.
 
     \b
@@ -133,7 +135,7 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
     if kind in PICTURES:
         need_pictures()
     if bag is not None:
-        _sample_along(bag, output, kind, voice=voice, given=given)
+        _sample_along(bag, output, kind, console=console, given=given)
         return
     chosen = choose_move(given)
     condition = choose_condition(given, None, "odom")
@@ -152,4 +154,4 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
     if output is not None:
         following = ["density", *typed_words("--output", "--overwrite", "--every", "--odom-topic", "--max-unpacked")]
     shown = replace(drawn, following=shlex.join(["odomcorrupt", *following]))
-    voice.show(shown, files=written(output, write))
+    console.show(shown, files=written(output, write))

@@ -11,7 +11,7 @@ import click
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._options import FILE, Number, check_picture, need_pictures, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.input_files import read_input
 from odomcorrupt.result_files import refuse_existing, write_text
 
@@ -54,7 +54,7 @@ _BASELINE_BYTES = 1 << 28
 @overwrite_option("existing outputs")
 @unpack_option
 @standard_options
-def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
+def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
     """Print errors of a localisation that was run on each bag of a batch, against the drift of its odometry.
 
     Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
@@ -67,7 +67,7 @@ def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
     for rule in given["rules"]:
         parse_rule(rule)
     baseline = None if given["baseline"] is None else _baseline(given["baseline"])
-    with Stages("scoring", quiet=voice.quiet):
+    with Stages("scoring", quiet=console.quiet):
         report = score(
             list(runs), given["estimate"], truth=given["truth"], truth_file=given["truth_file"],
             outputs=given["outputs"], align=given["align"], count_missing=given["count_missing"],
@@ -79,7 +79,7 @@ def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
 
         verdicts = check(score_json(report), given["rules"], baseline)
     following = ["odomcorrupt", "score", *runs, *(("--estimate", given["estimate"]) if given["estimate"] else ())]
-    _tell(report, verdicts, given | {"following": [*following, "--report", "page.html"]}, voice)
+    _tell(report, verdicts, given | {"following": [*following, "--report", "page.html"]}, console)
     return 1 if any(verdict.failed for verdict in verdicts) else 0
 
 
@@ -107,7 +107,7 @@ def _baseline(path: Path) -> dict[str, Any]:
     return table
 
 
-def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], voice: Voice) -> None:
+def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], console: Console) -> None:
     from odomcorrupt import __version__
     from odomcorrupt.report.json.score import score_json
     from odomcorrupt.report.text.score import score_brief, score_text
@@ -117,7 +117,7 @@ def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], v
     gates = [f"{verdict.sentence}." for verdict in verdicts]
     details = "\n".join([score_text(report, every=True), *gates])
     brief = details if given["each"] else score_brief(report, verdicts, following=given["following"])
-    if voice.as_json:
+    if console.as_json:
         for sentence in gates:
             click.echo(sentence, err=True)
 
@@ -133,4 +133,4 @@ def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], v
 
     saved = written(given["save"], lambda path: write_text(path, text + "\n"))
     files = {**saved, **written(given["report"], write_page), **written(given["output"], draw)}
-    voice.say(brief, details, values, files=files)
+    console.print(brief, details, values, files=files)

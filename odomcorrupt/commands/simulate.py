@@ -11,7 +11,7 @@ import click
 
 from odomcorrupt.commands._options import FILE, Number, usage_errors
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import Voice, chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.commands._standard import Console, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
@@ -100,7 +100,13 @@ def _size(text: str) -> float:
 @overwrite_option("existing files")
 @standard_options
 def command(
-    output: str | None, output_option: str | None, *, effects: tuple[str, ...], size: str, voice: Voice, **given: Any
+    output: str | None,
+    output_option: str | None,
+    *,
+    effects: tuple[str, ...],
+    size: str,
+    console: Console,
+    **given: Any,
 ) -> None:
     """Drive a robot whose wheels, tyres, gear, sensors or clocks have a fault, and record odometry and truth.
 
@@ -113,10 +119,10 @@ def command(
     if piped and given["answer"] is None:
         raise click.UsageError("a bag on a pipe needs a name for its answer; give --answer FILE")
     names, parameters = _faults(effects)
-    with usage_errors(EffectError, "--effect "), Stages("simulation", quiet=voice.quiet):
+    with usage_errors(EffectError, "--effect "), Stages("simulation", quiet=console.quiet):
         done = simulate(None if piped else target, effects=names, parameters=parameters, size=_size(size), **given)
     if piped:
         sys.stdout.buffer.write(done.bag)
-        voice.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {done.answer_path}")
+        console.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {done.answer_path}")
     else:
-        voice.show(done, err=True)
+        console.show(done, err=True)

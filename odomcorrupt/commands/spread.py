@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._options import FILE, check_picture, save_picture
-from odomcorrupt.commands._standard import Voice, overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _ERRORS = 2.0
 @click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("an existing picture")
 @standard_options
-def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voice) -> None:
+def command(directory: Path, output: Path | None, *, overwrite: bool, console: Console) -> None:
     """Show how position and heading of a batch's runs spread with the distance, and what the linear model predicts."""
     from odomcorrupt.batching.dispersion import measure
 
@@ -42,7 +42,7 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
         save_picture(path, draw_spread(report))
 
     following = ["spread", directory, "-o", "spread.png"] if output is None else ["score", "-h"]
-    voice.say(_brief(report, following), _text(report), {**words, "rows": rows}, files=written(output, draw))
+    console.print(_brief(report, following), _text(report), {**words, "rows": rows}, files=written(output, draw))
 
 
 def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:

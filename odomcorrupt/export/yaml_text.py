@@ -124,7 +124,7 @@ def twists_text(model: MotionModel, variances: TwistVariances, drive: Steady, co
         "ekf_filter_node:",
         "  ros__parameters:",
         "    # velocities, not poses: the errors of poses add up, and a filter takes",
-        "    # every message for a new witness",
+        "    # every message for an independent measurement",
         "    odom0_config: [false, false, false, false, false, false,",
         "                   true, true, false, false, false, true,",
         "                   false, false, false]",

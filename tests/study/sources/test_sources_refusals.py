@@ -13,7 +13,7 @@ from sourcedrive import START_NS, Rows, odometry, truth
 from odomcorrupt.cli import run
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._recordings import Reading
-from odomcorrupt.commands._standard import Voice
+from odomcorrupt.commands._standard import Console
 from odomcorrupt.study.io import Source, read_runs
 
 
@@ -276,7 +276,7 @@ def test_each_recording_and_each_held_out_one_has_the_truth_file_of_its_place(tm
     moved = csv_file(tmp_path / "odom.csv", odometry())
     truths = [csv_file(tmp_path / f"{name}.csv", truth()) for name in "abc"]
     reading = Reading(truth_bags=tuple(truths))
-    runs, held_out = reading.read_with_held_out([moved, moved], [moved], Voice(quiet=True), Stages(quiet=True))
+    runs, held_out = reading.read_with_held_out([moved, moved], [moved], Console(quiet=True), Stages(quiet=True))
     assert [source.truth_path for source in runs.sources] == truths[:2]
     assert [source.truth_path for source in held_out.sources] == truths[2:]
 
