@@ -299,7 +299,7 @@ def draw(clouds: dict[str, Replay], file: Path) -> None:
         panels = figure.subplots(1, len(clouds), sharex=True, sharey=True)
         for axes, (name, paths) in zip(panels, clouds.items(), strict=True):
             panel(axes, paths, name)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
         # paths of equal axes may need more height than the layout gives them: the picture grows, no label is cut
         figure.savefig(file, dpi=75, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.05)
 
