@@ -91,7 +91,7 @@ def learn_robot(
     robot = fit_robot(recordings, found, law_name=LAW, clocks=search.clocks, shaped=search.added)
     proof = verified_model(robot.model, recordings)
     models = {"without effects": base.model}
-    names = [*search.added, *(one.title for one in search.laws), *(effect.name for effect in random)]
+    names = [*search.added, *(one.title for one in search.laws), *search.means, *(effect.name for effect in random)]
     if names:
         models["with " + ", ".join(names)] = proof.model
     work.begin("comparison on held-out data", 2.5, 0.0)

@@ -106,10 +106,24 @@ def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_
     law = "along += v * (k * where(t > 60, 1, 0))"
     learned = learned_with(with_truth(drive(4, scale=1.03), 5), over_time=law)
     kept, said = drop_unsupported_parts(learned)
-    assert (kept.laws, kept.fit.effects) == ((), ())
+    assert (kept.laws, kept.means) == ((), ("mean_of_late",))
+    assert kept.fit.effects[0].k == pytest.approx(1.0 / 1.03 - 1.0, abs=0.003)
     assert "this one drive" in said[0].remark
     same = with_truth(drive(6, scale=1.03), 7)
     assert drop_unsupported_parts(learned, [replace(same, name="same")])[0].fit.effects
+
+
+def test_the_mean_of_a_law_over_time_is_dropped_where_the_halves_do_not_support_it():
+    learned = learned_with(with_truth(drive(4), 5), over_time="along += v * (k * where(t > 60, 1, 0))")
+    kept, said = drop_unsupported_parts(learned)
+    assert (kept.means, kept.fit.effects) == ((), ())
+    assert [one.name for one in said] == ["late", "mean_of_late"]
+
+
+def test_a_law_over_time_that_is_no_fraction_of_the_motion_has_no_mean():
+    learned = learned_with(with_truth(drive(4), 5), over_time="yaw += k * where(t > 60, 1, 0)")
+    kept, said = drop_unsupported_parts(learned)
+    assert (kept.fit.effects, [one.name for one in said]) == ((), ["late"])
 
 
 @pytest.mark.parametrize(("nats", "needed"), [(58.0, True), (12.0, False)])

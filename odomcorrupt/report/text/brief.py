@@ -222,7 +222,9 @@ def _left_out(unknown: Dependence, search: Learned) -> str:
     if unknown in search.laws or unknown.instead_of:
         return ""
     other = "; another drive decides, --validate OTHER" if unknown.regressor == "time" else ""
-    return f" (not in the model{other})"
+    mean = next((e for e in search.fit.effects if e.name == f"mean_of_{unknown.name}"), None)
+    said = "not in the model" if mean is None else f"the model has its mean, {getattr(mean, 'k', 0.0):.4g}"
+    return f" ({said}{other})"
 
 
 def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:

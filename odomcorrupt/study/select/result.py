@@ -79,6 +79,7 @@ class Learned:
     contributions : displacement of the odometry by each systematic part, if it was computed
     first_clocks : clocks estimated before all else; None if lost increments were restored before that
     drifts_too_far : whether the model drifts clearly more than the recordings, if it was tested
+    means : names of the effects in the model that are means of dependences on the time of a single drive
     """
 
     clocks: Clocks
@@ -97,6 +98,7 @@ class Learned:
     contributions: Mapping[str, Contribution] = field(default_factory=dict)
     first_clocks: Clocks | None = None
     drifts_too_far: bool = False
+    means: tuple[str, ...] = ()
 
     def is_negligible(self, name: str) -> bool:
         """Return whether the part of the model with this name is present but negligible in practice."""

@@ -287,11 +287,13 @@ def sequence_comparison(
     recordings : evaluation data; recordings used in the selection are split in halves, one fitted and one evaluated
     first : name of the initial model
     """
-    steps = learned.steps
     # Terms that were included and dropped again are not steps.
-    before = [step.before for step in (*learned.rounds[:1], *steps[1:])] if steps else []
+    steps, means = learned.steps, ", ".join(learned.means)
+    before = [step.before for step in (*learned.rounds[:1], *steps[1:])] if steps or means else []
     fits = [*before, learned.fit]
     names = [first, *(f"+ {step.name}" for step in steps)]
+    if means:
+        names = [*names, f"+ {means}"] if not steps else [*names[:-1], f"{names[-1]}, {means}"]
     return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})
 
 

@@ -1,19 +1,24 @@
 """Held-out tests of each part of a learned model; parts that make predictions clearly worse are dropped.
 
-Also dropped are parts of low confidence that held-out data do not support, and a dependence on the time of a single
-recording, which cannot apply to another drive. Each effect, dependence and random gain is removed in turn, the others
-are refitted, and both models are evaluated on the same windows and intervals of held-out data: other recordings of the
-robot, or the two halves of the fitted ones, each evaluated by a fit to the other. Differences are paired, so that
-difficult data count against neither.
+Also dropped are parts of low confidence that held-out data do not support. A dependence on the time of a single
+recording cannot apply to another drive: its mean is kept in its place, if it is a fraction of the motion and the halves
+support it, since tracks and radii stay about as they are.
+
+Each effect, dependence and random gain is removed in turn, the others are refitted, and both models are evaluated on
+the same windows and intervals of held-out data: other recordings of the robot, or the two halves of the fitted ones,
+each evaluated by a fit to the other. Differences are paired, so that difficult data count against neither.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects.effect import choices
+from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error
@@ -42,6 +47,8 @@ _SIGNIFICANT = 2.0
 """Standard errors beyond which a paired difference counts as significant."""
 _WORSE = {"factor": 1.02, "plain": 1.15, "errors": _SIGNIFICANT}
 """Thresholds at which a 10 s error counts as larger, see `Drift.worse_than`."""
+_FRACTION = re.compile(r"(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* ")
+"""Beginning of a dependence that is a fraction of a motion."""
 _MIN_BLOCKS = 6
 """Fewest blocks of 15 s for a significance test of the likelihood."""
 
@@ -83,11 +90,13 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
     placed = shared_frame([*fitted.problem.recordings, *others]) is not None
     timed = {law.name for law in learned.laws if law.regressor == "time"} if len(_runs(fitted)) == 1 else set()
+    means: dict[str, Effect] = {}
     while parts := [(part,) for part in _parts(fitted)]:
         # Also test all parts jointly: each may compensate another's error while all of them are worse than none.
         together = tuple(part for (part,) in parts if placed or not part.reads_places)
         found = _test(fitted, [*parts, *([together] if len(together) > 1 else [])], others, clocks)
         found = [(own, _needs_support(one, supported=bool(others)) if one.name in timed else one) for own, one in found]
+        found = [(own, _needed(one) if one.name in means else one) for own, one in found]
         worst = max((one for one in found if one[1].failure), key=lambda one: -one[1].nats, default=None)
         if worst is None:
             each = [(own, one) for own, one in found if len(own) == 1]
@@ -100,6 +109,9 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
             break
         said.append(worst[1])
         fitted = _without(fitted, worst[0])
+        if (mean := _mean_of(worst[0][0])) is not None and worst[1].name in timed:
+            means[mean.name] = mean
+            fitted = fitted.refit((*fitted.effects, mean))
     if fitted is learned.fit:
         return learned, tuple(said)
     kept = {effect.name for effect in (*fitted.effects, *fitted.random)}
@@ -110,8 +122,8 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     )
     # a dependence that was selected instead of a dropped effect names no effect any more
     unknown = tuple(one if one.instead_of in {"", *kept} else replace(one, instead_of="") for one in learned.unknown)
-    errors_m = ten_second_error(fitted)
-    return replace(learned, fit=fitted, laws=laws, noise=noise, unknown=unknown, error_m=errors_m), tuple(said)
+    learned = replace(learned, laws=laws, noise=noise, unknown=unknown, means=tuple(m for m in means if m in kept))
+    return replace(learned, fit=fitted, error_m=ten_second_error(fitted)), tuple(said)
 
 
 def _runs(fitted: Fit) -> set[int]:
@@ -125,6 +137,19 @@ def _needs_support(one: HeldOut, *, supported: bool) -> HeldOut:
     return replace(
         one, failure="it says when this one drive went wrong; a second one would show whether it happens again"
     )
+
+
+def _needed(one: HeldOut) -> HeldOut:
+    """Return the test of a mean, dropped unless it is needed."""
+    return one if one.failure or one.needed else replace(one, failure="the halves of the drive do not support it")
+
+
+def _mean_of(part: Effect) -> Effect | None:
+    """Return a constant fraction of the motion in place of one that depends on a regressor; None for other effects."""
+    if not isinstance(part, UserEffect) or (fraction := _FRACTION.match(part.expression.text)) is None:
+        return None
+    words = {word: getattr(part, word) for word in choices(part)}
+    return user_effect(f"mean_of_{part.name}", f"{fraction[0]}k", {"k": 0.0}, {}, words)
 
 
 def _least_confident(
