@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
+from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
@@ -20,9 +21,10 @@ from odomcorrupt.study.estimate.correlation_length import with_correlation_lengt
 from odomcorrupt.study.estimate.drive_type import MOUNTING
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
-from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import dense_covariance, interval_covariance, map_axes, whitener
+from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.recording import TruthField
 from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.validate.calibration import HORIZONS_M
@@ -30,6 +32,7 @@ from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
 from odomcorrupt.study.validate.goodness_of_fit import verdict_of
 
 QUIET = Coefficients(0.002, 0.0024, 0.0005, 0.0, 0.0005)
+PRECISE = Coefficients(0.0, 1e-4, 1e-4, 0.0, 1e-4)
 TRUTH = TruthNoise(0.02, 0.008, 0.0)
 EVERY = 25
 """Samples of the odometry between two corrections: 0.5 s."""
@@ -40,6 +43,12 @@ def eights(seconds):
     half = np.arange(0.0, seconds, 0.02) // (2.0 * np.pi / 0.4) % 2.0
     along = np.full(len(half), 0.4 * 0.02)
     return Increments(along, np.zeros(len(half)), np.where(half == 0.0, 0.4, -0.4) * 0.02)
+
+
+def left(seconds):
+    """Return circles of 1 m, at 0.4 m/s."""
+    along = np.full(int(seconds / 0.02), 0.4 * 0.02)
+    return Increments(along, np.zeros(len(along)), along)
 
 
 def localised(error_of, *, seed=3, seconds=300.0, noise=QUIET, drive=wander):
@@ -192,3 +201,19 @@ def test_a_truth_has_the_mounting_that_it_can_show():
         assert not set(MOUNTING) & (set(nuisance_of([one])) | tested(one))
     positions = replace(run, heading_error_rad=0.1)
     assert set(MOUNTING) & set(nuisance_of([positions])) == set(MOUNTING) & tested(positions) == {"lever_arm"}
+
+
+def test_a_constant_error_of_a_localisations_headings_is_no_drift_of_the_odometry():
+    run = replace(localised(alike_over(1.0), seconds=150.0, noise=PRECISE), of_base=True)
+    askew = replace(run, truth=replace(run.truth, xyt=run.truth.xyt + np.array([0.0, 0.0, 0.05])))
+    (mended,) = with_correlation_lengths([askew], Approach(spacing_s=4.0))
+    assert np.mean(mended.truth.xyt[:, 2] - run.truth.xyt[:, 2]) == pytest.approx(0.0, abs=0.01)
+    assert phased_rmse([mended]) < 0.8 * phased_rmse([askew])
+    assert "off the direction of its own positions" in mended.notes[-1]
+
+
+def test_sliding_in_turns_to_one_side_is_no_error_of_the_headings():
+    run = replace(localised(alike_over(1.0), seconds=150.0, noise=PRECISE, drive=left), of_base=True)
+    run = undo(run, [registry()["icr_shift"](x=0.05)])
+    (found,) = with_correlation_lengths([run], Approach(spacing_s=4.0))
+    assert found.truth is run.truth

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.stats import chi2, f
 
-from odomcorrupt.effects import registry
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.se2 import between, compose, wrap
 from odomcorrupt.study.estimate.intervals import memory_over
 from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood
 from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.regressors import drives_sideways
 from odomcorrupt.study.estimate.truth_field import field_of
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.recording import PoseStep
@@ -180,26 +181,59 @@ _FIELD_NATS = 2.0
 """Log-likelihood gain that a spatial field, with two more parameters, needs over a process along the path."""
 _BESIDE = ("wheel_scale", "wheelbase", "unequal_wheels", "gyro_bias")
 """Effects that are free during the estimate: systematic odometry errors accumulate along the path, too."""
+_ASKEW, _ASKEW_LEVEL = ("icr_shift", "side_slip"), 1e-4
+"""Effects, besides `slope`, that resemble a constant error of the headings, free during its test; its level."""
 
 
 def with_correlation_lengths(recordings: Sequence[Recording], approach: Approach) -> list[Recording]:
     """Return the recordings; those with a localisation as their truth get its correlation length or spatial field.
 
-    Single events are left out of the estimate and of all intervals, see `pose_steps`.
+    Single events are left out of the estimate and of all intervals, see `pose_steps`. A constant error of its headings
+    is removed first.
     """
     return [
-        _with_own(with_pose_steps(r), approach)
+        _with_own(_with_right_headings(with_pose_steps(r), approach), approach)
         if r.localised and r.headed and r.truth.covariance is None and r.truth_correlation_m is None
         else r
         for r in recordings
     ]
 
 
+def _with_right_headings(recording: Recording, approach: Approach) -> Recording:
+    """Return a recording without a significant constant error of its truth's headings against its own positions.
+
+    It comes from a laser mounted askew, or from drift of a map. Each window of an error after 10 s begins with it.
+    """
+    problem = pose_problem([recording], approach=approach)
+    if not recording.of_base or drives_sideways(problem.motions):
+        return recording  # estimated as a mounting yaw, or like an effect of such robots
+    kinds = registry()
+    askew = [kinds["mount_yaw"](), *(kinds[name]() for name in _ASKEW)]
+    askew += [effect_from_values("slope", {"direction": angle}) for angle in (0.0, np.pi / 2.0)]
+    columns = np.concatenate([problem.columns(effect) for effect in askew] + [_columns_beside(problem)], axis=2)
+    components = VarianceComponents(approach.law, problem.nodes, problem.steps)
+    noise = _fitted(problem, components, columns, _USUAL_M).noise
+    yaw_rad, error_rad = float(noise.theta[0]), float(np.sqrt(noise.theta_covariance[0, 0]))
+    if not yaw_rad**2 > chi2.isf(_ASKEW_LEVEL, 1) * error_rad**2:
+        return recording
+    said = (
+        f"headings of the truth are {np.degrees(yaw_rad):.2f} +- {np.degrees(error_rad):.2f} deg off the direction of "
+        "its own positions (a laser mounted askew, or drift of the map): corrected"
+    )
+    truth = replace(recording.truth, xyt=recording.truth.xyt - (0.0, 0.0, yaw_rad))
+    return replace(recording, truth=truth, notes=(*recording.notes, said))
+
+
+def _columns_beside(problem: Problem) -> Array:
+    """Return the columns (K, 3, q) of the effects `_BESIDE` and of the clocks."""
+    kinds = registry()
+    return np.concatenate([problem.columns(kinds[name]()) for name in _BESIDE] + [problem.clock_columns()], axis=2)
+
+
 def _with_own(recording: Recording, approach: Approach) -> Recording:
     """Return a recording with the most likely correlation length, and a spatial field if that is more likely still."""
     problem = pose_problem([recording], approach=approach)
-    kinds = registry()
-    columns = np.concatenate([problem.columns(kinds[name]()) for name in _BESIDE] + [problem.clock_columns()], axis=2)
+    columns = _columns_beside(problem)
     components = VarianceComponents(approach.law, problem.nodes, problem.steps)
     fits = {length: _fitted(problem, components, columns, length) for length in _LENGTHS_M}
     length, (best, nats_of_process) = max(fits.items(), key=lambda one: one[1].nats)
