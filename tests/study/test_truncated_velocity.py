@@ -15,6 +15,7 @@ from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.speed_steps import speed_steps
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.candidates import include
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.score import score_terms
@@ -80,6 +81,14 @@ def test_correction_knows_what_each_step_lost_if_ticks_are_counted_before():
     steps = wander(4, 240.0)
     xyt = truncated(steps, **SIZES, tick=TICK_MPS)
     assert heading_error(steps, xyt, **SIZES, tick=TICK_MPS) < 0.8 * heading_error(steps, xyt, **SIZES)
+
+
+def test_what_a_truncation_leaves_at_different_speeds_is_no_noise_with_heavy_tails():
+    sizes = {"step": 0.02, "turn": 0.2}
+    steps = wander(7, 240.0)
+    made = recording(steps, truncated(steps, **sizes), seed=4)
+    effect = effect_from_values("truncated_velocity", sizes)
+    assert heavy_tails(fit([made], [effect], approach=choose_approach([made]))) is None
 
 
 def found(steps, xyt):
