@@ -47,6 +47,12 @@ def test_odometry_shows_its_steps_by_flickering_between_them(off_s):
     assert steps_shown(xyt, t_s) == pytest.approx((STEP_MPS, TURN_RPS), rel=1e-3)
 
 
+def test_wide_steps_show_by_the_flicker_of_the_yaw_rate():
+    wide = {"step": 0.06, "turn": 0.15}
+    xyt = truncated(wander(4, 60.0), **wide, tick=TICK_MPS)
+    assert steps_shown(xyt, np.arange(len(xyt)) / RATE_HZ) == pytest.approx(tuple(wide.values()), rel=1e-3)
+
+
 def test_odometry_without_ticks_before_the_truncation_or_with_nothing_but_ticks_shows_none():
     steps = wander(3, 60.0)
     t_s = np.arange(len(steps) + 1) / RATE_HZ
