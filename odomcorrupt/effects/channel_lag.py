@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter
-from odomcorrupt.geometry.motion import TRAIL_S, accelerations
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -19,6 +18,8 @@ _SPEEDS = ("v", "vy", "omega")
 _COLUMNS = {"along": [0], "yaw": [2], "all": [0, 1, 2]}
 _UNSEEN_RATE = 10.0
 """Largest acceleration assumed during the delay at the end of a recording, m/s^2 and rad/s^2."""
+_SMOOTHER = 0.5
+"""Roughness of increments over that of speeds, below which a filter acted on increments."""
 
 
 def lag_remainder(tau_s: float, seconds: float) -> float:
@@ -35,7 +36,8 @@ class ChannelLag(Effect):
 
     A delay by tau has the same f to first order, for motion that changes little within tau; exactly, the true speed at
     time t is the speed that odometry reports at t + tau. A lag of all channels equals a late clock to first order.
-    Corruption applies the filter or the delay itself, which is stable for any tau.
+    Corruption applies the filter or the delay itself, which is stable for any tau. The filter is updated once per
+    message, and tau is its mean delay: half an interval less than the tau of a filter of weight exp(-dt / tau).
     """
 
     name = "channel_lag"
@@ -66,8 +68,14 @@ class ChannelLag(Effect):
         if self.by == "delay":
             return TwistError(self._late(motion.acceleration), state)
         twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
-        faster = accelerations(twist, motion.dt_s, state)
-        return TwistError(self._late(faster.rate), faster.memory)
+        passes = motion.dt_s > 0.0
+        rate = np.zeros_like(twist)
+        if passes.any():
+            shown = twist[passes]
+            before = np.concatenate((shown[:1] if state is None else state[None], shown[:-1]))
+            rate[passes] = (shown - before) / motion.dt_s[passes, None]
+            state = shown[-1].copy()
+        return TwistError(self._late(rate), state)
 
     def _late(self, rate: Array) -> Array:
         f = np.zeros_like(rate)
@@ -77,17 +85,33 @@ class ChannelLag(Effect):
 
     def restored(self, motion: Motion) -> Motion:
         """Return the motion that should have been reported; for a delay the one that is reported tau later."""
-        if self.by == "filter" or not len(motion):
-            return super(ChannelLag, self).restored(motion)
+        if not (motion.dt_s > 0.0).any():
+            return motion
         names = [_SPEEDS[column] for column in _COLUMNS[self.channel]]
-        true: dict[str, Any] = {name: self._earlier(getattr(motion, name), motion.dt_s) for name in names}
+        earlier = self._unfiltered if self.by == "filter" else self._earlier
+        true: dict[str, Any] = {name: earlier(getattr(motion, name), motion.dt_s) for name in names}
         return replace(motion, **true)
+
+    def _unfiltered(self, speed: Array, dt_s: Array) -> Array:
+        """Return the mean speeds (n,) in n intervals of length dt_s (n,) that a filter has turned into these.
+
+        The output of a filter is smooth: if the increments are, and speeds show the jitter of stamps, the filter acted
+        on increments at an even rate.
+        """
+        passes = dt_s > 0.0
+        shown, dt_s = speed[passes], dt_s[passes]
+        even = shown * dt_s / np.median(dt_s)
+        rough = [np.abs(np.diff(u, n=2)).sum() for u in (shown, even)]
+        filtered = even if rough[1] < _SMOOTHER * rough[0] else shown
+        true = speed.copy()
+        true[passes] += self.tau * np.diff(filtered, prepend=filtered[0]) / dt_s
+        return true
 
     def _earlier(self, speed: Array, dt_s: Array) -> Array:
         """Return the true mean speeds (n,) in n intervals of length dt_s (n,), from speeds reported tau later."""
         time_s = np.concatenate(([0.0], np.cumsum(dt_s)))
         path = np.concatenate(([0.0], np.cumsum(speed * dt_s)))
-        last = speed[dt_s > 0.0][-1] if (dt_s > 0.0).any() else 0.0  # last speed, extrapolated
+        last = speed[dt_s > 0.0][-1]  # extrapolated
         beyond_s = max(self.tau, 0.0)
         shifted = np.interp(
             time_s + self.tau, np.append(time_s, time_s[-1] + beyond_s), np.append(path, path[-1] + beyond_s * last)
@@ -107,32 +131,38 @@ class ChannelLag(Effect):
         return Recorded(late, past)
 
 
-class _LateState:
-    """Recent history of one channel: accumulated motion (m or rad) at times (s)."""
+class _FilterState:
+    """State of a filtered channel: its last reported speed, None at the beginning, and the time of the last step."""
+
+    def __init__(self) -> None:
+        self.speed: float | None = None
+        self.last_s = 0.0
+
+    def reported(self, step: float, now_s: float, tau_s: float) -> float:
+        """Return the increment reported at `now_s`."""
+        dt_s, self.last_s = now_s - self.last_s, now_s
+        if not dt_s > 0.0:
+            self.speed = self.speed if dt_s == 0.0 else None  # a reset of time clears the history
+            return step
+        true = step / dt_s
+        self.speed = true if self.speed is None else true + lag_remainder(tau_s, dt_s) * (self.speed - true)
+        return self.speed * dt_s
+
+
+class _DelayState:
+    """State of a delayed channel: motion (m or rad) at times (s) that is not reported yet, and what was reported."""
 
     def __init__(self) -> None:
         self.clock_s: list[float] = []
         self.path: list[float] = []
-        self.last_s = 0.0
-
-    def elapsed_s(self, now_s: float) -> float:
-        """Return the time since the previous step, s; a reset of time clears the history."""
-        if now_s < self.last_s:
-            self.clock_s, self.path = [], []
-            self.last_s = 0.0
-        dt_s, self.last_s = now_s - self.last_s, now_s
-        return dt_s
-
-
-class _DelayState(_LateState):
-    """State of a delayed channel: the motion that is not reported yet, and the interval before it."""
-
-    output = 0.0
+        self.output = self.last_s = 0.0
 
     def reported(self, step: float, now_s: float, tau_s: float) -> float:
         """Return the increment reported at `now_s`: the motion until `tau_s` earlier that was not reported before."""
-        dt_s = self.elapsed_s(now_s)
+        dt_s, self.last_s = now_s - self.last_s, now_s
         if not dt_s > 0.0:
+            if dt_s < 0.0:  # a reset of time clears the history
+                self.clock_s, self.path = [], []
             return step
         if not self.clock_s:  # extrapolate the first interval backwards
             self.output = -tau_s * step / dt_s
@@ -145,31 +175,3 @@ class _DelayState(_LateState):
         before, self.output = self.output, self.path[i - 1] + part * (self.path[i] - self.path[i - 1])
         del self.clock_s[: i - 1], self.path[: i - 1]
         return self.output - before
-
-
-class _FilterState(_LateState):
-    """State of a filtered channel: its reports over the last `TRAIL_S` seconds, and their mean speed."""
-
-    speed = 0.0
-
-    def reported(self, step: float, now_s: float, tau_s: float) -> float:
-        """Return the increment r reported at `now_s`, the solution of r + tau (change of the mean speed) = step."""
-        dt_s = self.elapsed_s(now_s)
-        if not dt_s > 0.0:
-            return step
-        if not self.clock_s:  # extrapolate the first interval backwards
-            before, self.speed = 2.0 * TRAIL_S, step / dt_s
-            self.clock_s, self.path = [-before, 0.0], [-before * self.speed, 0.0]
-        now = self.clock_s[-1] + dt_s
-        if dt_s < TRAIL_S:
-            since = self.path[-1] - float(np.interp(now - TRAIL_S, self.clock_s, self.path))
-            step = (step + tau_s * (self.speed - since / TRAIL_S)) / (1.0 + tau_s / TRAIL_S)
-            self.speed = (step + since) / TRAIL_S
-        else:
-            step = (step + tau_s * self.speed) / (1.0 + tau_s / dt_s)
-            self.speed = step / dt_s
-        self.clock_s.append(now)
-        self.path.append(self.path[-1] + step)
-        while len(self.clock_s) > 2 and self.clock_s[1] < now - TRAIL_S:
-            del self.clock_s[0], self.path[0]
-        return step

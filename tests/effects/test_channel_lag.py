@@ -49,6 +49,25 @@ def test_any_lag_is_stable_to_put_in_and_taken_out_again(channel):
         assert back == pytest.approx(clean, abs=1e-9)
 
 
+@pytest.mark.parametrize("of_increments", [True, False])
+def test_a_filter_updated_once_per_message_is_taken_out_at_jittered_stamps(of_increments):
+    """Whether it acts on increments at an even rate or on speeds: y = y' + (x - y') / (1 + tau / dt)."""
+    rng, n, tau, usual = np.random.default_rng(1), 3000, 0.2, 0.02
+    dt = usual * (1.0 + 0.02 * rng.standard_normal(n))
+    dt += usual - np.median(dt)
+    shown = np.sin(np.cumsum(dt)) * (np.ones(n) if of_increments else dt / usual)  # increments, in usual intervals
+    per = np.full(n, usual) if of_increments else dt
+    filtered = [shown[0] * usual / per[0]]
+    for x, d in zip(shown[1:] * usual / per[1:], per[1:], strict=True):
+        filtered.append(filtered[-1] + (x - filtered[-1]) * d / (d + tau))
+    turned = np.array(filtered) * per
+    motion = motion_of(
+        np.concatenate(([0.0], np.cumsum(dt))), accumulate(np.zeros(3), Increments(dt, 0.0 * dt, turned))
+    )
+    lag = effect_from_values("channel_lag", {"tau": tau, "channel": "yaw"})
+    assert np.cumsum(lag.restored(motion).omega * dt) == pytest.approx(np.cumsum(shown * usual), abs=1e-9)
+
+
 @pytest.mark.parametrize("rate_hz", [20.0, 50.0, 97.0])
 def test_a_delay_reports_the_very_same_turns_later(rate_hz):
     delay_s, n = 0.13, int(20 * rate_hz)

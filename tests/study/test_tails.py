@@ -92,7 +92,7 @@ def test_a_truth_that_is_elsewhere_for_seconds_and_comes_back_is_no_noise_of_the
 
 def test_what_the_form_of_an_effect_leaves_is_no_noise_of_every_step(monkeypatch):
     steps, rng = wander(12, 300.0), np.random.default_rng(12)
-    tau = 0.2 * (1.0 + 0.7 * np.repeat(rng.choice([-1.0, 1.0], len(steps) // 100), 100))
+    tau = 0.2 * (1.0 + 0.9 * np.repeat(rng.choice([-1.0, 1.0], len(steps) // 100), 100))
     late = replace(steps, dtheta_rad=steps.dtheta_rad - tau * np.gradient(steps.dtheta_rad) * RATE_HZ)
     run = recording(
         steps, noisy_path(late, Coefficients(0.02, 0.006, 0.004, 0.002), 12), truth_mm=1.0, truth_rad=5e-4, seed=12

@@ -15,6 +15,7 @@ from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.speed_steps import speed_steps
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.candidates import include
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.score import score_terms
@@ -44,6 +45,12 @@ def test_odometry_shows_its_steps_by_flickering_between_them(off_s):
     xyt = truncated(wander(3, 60.0), **SIZES, tick=TICK_MPS)
     t_s = np.arange(len(xyt)) / RATE_HZ + np.random.default_rng(1).normal(0.0, off_s, len(xyt))
     assert steps_shown(xyt, t_s) == pytest.approx((STEP_MPS, TURN_RPS), rel=1e-3)
+
+
+def test_wide_steps_show_by_the_flicker_of_the_yaw_rate():
+    wide = {"step": 0.06, "turn": 0.15}
+    xyt = truncated(wander(4, 60.0), **wide, tick=TICK_MPS)
+    assert steps_shown(xyt, np.arange(len(xyt)) / RATE_HZ) == pytest.approx(tuple(wide.values()), rel=1e-3)
 
 
 def test_odometry_without_ticks_before_the_truncation_or_with_nothing_but_ticks_shows_none():
@@ -80,6 +87,14 @@ def test_correction_knows_what_each_step_lost_if_ticks_are_counted_before():
     steps = wander(4, 240.0)
     xyt = truncated(steps, **SIZES, tick=TICK_MPS)
     assert heading_error(steps, xyt, **SIZES, tick=TICK_MPS) < 0.8 * heading_error(steps, xyt, **SIZES)
+
+
+def test_what_a_truncation_leaves_at_different_speeds_is_no_noise_with_heavy_tails():
+    sizes = {"step": 0.02, "turn": 0.2}
+    steps = wander(7, 240.0)
+    made = recording(steps, truncated(steps, **sizes), seed=4)
+    effect = effect_from_values("truncated_velocity", sizes)
+    assert heavy_tails(fit([made], [effect], approach=choose_approach([made]))) is None
 
 
 def found(steps, xyt):

@@ -68,12 +68,21 @@ def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
 
 
 def _of_odometry(fit: Fit, driven: NDArray[np.bool_]) -> list[int]:
-    """Return the channels in which odometry has most of the noise; elsewhere tails may belong to the truth."""
+    """Return the channels in which odometry has most of the noise; elsewhere tails may belong to the truth.
+
+    Noise within the remainder of an effect (see `Effect.remainder`) is that remainder: it differs between speeds, so
+    that all of it together has heavy tails. The noise across is that of the heading.
+    """
+    if not driven.any():
+        return []
     nodes = fit.problem.nodes
     q = nodes.covariance(fit.problem.approach.law, fit.noise.coefficients, fit.problem.steps)
-    share = np.einsum("kii->ki", q) / np.einsum("kii->ki", interval_covariance(nodes, q, fit.noise.truth))
-    usual = np.median(share[driven], axis=0) if driven.any() else np.zeros(3)
-    return [c for c in range(3 if fit.problem.headings else 2) if usual[c] > _MOSTLY]
+    own = np.einsum("kii->ki", q)
+    usual = np.median((own / np.einsum("kii->ki", interval_covariance(nodes, q, fit.noise.truth)))[driven], axis=0)
+    speed = np.sqrt(np.mean(own[driven] / (nodes.end_s - nodes.start_s)[driven, None] ** 2, axis=0))
+    along, yaw = np.sum([(0.0, 0.0), *(effect.remainder for effect in fit.effects)], axis=0)
+    explained = speed[[0, 2, 2]] <= (along, yaw, yaw)
+    return [c for c in range(3 if fit.problem.headings else 2) if usual[c] > _MOSTLY and not explained[c]]
 
 
 def _driven(fit: Fit) -> NDArray[np.bool_]:
