@@ -11,8 +11,11 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.correlation_length import with_pose_steps
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.nodes import lay_nodes
+from odomcorrupt.study.estimate.outliers import single_events
 
 PUSHED_S = 200.0
 
@@ -34,16 +37,27 @@ def localised(seed, *, pushed_m=0.0, jump_m=0.0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "pushed_m"), [(0, 0.6), (1, -0.6)])
+@pytest.mark.parametrize(("seed", "pushed_m"), [(0, 0.6), (1, -0.6), (2, 0.25)])
 def test_a_push_is_found_with_time_and_size_and_no_interval_contains_it(seed, pushed_m):
     run = with_pose_steps(localised(seed, pushed_m=pushed_m))
     (step,) = run.pose_steps
     assert PUSHED_S - 2.0 < step.start_s < step.end_s < PUSHED_S + 4.0
-    assert np.hypot(*step.apart[:2]) == pytest.approx(0.6, abs=0.12)
+    assert np.hypot(*step.apart[:2]) == pytest.approx(abs(pushed_m), abs=0.12)
     assert step.apart[2] == pytest.approx(0.0, abs=0.04)
     nodes = lay_nodes(run, 2.0)
     assert not np.any((nodes.start_s < step.end_s) & (nodes.end_s > step.start_s))
     assert np.abs(nodes.residual[:, :2]).max() < 0.3
+
+
+@pytest.mark.slow
+def test_a_jump_of_the_localisation_shortly_before_a_push_is_no_part_of_it():
+    run = localised(0, pushed_m=0.6)
+    truth = run.truth.xyt.copy()
+    truth[247:250, :2] += 0.4
+    jumped = with_pose_steps(replace(run, truth=Trajectory(run.truth.stamps_ns, truth)))
+    (event,) = single_events(fit([jumped], approach=Approach(spacing_s=2.0)))
+    assert PUSHED_S - 2.0 < event.start_s < event.end_s < PUSHED_S + 4.0
+    assert np.hypot(event.along_m, event.across_m) == pytest.approx(0.6, abs=0.12)
 
 
 @pytest.mark.slow

@@ -39,14 +39,18 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
 
 _SHORT_S, _LONG_S = 8.0, 12.0
-"""Durations of the poses before and after a step, seconds. A step has to be significant for both: drift grows with the
-duration, and a short jump of the localisation disappears."""
+"""Durations of the poses before and after a step, seconds. Moments are searched with the short one. A step found there
+has to be significant for the long one, too, and of about the same size: drift grows with the duration, and a short jump
+of the localisation disappears."""
+_REMAINS = 0.75
+"""Least part of the step with short sides that the one with long sides confirms; 0.9 and more of pushes, 0.3 to 0.65 of
+short jumps (simulated)."""
 _LASTS_S, _LONGEST_S = 4.0, 20.0
 """Time allowed for an event, and largest time without poses during it, seconds."""
 _FEW, _MOST = 5, 5
 """Least number of poses on each side; largest number of steps in a drive, because more are not single events."""
 _LEVEL = 0.01
-"""Probability of reporting any step in a drive without one."""
+"""Probability of reporting any step in a drive without one; and level of the second test, of one moment."""
 _EFFICIENCY = 0.37
 """Efficiency of the median absolute value as an estimate of the standard deviation of normal data."""
 _UPPER = 0.9
@@ -60,12 +64,12 @@ if simulated odometry equals its localisation."""
 
 
 class _Steps(NamedTuple):
-    """Steps at n moments: times (n,), truth minus odometry (n, 3), usual size (3,), probabilities (n,) by chance."""
+    """Steps at n moments: times (n,), truth minus odometry (n, 3), usual size (3,), p-values (n,) of single moments."""
 
     start_s: Array
     apart: Array
     usual: Array
-    chance: Array
+    p: Array
 
 
 def with_pose_steps(recording: Recording) -> Recording:
@@ -89,7 +93,10 @@ def _largest(t_s: Array, truth: Array, own: Array, found: list[PoseStep]) -> Pos
     if not (len(short.start_s) and len(long.start_s)):
         return None
     nearest = np.abs(long.start_s[:, None] - short.start_s).argmin(axis=1)
-    chance = np.maximum(long.chance, short.chance[nearest])
+    moments = float(t_s[-1] - t_s[0]) / _LASTS_S
+    chance = np.maximum(long.p, moments * short.p[nearest])
+    one, other = short.apart[nearest] / short.usual, long.apart / short.usual
+    chance[np.sum(one * other, axis=1) < _REMAINS * np.sum(one**2, axis=1)] = 1.0
     best = int(np.argmin(chance))
     if chance[best] > _LEVEL:
         return None
@@ -145,8 +152,8 @@ def _steps(t_s: Array, truth: Array, own: Array, side_s: float, found: list[Pose
     square = np.sum((rest / usual) ** 2, axis=1)
     spread = max(_LEAST_SPREAD, *(float(np.quantile(square, q) / chi2.ppf(q, 3)) for q in (0.5, _UPPER)))
     searched_s = float(t_s[-1] - t_s[0])
-    chance = searched_s / _LASTS_S * f.sf(square / spread / 3.0, 3.0, _EFFICIENCY * searched_s / (side_s + _LASTS_S))
-    return _Steps(table[:, 0], rest, usual, chance)
+    p = f.sf(square / spread / 3.0, 3.0, _EFFICIENCY * searched_s / (side_s + _LASTS_S))
+    return _Steps(table[:, 0], rest, usual, p)
 
 
 def _carried(truth: Array, own: Array, to: Array) -> Array:

@@ -96,18 +96,20 @@ def single_events(fit: Fit) -> list[Event]:
     # a push also contains intervals that are not flagged
     whole = [np.arange(group[0], group[-1] + 1) for group in groups]
     found = [event for event in _described(fit, whole) if event.lasting]
+    apart_s = _SAME_EVENT * fit.problem.approach.spacing_s
     left_out = _left_out(fit)
-    gaps = [gap for gap in _across_gaps(fit) if not any(_overlap(gap, event) for event in left_out)]
-    found = [*left_out, *(event for event in (*found, *gaps) if event.plain > _PLAINLY_ODD)]
+    # medians of the poses around a step measure it; sums over intervals beside it contain errors of single poses
+    found = [
+        event for event in (*found, *_across_gaps(fit))
+        if event.plain > _PLAINLY_ODD and not any(_near(event, step, apart_s) for step in left_out)
+    ] + left_out  # fmt: skip
     if not any(recording.positioned for recording in fit.problem.recordings):
         found = [replace(event, along_m=0.0, across_m=0.0) for event in found]
     found.sort(key=lambda event: (event.recording, event.start_s))
-    apart_s = _SAME_EVENT * fit.problem.approach.spacing_s
     joined: list[Event] = []
     for event in found:
-        last = joined[-1] if joined else None
-        if last is not None and last.recording == event.recording and event.start_s - last.end_s < apart_s:
-            joined[-1] = _joined(last, event)
+        if joined and _near(joined[-1], event, apart_s):
+            joined[-1] = _joined(joined[-1], event)
         else:
             joined.append(event)
     return joined if len(joined) <= _MOST_SINGLE else []
@@ -140,8 +142,9 @@ def _left_out(fit: Fit) -> list[Event]:
     ]  # fmt: skip
 
 
-def _overlap(one: Event, other: Event) -> bool:
-    return one.recording == other.recording and one.start_s < other.end_s and other.start_s < one.end_s
+def _near(one: Event, other: Event, apart_s: float) -> bool:
+    apart = max(one.start_s - other.end_s, other.start_s - one.end_s)
+    return one.recording == other.recording and apart < apart_s
 
 
 def _joined(first: Event, second: Event) -> Event:
