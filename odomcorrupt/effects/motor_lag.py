@@ -52,13 +52,13 @@ class MotorLag(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, the true speeds minus the commanded ones; for tau < 0, needed for slopes, the opposite."""
-        commanded = np.stack((motion.v, motion.vy, motion.omega), axis=1)
-        true = np.empty_like(commanded)
-        now = state.twist
-        for i, (u, dt_s) in enumerate(zip(commanded, motion.dt_s.tolist(), strict=True)):
-            now = u if now is None else u + lag_remainder(self.tau, dt_s) * (now - u)
-            true[i] = now
-        return TwistError(np.sign(self.tau) * (true - commanded), state._replace(twist=now))
+        if not len(motion):
+            return TwistError(np.zeros((0, 3)), state)
+        commanded = np.stack((motion.v, motion.vy, motion.omega))
+        kept = [lag_remainder(self.tau, dt_s) for dt_s in motion.dt_s.tolist()]
+        start = commanded[:, 0] if state.twist is None else state.twist
+        true = np.array([_followed(u, kept, now) for u, now in zip(commanded.tolist(), start.tolist(), strict=True)])
+        return TwistError(np.sign(self.tau) * (true - commanded).T, state._replace(twist=true[:, -1]))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the commanded increments (n, 3) that move the robot by these."""
@@ -75,3 +75,8 @@ class MotorLag(Effect):
                 reported[i] = dt_s * (true - kept * before) / (1.0 - kept)
             before = true
         return Recorded(reported, _Speeds(before, last_s))
+
+
+def _followed(commanded: list[float], kept: list[float], now: float) -> list[float]:
+    """Return the true speed after each interval, from its value before the first one and the fraction kept of a lag."""
+    return [now := u + k * (now - u) for u, k in zip(commanded, kept, strict=True)]

@@ -18,8 +18,5 @@ def copied(rng: np.random.Generator) -> np.random.Generator:
 
 def autoregression(start: float, keep: Array, kick: Array) -> Array:
     """Return x (n,) with x_i = keep_i x_(i-1) + kick_i, computed sequentially so that splitting gives the same bits."""
-    x, out = start, np.empty(len(kick))
-    for i, (kept, kicked) in enumerate(zip(keep.tolist(), kick.tolist(), strict=True)):
-        x = kept * x + kicked
-        out[i] = x
-    return out
+    x = start
+    return np.array([x := kept * x + kicked for kept, kicked in zip(keep.tolist(), kick.tolist(), strict=True)])

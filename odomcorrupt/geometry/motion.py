@@ -11,7 +11,7 @@ from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
 
@@ -123,14 +123,14 @@ class LineFits:
         first = np.searchsorted(t_s, at_s - width_s / 2.0, side="left")
         last = np.searchsorted(t_s, at_s + width_s / 2.0, side="right")
         here = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
-        self._t_s, self._first, self._last = t_s, np.minimum(first, here - 1), np.maximum(last, here + 1)
+        self._first, self._last = np.minimum(first, here - 1), np.maximum(last, here + 1)
         count = (self._last - self._first).astype(np.float64)
         self._middle, self._spread = np.empty(len(at_s)), np.empty(len(at_s))
-        for rows, samples in self._blocks():
-            t = self._since(samples)
-            st, stt = self._sums(np.stack((t, t**2)), rows, samples)
-            self._middle[rows] = st / count[rows]
-            self._spread[rows] = np.maximum(stt - st**2 / count[rows], 1e-12)
+        self._blocks = tuple(self._block_of(t_s, begin) for begin in range(0, len(at_s), _BLOCK))
+        for block in self._blocks:
+            st, stt = block.sums(np.stack((block.since_s, block.since_s**2)))
+            self._middle[block.rows] = st / count[block.rows]
+            self._spread[block.rows] = np.maximum(stt - st**2 / count[block.rows], 1e-12)
 
     def slopes(self, values: Array) -> Array:
         """Return the time derivatives (m, c) of values (n, c): the slopes of the lines.
@@ -139,31 +139,45 @@ class LineFits:
         """
         of_each = np.ascontiguousarray(values.T)
         slope = np.empty((len(of_each), len(self._first)))
-        for rows, samples in self._blocks():
-            x = of_each[:, samples] - of_each[:, [samples.start]]
-            own, with_time = np.split(self._sums(np.concatenate((x, x * self._since(samples))), rows, samples), 2)
-            slope[:, rows] = with_time - own * self._middle[rows]
+        for block in self._blocks:
+            x = of_each[:, block.samples] - of_each[:, block.samples.start, None]
+            np.subtract(
+                block.sums(x * block.since_s), block.sums(x) * self._middle[block.rows], out=slope[:, block.rows]
+            )
         slope /= self._spread
-        changes = np.concatenate(([0], np.cumsum((of_each[:, 1:] != of_each[:, :-1]).any(axis=0))))
+        changes = np.zeros(of_each.shape[1], dtype=np.int64)
+        np.cumsum((of_each[:, 1:] != of_each[:, :-1]).any(axis=0), out=changes[1:])
         slope[:, changes[self._first] == changes[self._last - 1]] = 0.0
         return slope.T
 
-    def _blocks(self) -> Iterator[tuple[slice, slice]]:
-        """Yield blocks of windows with the samples in them."""
-        for begin in range(0, len(self._first), _BLOCK):
-            rows = slice(begin, begin + _BLOCK)
-            yield rows, slice(int(self._first[rows].min()), int(self._last[rows].max()))
+    def _block_of(self, t_s: Array, begin: int) -> _Block:
+        """Return the block of windows from index `begin` on, with the samples in them."""
+        rows = slice(begin, begin + _BLOCK)
+        first, last = self._first[rows], self._last[rows]
+        samples = slice(int(first.min()), int(last.max()))
+        return _Block(rows, samples, t_s[samples] - t_s[samples.start], first - samples.start, last - samples.start)
 
-    def _since(self, samples: slice) -> Array:
-        """Return the times of samples since the first one, seconds."""
-        since: Array = self._t_s[samples] - self._t_s[samples.start]
-        return since
 
-    def _sums(self, values: Array, rows: slice, samples: slice) -> Array:
-        """Return the sums (c, windows) of values (c, samples) over each window of a block."""
-        running = np.zeros((len(values), values.shape[1] + 1))
-        np.cumsum(values, axis=1, out=running[:, 1:])
-        summed: Array = running[:, self._last[rows] - samples.start] - running[:, self._first[rows] - samples.start]
+class _Block(NamedTuple):
+    """Successive windows of line fits, whose sums are differences of the same running sums.
+
+    rows, samples : indices of the windows, and of the samples in them
+    since_s : times of the samples since the first one, seconds
+    first, last : index of each window's first sample, and of the one after its last, within `samples`
+    """
+
+    rows: slice
+    samples: slice
+    since_s: Array
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+
+    def sums(self, values: Array) -> Array:
+        """Return the sums (c, windows) of values (c, samples) over each window."""
+        running = np.empty((len(values), values.shape[1] + 1))
+        running[:, 0] = 0.0
+        values.cumsum(axis=1, out=running[:, 1:])
+        summed: Array = running.take(self.last, axis=1) - running.take(self.first, axis=1)
         return summed
 
 

@@ -16,7 +16,7 @@ from odomcorrupt.study.estimate.correlation_length import with_correlation_lengt
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.stepwise import learn
-from odomcorrupt.study.validate.compare import Comparison, compare, sequence_comparison
+from odomcorrupt.study.validate.compare import Comparison, clocks_beside, compare, sequence_comparison
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 from odomcorrupt.study.validate.predictive_check import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
@@ -96,7 +96,9 @@ def learn_robot(
         models["with " + ", ".join(names)] = proof.model
     work.begin("comparison on held-out data", 2.5, 0.0)
     judged_on = held_out or recordings
-    comparison = compare(judged_on, models, clocks=None if held_out else search.first_clocks)
+    plain = None if held_out else search.first_clocks
+    clocks = clocks_beside(judged_on, choose_approach(judged_on), list(models.values())[-1], plain)
+    comparison = compare(judged_on, models, clocks=clocks)
     explained = contributions(search.fit, judged_on, comparison.clocks.clocks)
     reproduction = reproduction_of(robot.fit, proof.model, recordings)
     return LearnedRobot(
@@ -115,7 +117,7 @@ def learn_robot(
 
 @cache
 def _sequence(learned: LearnedRobot) -> Comparison:
-    return sequence_comparison(learned.search, learned.held_out)
+    return sequence_comparison(learned.search, learned.held_out, clocks=learned.comparison.clocks)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)

@@ -26,7 +26,7 @@ def printed(case, diagnosed, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch, out.open("w") as stream:
         patch.setattr("sys.stdout", stream)
         patch.setattr("odomcorrupt.study.pipeline.learn", lambda *_args, **_named: diagnosed.search)
-        patch.setattr("odomcorrupt.study.pipeline.sequence_comparison", lambda *_args: diagnosed.sequence)
+        patch.setattr("odomcorrupt.study.pipeline.sequence_comparison", lambda *_args, **_clocks: diagnosed.sequence)
         assert run(["diagnose", str(case.bag), "--track", str(case.recording.track_m), "--json", *words]) == 0
     return json.loads(out.read_text(), parse_constant=pytest.fail), files
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import blas, lapack
+from scipy.linalg import blas, block_diag, lapack
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
@@ -51,7 +51,6 @@ likelihood fields (as nav2_amcl) in two simulated rooms, with cells of 2.5 to 10
 0.05 to 0.2 and updates after 0.1 or 0.25 m, had errors of 1.3 to 4 cm and 0.4 to 1.4 deg; slam_toolbox has 1 cm (the
 ordinary laboratory's protocol). Without it a perfect localisation of a noisy robot may be as likely as the reverse."""
 _NO_RANDOM_WALK = 2e-6
-_STEP = 1e-4
 _NATS, _PROFILE_NATS = 1e-4, 1e-3
 """Predicted gain of the next step, nats, below which the iteration ends; the second value is for profiles."""
 _DEAD, _FAINT = 1e-4, 1e-3
@@ -212,7 +211,8 @@ class NoiseLikelihood:
         lever[0] *= 0.5
         by_band = self._bands @ np.ascontiguousarray(lever.T).ravel()
         prior = (self._usual(done.free) - done.free) / _SPREAD**2
-        return np.array([by_band @ self._share_slope(done.free, i) + prior[i] for i in movable])
+        slope: Array = (self._share_slopes(done.free) @ by_band + prior)[movable]
+        return slope
 
     def information(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
         """Return the average information (m, m) of the movable parameters.
@@ -221,7 +221,7 @@ class NoiseLikelihood:
         """
         white = done.whitener
         pull, _ = lapack.dtbtrs(white.factor, done.innovations, uplo="L", trans="T")
-        changes = np.stack([self._share_slope(done.free, i) for i in movable]) @ self._bands
+        changes = self._share_slopes(done.free)[movable] @ self._bands
         rows = self._floor.shape[::-1]
         pushes = np.empty((len(pull), len(movable)), order="F")
         for i, change in enumerate(changes):
@@ -271,13 +271,11 @@ class NoiseLikelihood:
         coefficients, truth = self._unpack(free)
         return np.concatenate((self._components.shares(coefficients), truth_weights(truth)))
 
-    def _share_slope(self, free: Array, i: int) -> Array:
-        """Return the derivative of every band's weight by parameter `i`."""
-        more, less = free.copy(), free.copy()
-        more[i] += _STEP
-        less[i] -= _STEP
-        slope: Array = (self._shares(more) - self._shares(less)) / (2.0 * _STEP)
-        return slope
+    def _share_slopes(self, free: Array) -> Array:
+        """Return the derivatives (m, bands) of every band's weight by every parameter."""
+        coefficients, truth = self._unpack(free)
+        slopes: Array = block_diag(self._components.share_slopes(coefficients), 2.0 * np.diag(truth_weights(truth)))
+        return slopes
 
     def _sum(self, shares: Array) -> Array:
         """Return the weighted sum of the bands."""

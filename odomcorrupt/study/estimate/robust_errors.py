@@ -65,8 +65,8 @@ def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Arr
 
 
 def block_sums(block: NDArray[np.int64], values: Array) -> Array:
-    """Return the sums (blocks, p) over each block of values (m, p)."""
-    sums: Array = np.stack([np.bincount(block, column) for column in values.T], axis=1).astype(np.float64)
+    """Return the sums (blocks, p) over each block of values (m, p); the blocks are in ascending order."""
+    sums: Array = np.add.reduceat(values, np.flatnonzero(np.diff(block, prepend=-1)), axis=0)
     return sums
 
 

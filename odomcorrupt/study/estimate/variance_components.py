@@ -62,3 +62,9 @@ class VarianceComponents:
         single = coefficients[self.active] ** self._degree
         pairs = [coefficients[i] * coefficients[j] for i, j, _ in self._pairs]
         return np.concatenate((single, pairs))
+
+    def share_slopes(self, coefficients: Array) -> Array:
+        """Return the derivatives (a, parts) of `shares` by the logarithms of the a active coefficients."""
+        of_pairs = [[coefficients[i] * coefficients[j] * (k in (i, j)) for i, j, _ in self._pairs] for k in self.active]
+        single = np.diag(self._degree * coefficients[self.active] ** self._degree)
+        return np.concatenate((single, np.reshape(of_pairs, (len(self.active), len(self._pairs)))), axis=1)

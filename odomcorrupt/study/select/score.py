@@ -170,25 +170,24 @@ def score_columns(fit: Fit, groups: Sequence[Array], *, family: int | None = Non
         tests.append(_test(rest.residual, rest.of(raw), raw, block))
     usable = [t for t in tests if t.separable]
     shared = shared_variance(np.array([t.variance for t in usable]), np.array([t.dof for t in usable]))
-    others = usable[:: max(1, len(usable) // _OTHERS)]
+    chosen = [t.unit for t in usable[:: max(1, len(usable) // _OTHERS)]]
+    others = np.stack(chosen, axis=1) if chosen else np.zeros((len(block), 0))
     count = len(usable) if family is None else family
     return [_tested(t, _shared_beside(t, others, rest.residual, block, shared, count), count) for t in tests]
 
 
-def _shared_beside(
-    test: _Test, others: Sequence[_Test], r: Array, block: NDArray[np.int64], shared: float, family: int
-) -> float:
+def _shared_beside(test: _Test, others: Array, r: Array, block: NDArray[np.int64], shared: float, family: int) -> float:
     """Return the shared variance ratio, with the tested group in the model if its test is strong.
 
     A strong missing term makes the scores of all other columns vary between blocks. This variation is no evidence
     against the term.
+
+    others : (3 K, o) best directions of other groups
     """
     if shared <= 1.0 or not test.separable or family * chi2.sf(test.statistic, len(test.estimate)) > _STRONG:
         return shared
     explained = r - test.unit * (test.unit @ r)
-    beside = [between_blocks(block, other.unit[:, None], explained) for other in others]
-    variance, dof = (np.array([float(one[i][0]) for one in beside]) for i in (0, 1))
-    return min(shared, shared_variance(variance, dof))
+    return min(shared, shared_variance(*between_blocks(block, others, explained)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,10 +106,10 @@ class Comparison:
 def compare(
     recordings: Sequence[Recording], models: Mapping[str, MotionModel], *, clocks: Clocks | None = None
 ) -> Comparison:
-    """Return the evaluation of models (by name) on recordings; `clocks` are those of `find_clocks`, if available."""
+    """Return the evaluation of models (by name) on recordings; default clocks: `clocks_beside` the last model."""
     approach = choose_approach(recordings)
     recordings = with_correlation_lengths(recordings, approach)
-    found = clocks_beside(recordings, approach, list(models.values())[-1], clocks)
+    found = clocks or clocks_beside(recordings, approach, list(models.values())[-1])
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
     fitted = {name for model in models.values() for name in _fitted_on(model)}
     split = split_of(on_time, fitted, approach.spacing_s)
@@ -280,12 +280,17 @@ def _ten_seconds(recordings: Sequence[Recording]) -> float:
 
 
 def sequence_comparison(
-    learned: Learned, recordings: Sequence[Recording], first: str = "without effects"
+    learned: Learned,
+    recordings: Sequence[Recording],
+    first: str = "without effects",
+    *,
+    clocks: Clocks | None = None,
 ) -> Comparison:
     """Return the comparison of the model before each inclusion and of the final one, named by the added term.
 
     recordings : evaluation data; recordings used in the selection are split in halves, one fitted and one evaluated
     first : name of the initial model
+    clocks : of the recordings, as for `compare`
     """
     # Terms that were included and dropped again are not steps.
     steps, means = learned.steps, ", ".join(learned.means)
@@ -294,7 +299,7 @@ def sequence_comparison(
     names = [first, *(f"+ {step.name}" for step in steps)]
     if means:
         names = [*names, f"+ {means}"] if not steps else [*names[:-1], f"{names[-1]}, {means}"]
-    return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})
+    return compare(recordings, {n: model_of(fitted) for n, fitted in zip(names, fits, strict=True)}, clocks=clocks)
 
 
 Change = Literal["better", "worse", "same"]
