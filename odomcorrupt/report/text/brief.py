@@ -110,17 +110,18 @@ def findings_brief(
         misfit = last.verdict.misfit
         why = "the model's noise is too large" if misfit < 1.0 else "the model is still rejected"
         said = f"{why}: errors are {misfit:.2g} times the predicted ones"
-        lines.insert(1, Line("rejected", said, "warning"))
+        lines.insert(at, Line("rejected", said, "warning"))
     drifts = reproduction_sentence(reproduction) if reproduction is not None else ""
     named = any(gain.effect.name == "slip_burst" for gain in search.noise)
     if drifts and named:
         # noise that causes most of the error precedes effects of less weight
         lines[1:] = sorted(lines[1:], key=lambda line: line.label != "noise")
+        at = 1
     if reproduction is not None and drifts and not (reproduction.holds and named):
-        # first of all: a simulation with this model would drift far too little or far too much
-        lines.insert(1, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
+        # before all but the names: a simulation with this model would drift far too little or far too much
+        lines.insert(at, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
     lines[1:1] = [Line("data", alert, "warning") for alert in alerts]
-    if notes:
+    if notes := tuple(dict.fromkeys(notes)):
         lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
     return Summary((*lines, command_line(following)))
 
@@ -142,7 +143,11 @@ def _clock_words(search: Learned) -> list[str]:
         late, early = ("odometry", "truth") if one.value > 0.0 else ("truth", "odometry")
         by = f"{float(f'{abs(one.value) * 1e3:.2g}'):g} ms"
         offset = one.name == "time_offset"
-        said.append(f"the {late} is stamped {by} later than the {early}" if offset else "the two clocks run apart")
+        runs = search.fit.problem.recordings
+        where = f" in {runs[one.recording].name}" if len(runs) > 1 else ""
+        said.append(
+            (f"the {late} is stamped {by} later than the {early}" if offset else "the two clocks run apart") + where
+        )
     return said
 
 
