@@ -59,6 +59,7 @@ from odomcorrupt.study.select.random_effects import (
     outlier_effects,
     random_coefficients,
 )
+from odomcorrupt.study.select.remainder import are_its_steps
 from odomcorrupt.study.select.result import Learned, Step
 from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.work import Work
@@ -126,7 +127,7 @@ def learn(
         clocks=replace(clock_rivals.beside_lags(found.clocks, final), errors=errors, left_nats=late_nats),
         first_clocks=clocks if same_data else None,
         rounds=tuple(with_final_rivals(found.steps, found.fit, decisions)),
-        noise=tuple(found.noise),
+        noise=tuple(one for one in found.noise if not are_its_steps(final, one.effect)),
         unknown=(*included, *found.open, *found.rivals()),
         laws=included,
         margins={name: own.margin for name, own in found.compared.items()},
