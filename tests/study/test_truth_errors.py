@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.effects import registry
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
@@ -26,6 +27,8 @@ from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import dense_covariance, interval_covariance, map_axes, whitener
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.recording import TruthField
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.random_effects import explained_by
 from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.validate.calibration import HORIZONS_M
 from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
@@ -228,3 +231,12 @@ def test_a_bias_that_walks_does_not_stand_for_the_errors_of_a_localisations_head
     run = localised(lambda *way: 0.5 * alike_over(0.5)(*way), noise=PRECISE, yaw_rate=walk)
     (run,) = with_correlation_lengths([run], Approach(spacing_s=4.0))
     assert run.truth_field is None or run.truth_field.own_yaw_rad > 0.002
+
+
+def test_a_course_of_the_yaw_rates_bias_over_time_is_a_walk_unless_much_likelier():
+    over_time, over_speed = (SimpleNamespace(title=f"yaw over {regressor}") for regressor in ("time", "speed"))
+    walk, gain = (effect_from_values(name, {}) for name in ("gyro_bias_walk", "gauss_markov"))
+    assert explained_by([(over_time, 80.0), (over_speed, 75.0)], walk, DECISIONS) == 75.0
+    assert explained_by([(over_time, 80.0)], walk, DECISIONS) == 80.0 - DECISIONS.replacement_nats
+    assert explained_by([(over_time, 80.0)], gain, DECISIONS) == 80.0
+    assert explained_by([], walk, DECISIONS) == 0.0
