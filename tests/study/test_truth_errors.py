@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.effects import registry
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
@@ -26,6 +27,8 @@ from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import dense_covariance, interval_covariance, map_axes, whitener
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.recording import TruthField
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.random_effects import explained_by
 from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.validate.calibration import HORIZONS_M
 from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
@@ -51,11 +54,14 @@ def left(seconds):
     return Increments(along, np.zeros(len(along)), along)
 
 
-def localised(error_of, *, seed=3, seconds=300.0, noise=QUIET, drive=wander):
-    """Return a drive whose truth has errors (n, 3) on the map, given by its way (n,) and its places (n, 2)."""
+def localised(error_of, *, seed=3, seconds=300.0, noise=QUIET, drive=wander, yaw_rate=0.0):
+    """Return a drive whose truth has errors (n, 3) on the map, given by its way (n,) and its places (n, 2).
+
+    yaw_rate : rate (n,) in rad/s of turning that the odometry does not see
+    """
     steps = wander(seed, seconds) if drive is wander else drive(seconds)
     run = recording(steps, noisy_path(steps, noise, seed), seed=seed)
-    true = accumulate(np.zeros(3), steps)[::EVERY]
+    true = accumulate(np.zeros(3), replace(steps, dtheta_rad=steps.dtheta_rad + yaw_rate / 50.0))[::EVERY]
     way = np.concatenate(([0.0], np.cumsum(np.abs(steps.ds_m) + 0.3 * np.abs(steps.dtheta_rad))))[::EVERY]
     error = error_of(np.random.default_rng(seed), way, true[:, :2])
     return replace(run, truth=Trajectory(run.odometry.stamps_ns[::EVERY], true + error), localised=True)
@@ -217,3 +223,20 @@ def test_sliding_in_turns_to_one_side_is_no_error_of_the_headings():
     run = undo(run, [registry()["icr_shift"](x=0.05)])
     (found,) = with_correlation_lengths([run], Approach(spacing_s=4.0))
     assert found.truth is run.truth
+
+
+def test_a_bias_that_walks_does_not_stand_for_the_errors_of_a_localisations_headings():
+    """A field without any error of headings was likelier than errors along the path, which alone had a prior."""
+    walk = np.cumsum(np.random.default_rng(2).normal(0.0, 5e-4 / np.sqrt(50.0), 15000))
+    run = localised(lambda *way: 0.5 * alike_over(0.5)(*way), noise=PRECISE, yaw_rate=walk)
+    (run,) = with_correlation_lengths([run], Approach(spacing_s=4.0))
+    assert run.truth_field is None or run.truth_field.own_yaw_rad > 0.002
+
+
+def test_a_course_of_the_yaw_rates_bias_over_time_is_a_walk_unless_much_likelier():
+    over_time, over_speed = (SimpleNamespace(title=f"yaw over {regressor}") for regressor in ("time", "speed"))
+    walk, gain = (effect_from_values(name, {}) for name in ("gyro_bias_walk", "gauss_markov"))
+    assert explained_by([(over_time, 80.0), (over_speed, 75.0)], walk, DECISIONS) == 75.0
+    assert explained_by([(over_time, 80.0)], walk, DECISIONS) == 80.0 - DECISIONS.replacement_nats
+    assert explained_by([(over_time, 80.0)], gain, DECISIONS) == 80.0
+    assert explained_by([], walk, DECISIONS) == 0.0

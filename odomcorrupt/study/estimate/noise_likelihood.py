@@ -66,6 +66,11 @@ _BENDS = (0.7, 3.0)
 """Bounds of the ratio of the curvature along a step to that of the information matrix."""
 
 
+def prior_of_errors(free: Array) -> float:
+    """Return the log prior (nats) of logarithms (2,) of a localisation's errors in position (m) and heading (rad)."""
+    return -0.5 * float(np.sum(((free - _USUAL) / _SPREAD) ** 2))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFit:
     """Fitted noise with its log likelihood (nats).
@@ -153,8 +158,7 @@ class NoiseLikelihood:
 
     def posterior(self, noise: NoiseFit) -> float:
         """Return the log posterior of a fit, nats: its log likelihood plus the log prior of a localisation's errors."""
-        apart = (noise.free - self._usual(noise.free)) / _SPREAD
-        return noise.log_likelihood - 0.5 * float(apart @ apart)
+        return noise.log_likelihood + (prior_of_errors(noise.free[-3:-1]) if self._localised else 0.0)
 
     def _usual(self, free: Array) -> Array:
         """Return the prior median (m,) of the noise parameters; those without a prior keep their value."""

@@ -19,6 +19,7 @@ from scipy.optimize import minimize
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.study.estimate.noise_likelihood import prior_of_errors
 from odomcorrupt.study.estimate.whitener import map_axes, whitener
 from odomcorrupt.study.io.recording import TruthField
 
@@ -113,7 +114,9 @@ def field_of(problem: Problem, q: Array, columns: Array) -> tuple[TruthField, fl
         def cost(free: Array, roots: tuple[Array, Array] = roots) -> float:
             # a smooth field and a travel scale are aliased: without a prior its size is unbounded
             odd = (free[2:] - free[:2] - np.log(_USUAL)) / _SPREAD
-            return 0.5 * float(odd @ odd) - _log_likelihood(problem.nodes, q, columns, np.exp(free), roots)
+            # the prior of all errors of a localisation, as for errors along the path, to which the field is compared
+            prior = prior_of_errors(np.logaddexp(2.0 * free[:2], 2.0 * free[2:]) / 2.0)
+            return 0.5 * float(odd @ odd) - prior - _log_likelihood(problem.nodes, q, columns, np.exp(free), roots)
 
         best = minimize(cost, start, method="L-BFGS-B", bounds=_BOUNDS, options={"eps": 1e-3, "maxiter": _STEPS})
         start = best.x

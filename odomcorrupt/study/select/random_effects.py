@@ -35,7 +35,7 @@ from odomcorrupt.study.select.remainder import within_remainder
 from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.random_process import Process, Root
     from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.dependence import Dependence
 
 _LEAST_SCALE = 1e-6
 """Smallest standard deviation of a gain that is tried; the largest is the bound of the effect's parameter."""
@@ -165,6 +166,16 @@ def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:
     """Return the gain of a random coefficient, nats: that of the test or that of the refit, whichever is larger."""
     refitted = with_it.log_likelihood - without.log_likelihood - float(np.log(len(without.problem.nodes)))
     return max(one.nats, refitted)
+
+
+def explained_by(gains: Iterable[tuple[Dependence, float]], effect: Effect, decisions: Decisions) -> float:
+    """Return the largest gain of a dependence, nats, that a random coefficient has to exceed.
+
+    The course of a yaw rate's bias in one drive is also a function of time. That would be no model of another drive,
+    and needs the additional gain of any function that replaces a known cause.
+    """
+    known = decisions.replacement_nats if effect.name == "gyro_bias_walk" else 0.0
+    return max((nats - known * (one.title == "yaw over time") for one, nats in gains), default=0.0)
 
 
 def remeasured(fit: Fit, effect: Effect) -> Effect:

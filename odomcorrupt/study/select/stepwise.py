@@ -55,6 +55,7 @@ from odomcorrupt.study.select.model_comparison import (
 from odomcorrupt.study.select.random_effects import (
     RandomCoefficient,
     beside_bursts,
+    explained_by,
     gain_in_refit,
     outlier_effects,
     random_coefficients,
@@ -231,8 +232,9 @@ class _Selection:
             self.work.within_step("screening dependences")
             proposal = self._propose(alone=best is None)
         if correlated is not None:
-            explained = max((proposal.candidate.gain if proposal else 0.0, *(one.nats for one in self.open)))
-            if self._include_correlated(correlated, explained):
+            gains = [(one, one.nats) for one in self.open]
+            gains += [(proposal.dependence, proposal.candidate.gain)] if proposal else []
+            if self._include_correlated(correlated, explained_by(gains, correlated.effect, decisions)):
                 return True
         if proposal is not None and (best is None or proposal.candidate.gain > best.gain + decisions.replacement_nats):
             self._include(proposal, candidates)
