@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
@@ -123,14 +123,15 @@ class LineFits:
         first = np.searchsorted(t_s, at_s - width_s / 2.0, side="left")
         last = np.searchsorted(t_s, at_s + width_s / 2.0, side="right")
         here = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
-        self._first, self._last = np.minimum(first, here - 1), np.maximum(last, here + 1)
-        count = (self._last - self._first).astype(np.float64)
+        first, last = np.minimum(first, here - 1), np.maximum(last, here + 1)
         self._middle, self._spread = np.empty(len(at_s)), np.empty(len(at_s))
-        self._blocks = tuple(self._block_of(t_s, begin) for begin in range(0, len(at_s), _BLOCK))
+        starts = range(0, len(at_s), _BLOCK)
+        self._blocks = tuple(_Block.of(t_s, slice(i, i + _BLOCK), first, last) for i in starts)
         for block in self._blocks:
-            st, stt = block.sums(np.stack((block.since_s, block.since_s**2)))
-            self._middle[block.rows] = st / count[block.rows]
-            self._spread[block.rows] = np.maximum(stt - st**2 / count[block.rows], 1e-12)
+            since, count = block.since_s, block.last - block.first
+            st, stt = block.sums(np.stack((since, since**2)))
+            self._middle[block.rows] = st / count
+            self._spread[block.rows] = np.maximum(stt - st**2 / count, 1e-12)
 
     def slopes(self, values: Array) -> Array:
         """Return the time derivatives (m, c) of values (n, c): the slopes of the lines.
@@ -138,39 +139,44 @@ class LineFits:
         They are exactly zero in windows of constant values, so that rounding of the sums does not look like motion.
         """
         of_each = np.ascontiguousarray(values.T)
-        slope = np.empty((len(of_each), len(self._first)))
-        for block in self._blocks:
-            x = of_each[:, block.samples] - of_each[:, block.samples.start, None]
-            np.subtract(
-                block.sums(x * block.since_s), block.sums(x) * self._middle[block.rows], out=slope[:, block.rows]
-            )
-        slope /= self._spread
+        slope = np.empty((len(of_each), len(self._middle)))
         changes = np.zeros(of_each.shape[1], dtype=np.int64)
         np.cumsum((of_each[:, 1:] != of_each[:, :-1]).any(axis=0), out=changes[1:])
-        slope[:, changes[self._first] == changes[self._last - 1]] = 0.0
+        for block in self._blocks:
+            x = of_each[:, block.samples] - of_each[:, block.samples.start, None]
+            own = (block.sums(x * block.since_s) - block.sums(x) * self._middle[block.rows]) / self._spread[block.rows]
+            here = changes[block.samples]
+            own[:, here[block.first] == here[block.last - 1]] = 0.0
+            slope[:, block.rows] = own
         return slope.T
-
-    def _block_of(self, t_s: Array, begin: int) -> _Block:
-        """Return the block of windows from index `begin` on, with the samples in them."""
-        rows = slice(begin, begin + _BLOCK)
-        first, last = self._first[rows], self._last[rows]
-        samples = slice(int(first.min()), int(last.max()))
-        return _Block(rows, samples, t_s[samples] - t_s[samples.start], first - samples.start, last - samples.start)
 
 
 class _Block(NamedTuple):
     """Successive windows of line fits, whose sums are differences of the same running sums.
 
     rows, samples : indices of the windows, and of the samples in them
-    since_s : times of the samples since the first one, seconds
+    t_s : times of the samples, seconds
     first, last : index of each window's first sample, and of the one after its last, within `samples`
     """
 
     rows: slice
     samples: slice
-    since_s: Array
+    t_s: Array
     first: NDArray[np.int64]
     last: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, t_s: Array, rows: slice, first: NDArray[np.int64], last: NDArray[np.int64]) -> Self:
+        """Return the block of some windows, given the samples' times and each window's first and last one."""
+        first, last = first[rows], last[rows]
+        samples = slice(int(first.min()), int(last.max()))
+        return cls(rows, samples, t_s[samples], first - samples.start, last - samples.start)
+
+    @property
+    def since_s(self) -> Array:
+        """Times of the samples since the first one, seconds."""
+        since: Array = self.t_s - self.t_s[0]
+        return since
 
     def sums(self, values: Array) -> Array:
         """Return the sums (c, windows) of values (c, samples) over each window."""

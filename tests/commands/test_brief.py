@@ -13,6 +13,7 @@ from odomcorrupt.effects import registry
 
 OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
 NOISE = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1"]
+MAP = ["map", OFFICE, "--resolution", "0.2", *NOISE]
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def test_an_effect_is_explained_in_eight_lines(name, capsys):
         (["effects"], "SYSTEMATIC"),
         (["integrate", OFFICE], "INTEGRATED"),
         (["integrate", OFFICE, "--twist-noise", "0.2", "0.04", "--runs", "3", "--seed", "1"], "INTEGRATED"),
-        (["map", OFFICE, *NOISE], "THICKER"),
+        (MAP, "THICKER"),
     ],
 )
 def test_a_result_has_eight_lines_all_of_it_nothing_or_values(words, label, capsys):
@@ -73,7 +74,7 @@ def test_all_effects_and_presets_are_named(capsys):
 
 
 def test_the_table_of_a_map_fits_a_hundred_columns(capsys):
-    table = [line for line in lines_of(capsys, ["map", OFFICE, "-v", *NOISE]) if " m  " in line and line[:2] == "  "]
+    table = [line for line in lines_of(capsys, [*MAP, "-v"]) if " m  " in line and line[:2] == "  "]
     assert len(table) >= 3
     assert max(map(len, table)) <= 100
 

@@ -41,21 +41,15 @@ def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmo
     """Return the recording with the effects removed from its odometry: u = u' + f(u'), composed from the same start.
 
     Speeds are those of the increments. Fields of the true motion that some effects read (accelerations, places) come
-    from the smooth motion of the odometry and from the recorded truth.
-
-    smoother : smooth motions of this recording, if already made
+    from the smooth motion of the odometry (of `smoother`, if given) and from the recorded truth.
     """
     if not effects:
         return recording
-    motion = raw = (
-        motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
-        if smoother is None
-        else smoother.unsmoothed
-    )
+    motion = raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
     left = recording
     reading = any(effect.reads_truth for effect in effects)
-    if reading:
-        smoother = MotionSmoother([recording], "odometry") if smoother is None else smoother.of_odometry
+    if reading and smoother is None:
+        smoother = MotionSmoother([recording], "odometry")
     # a force accelerates the body, not the wheels: a second pass takes accelerations from the corrected odometry
     for again in range(2 if reading else 1):
         if smoother is not None and reading:
@@ -167,7 +161,7 @@ def pose_problem(
     seen = [smoother.recorded for smoother in smoothers]
     if approach.side == "truth":
         seen = [_robots(motion, [e for e in effects if _follows(e)]) for motion in seen]
-    whole = [undo(smoother.recording, effects, smoother=smoother) for smoother in smoothers]
+    whole = [_undone(smoother, effects, approach.side) for smoother in smoothers]
     left = [with_recomputed_headings(one) for one in _left(recordings, clocks, smoothers, whole)]
     nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
     if approach.side == "odometry" and effects:
@@ -229,6 +223,13 @@ def _one_run(one: Recording, other: Recording) -> bool:
     shared = min(len(one.odometry), len(other.odometry))
     a, b = one.odometry, other.odometry
     return np.array_equal(a.stamps_ns[:shared], b.stamps_ns[:shared]) and np.array_equal(a.xyt[:shared], b.xyt[:shared])
+
+
+def _undone(smoother: MotionSmoother, effects: Sequence[Effect], side: Side) -> Recording:
+    """Return a run with the effects removed from its odometry."""
+    if side != "odometry" and any(effect.reads_truth for effect in effects):
+        smoother = MotionSmoother(smoother.stretches, "odometry")
+    return undo(smoother.recording, effects, smoother=smoother)
 
 
 def _left(

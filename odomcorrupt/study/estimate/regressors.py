@@ -88,21 +88,6 @@ class MotionSmoother:
         """Smooth motion of the unchanged recording."""
         return self.motion(self.recording)
 
-    @cached_property
-    def unsmoothed(self) -> Motion:
-        """Motion of the unchanged recording with the speeds of its increments."""
-        whole = self.recording
-        return motion_of(whole.odometry_s, whole.odometry.xyt, track_m=whole.track_m)
-
-    @property
-    def of_odometry(self) -> MotionSmoother:
-        """Smooth motions of the same run, from the odometry."""
-        return self if self._side == "odometry" else self._other_side
-
-    @cached_property
-    def _other_side(self) -> MotionSmoother:
-        return MotionSmoother(self.stretches, "odometry")
-
     def motion(self, recording: Recording) -> Motion:
         """Return the smooth motion of the recording with other odometry at the same stamps."""
         twist = self._twist(recording)
@@ -126,7 +111,8 @@ class MotionSmoother:
     @cached_property
     def _steps(self) -> tuple[float, float] | None:
         """Steps of the reported speeds, if they are multiples of any."""
-        return speed_steps(self.unsmoothed.v, self.unsmoothed.omega, self._dt_s, self.recording.track_m)
+        made = motion_of(self.recording.odometry_s, self.recording.odometry.xyt)
+        return speed_steps(made.v, made.omega, self._dt_s, self.recording.track_m)
 
     @cached_property
     def _reported(self) -> Array | None:
