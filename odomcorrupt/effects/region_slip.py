@@ -18,13 +18,15 @@ if TYPE_CHECKING:
 _MOST_DISCS = 400
 _ANGLES = (1e-3, np.pi / 6.0, np.pi / 3.0)
 """Of the first rectangles, rad; not exactly 0, at which an optional parameter is held."""
+_RESTS_M = 1e-12
+"""Ways shorter than this are at one place, m."""
 _LEAST_SHARE, _MOST_SHARE = 0.01, 0.8
 """Fractions of the path inside a disc below and above which its slip cannot be estimated."""
 
 
 @dataclass(frozen=True, slots=True)
 class RegionSlip(Effect):
-    """f = -slip (v, vy, omega) inside a disc or rectangle of the truth frame, 0 outside.
+    """f = -slip (v, vy, omega) inside a disc or rectangle of the truth frame, for the part of each step that is inside.
 
     With contact = wheels, f acts on each wheel: one slips before the other at the edge, and the robot turns. With a
     width the patch is a rectangle, as carpets are.
@@ -136,18 +138,34 @@ class RegionSlip(Effect):
         return TwistError(stacked(slip * motion.v, slip * motion.vy, yaw, motion.v), state)
 
     def _ratio(self, motion: Motion) -> Array:
-        """Return the relative speed error (n,): -slip inside the patch, 0 outside."""
+        """Return the relative speed error (n,): -slip times the part of each interval's path inside the patch."""
         ahead, left = self._inside_axes(motion)
+        to = motion.theta + 0.5 * motion.omega * motion.dt_s - self.angle
+        v, vy, c, s = motion.v * motion.dt_s, motion.vy * motion.dt_s, np.cos(to), np.sin(to)
+        forward, sideways = c * v - s * vy, s * v + c * vy
         if self.width:
-            inside = (np.abs(ahead) <= self.radius) & (np.abs(left) <= self.width)
+            both = (_within(ahead, forward, self.radius), _within(left, sideways, self.width))
+            first, last = np.maximum(both[0][0], both[1][0]), np.minimum(both[0][1], both[1][1])
         else:
-            inside = ahead**2 + left**2 <= self.radius**2
-        return np.where(inside, -self.slip, 0.0)
+            way = np.hypot(forward, sideways)
+            c = np.divide(forward, way, out=np.ones_like(way), where=way > 0.0)
+            s = np.divide(sideways, way, out=np.zeros_like(way), where=way > 0.0)
+            half = np.sqrt(np.maximum(self.radius**2 - (c * left - s * ahead) ** 2, 0.0))
+            first, last = _within(c * ahead + s * left, way, half)
+        ratio: Array = -self.slip * np.maximum(last - first, 0.0)
+        return ratio
 
     def _inside_axes(self, motion: Motion) -> tuple[Array, Array]:
         """Return positions (n,), (n,) relative to the centre, along the length and the width of the patch, m."""
         x, y, c, s = motion.x - self.x, motion.y - self.y, np.cos(self.angle), np.sin(self.angle)
         return c * x + s * y, c * y - s * x
+
+
+def _within(start: Array, way: Array, half: Array | float) -> tuple[Array, Array]:
+    """Return the parts (n,), (n,) of ways (n,), m, from starts (n,) at which they enter and leave -half to half."""
+    way = np.where(np.abs(way) < _RESTS_M, _RESTS_M, way)
+    ends = (-half - start) / way, (half - start) / way
+    return np.clip(np.minimum(*ends), 0.0, 1.0), np.clip(np.maximum(*ends), 0.0, 1.0)
 
 
 def _free_edges(along: Array, beside: Array, half: float) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.study.estimate.regressors import choose_side
+from odomcorrupt.study.estimate.regressors import choose_side, driving_motion
 from odomcorrupt.study.io.recording import Recording
 
 
@@ -43,3 +43,11 @@ def test_jitter_of_encoders_is_no_regressor_beside_a_truth_whose_noise_smoothing
     truth = Trajectory(np.round(1e9 * seen_s).astype(np.int64), poses)
     assert choose_side(Recording("rough", rough, truth, 0), 0.5) == "truth"
     assert choose_side(Recording("smooth", smooth, truth, 0), 0.5) == "odometry"
+
+
+def test_places_are_those_where_intervals_begin():
+    t_s = np.arange(500) / 25.0
+    xyt = np.stack((0.3 * t_s, np.zeros_like(t_s), np.zeros_like(t_s)), axis=1)
+    path = Trajectory((1e9 * t_s).astype(np.int64), xyt)
+    motion = driving_motion(Recording("drive", path, path, 0), "odometry")
+    assert np.abs(motion.x - xyt[:-1, 0]).max() < 1e-9

@@ -70,12 +70,13 @@ class MotionSmoother:
         t_s = whole.odometry_s
         self._ends_s, self._dt_s, middle = t_s[1:], np.diff(t_s), (t_s[:-1] + t_s[1:]) / 2.0
         # slopes and patches of the floor are fixed in the world, so places come from the truth
-        shared = _by_truth(self.stretches, middle)
-        at = np.concatenate([_where(stretch.truth, part, whole.origin_ns) for stretch, part in shared])
+        begins = _by_truth(self.stretches, t_s[:-1])
+        at = np.concatenate([_where(stretch.truth, part, whole.origin_ns) for stretch, part in begins])
         self._x, self._y, self._theta = np.ascontiguousarray(at.T)
         if side == "odometry":
             shared, widths_s = [(whole, middle)], [SMOOTHING_S]
         else:
+            shared = _by_truth(self.stretches, middle)
             widths_s = [_truth_window(stretch.truth) for stretch, _ in shared]
         self._slopes = [
             _Slopes.of(stretch.odometry if side == "odometry" else stretch.truth, part, whole.origin_ns, width_s)
