@@ -42,8 +42,8 @@ _FREQUENT = 0.005
 """Rate of single losses above which losses of several increments in a row are plausible."""
 _NEIGHBOURS = 2
 """Number of increments on each side whose mean is the expected size of a pair of neighbours."""
-_LEAST_TICKS, _LEAST_WHEEL_TICKS = 1.5, 2.5
-"""Smallest neighbour of a lost increment, in ticks: two whole ones; three of a single wheel, which stops more often."""
+_LEAST_TICKS, LEAST_WHEEL_TICKS = 1.5, 2.5
+"""Smallest neighbour of a lost increment, in ticks: two whole ones; three in evidence that a single wheel loses any."""
 _USUAL_QUANTILE, _ROUNDING_M = 0.8, 1e-7
 """Quantile of the changes between increments taken as the usual change; change that counts as zero, metres."""
 _ALIKE = 1e-3
@@ -193,13 +193,14 @@ def losses(motion: Motion) -> Losses:
     return _losses_of(motion, travel, moves, _LEAST_TICKS)
 
 
-def wheel_losses(motion: Motion, track_m: float | None) -> WheelLosses | None:
+def wheel_losses(motion: Motion, track_m: float | None, ticks: float = _LEAST_TICKS) -> WheelLosses | None:
     """Return the lost increments of each wheel, by the rule of `losses`; None if the odometry's track is unknown.
 
     The travel of a wheel is exactly zero only for the track that the driver computes with, which may differ from the
     robot's. Losses show it themselves; the robot's is taken if they are few.
 
     track_m : track of the robot, or None if unknown
+    ticks : smallest neighbour of a loss, in ticks
     """
     own_m = _track_of_losses(motion, track_m) or track_m
     if own_m is None:
@@ -207,7 +208,7 @@ def wheel_losses(motion: Motion, track_m: float | None) -> WheelLosses | None:
     rims = rims_of(motion.v * motion.dt_s, motion.omega * motion.dt_s, own_m)
     exact = _STILL + (_ALIKE + (motion.omega * motion.dt_s) ** 2 / 24.0) * np.maximum(*np.abs(rims))
     moves = [np.abs(travel) > exact for travel in rims]
-    right, left = (_losses_of(motion, u, m, _LEAST_WHEEL_TICKS) for u, m in zip(rims, moves, strict=True))
+    right, left = (_losses_of(motion, u, m, ticks) for u, m in zip(rims, moves, strict=True))
     alone = int(np.sum(right.lost & moves[1])), int(np.sum(left.lost & moves[0]))
     return WheelLosses(right, left, alone, own_m)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.compensation import corrected_increments
-from odomcorrupt.effects.lost_increments import losses, wheel_losses
+from odomcorrupt.effects.lost_increments import LEAST_WHEEL_TICKS, losses, wheel_losses
 from odomcorrupt.geometry.increments import accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -49,7 +49,7 @@ def encoder_effects(recording: Recording) -> list[Effect]:
 
 def _losses(motion: Motion) -> list[Effect]:
     """Return `lost_increments` of the robot or, if most losses are of single wheels, of each wheel that shows them."""
-    whole, wheels = losses(motion), wheel_losses(motion, motion.track_m)
+    whole, wheels = losses(motion), wheel_losses(motion, motion.track_m, LEAST_WHEEL_TICKS)
     if wheels is not None and sum(wheels.alone) > whole.seen:
         track = {} if motion.track_m else {"track": wheels.track_m}
         return [
