@@ -38,6 +38,8 @@ _MOST_IN_A_ROW = 3
 _LONGEST_S = 0.25
 """Longest gap that counts as a loss, seconds; a longer rest may be a real stop."""
 _CAUGHT_UP = 1.35
+_FAST_SHARE = 0.125
+"""Least share of losses at speeds above the median: half is expected, and none of a driver that cuts off low speeds."""
 _FREQUENT = 0.005
 """Rate of single losses above which losses of several increments in a row are plausible."""
 _NEIGHBOURS = 2
@@ -153,12 +155,19 @@ class Losses(NamedTuple):
     seen : number of lost increments detected
     of : number of increments, lost or not, whose loss would have been detected
     hidden : fraction of the moving increments that have too few ticks for a loss to be detected
+    fast : fraction of the losses at speeds of at least the median of the increments whose loss would have been detected
     """
 
     lost: NDArray[np.bool_]
     seen: int
     of: int
     hidden: float
+    fast: float
+
+    @property
+    def at_all_speeds(self) -> bool:
+        """Whether increments are also lost at high speed."""
+        return self.fast >= _FAST_SHARE
 
     @property
     def fraction(self) -> float:
@@ -224,7 +233,7 @@ def _losses_of(motion: Motion, travel: Array, moves: NDArray[np.bool_], ticks: f
     going = np.flatnonzero(moves)
     way = np.abs(travel[going])
     if len(going) < _NEIGHBOURS + 2:
-        return Losses(gone, 0, 0, 0.0)
+        return Losses(gone, 0, 0, 0.0, 0.0)
     fast = way > _MOVING_MPS * motion.dt_s[going]
     plain = fast & (way > ticks * _usual_change(going, way))
 
@@ -244,9 +253,12 @@ def _losses_of(motion: Motion, travel: Array, moves: NDArray[np.bool_], ticks: f
         gone[begin + 1 : begin + 1 + count] = True
     gone &= motion.dt_s > 0.0  # a duplicated stamp is no loss
 
-    arrived = int(np.sum(plain[:-1] & plain[1:] & ((gap == 0) | found)))
+    pairs = plain[:-1] & plain[1:] & ((gap == 0) | found)
     hidden = 1.0 - float(plain.sum()) / max(int(fast.sum()), 1)
-    return Losses(gone, int(gone.sum()), int(gone.sum()) + arrived, hidden)
+    speed = way / motion.dt_s[going]
+    slower = np.minimum(speed[:-1], speed[1:])
+    above = float(np.mean(slower[found] >= np.median(slower[pairs]))) if found.any() else 0.0
+    return Losses(gone, int(gone.sum()), int(gone.sum()) + int(pairs.sum()), hidden, above)
 
 
 def _track_of_losses(motion: Motion, track_m: float | None) -> float | None:

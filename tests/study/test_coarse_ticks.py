@@ -135,6 +135,20 @@ def test_turns_about_a_wheel_are_no_losses():
     assert not losses_named(run)
 
 
+@pytest.mark.parametrize("cut_mps", [0.1, 0.3])
+def test_wheels_whose_low_speeds_are_cut_off_lose_no_increments(cut_mps):
+    """A wheel whose speed fluctuates about the limit is reported as zero now and then, and never above it."""
+    rng = np.random.default_rng(6)
+    steps = wander(6, 300.0)
+    sides = [steps.ds_m + s * TRACK_M / 2.0 * steps.dtheta_rad + rng.normal(0.0, 2e-4, len(steps)) for s in (1.0, -1.0)]
+    right, left = (np.where(np.abs(u) < 0.02 * cut_mps, 0.0, u) for u in sides)
+    reported = Increments((right + left) / 2.0, np.zeros_like(right), (right - left) / TRACK_M)
+    run = replace(recording(steps, accumulate(np.zeros(3), reported)), track_m=TRACK_M)
+    shown = wheel_losses(motion_of(run.odometry_s, run.odometry.xyt), TRACK_M)
+    assert min(shown.alone) > 20
+    assert not {"right", "left"} & set(losses_named(run))
+
+
 def test_only_ticks_that_hardly_move_an_increment_hide_losses():
     assert hides_losses(counted(2e-2, lost=0.015)[0])
     assert not hides_losses(counted(2e-3, lost=0.015)[0])

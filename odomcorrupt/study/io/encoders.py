@@ -52,11 +52,13 @@ def _losses(motion: Motion) -> list[Effect]:
     whole, wheels = losses(motion), wheel_losses(motion, motion.track_m, LEAST_WHEEL_TICKS)
     if wheels is not None and sum(wheels.alone) > whole.seen:
         track = {} if motion.track_m else {"track": wheels.track_m}
-        return [
+        single = [
             effect_from_values("lost_increments", {"fraction": shown.fraction, "wheel": wheel, **track})
             for wheel, shown, alone in zip(("right", "left"), wheels[:2], wheels.alone, strict=True)
-            if alone >= _MIN_LOST and alone > _MIN_LOST_FRACTION * shown.of
+            if alone >= _MIN_LOST and alone > _MIN_LOST_FRACTION * shown.of and shown.at_all_speeds
         ]
+        if single:
+            return single
     if whole.seen >= _MIN_LOST and whole.fraction > _MIN_LOST_FRACTION:
         return [effect_from_values("lost_increments", {"fraction": whole.fraction})]
     return []
