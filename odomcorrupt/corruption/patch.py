@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
-STILL = 1e-9
-"""What a step of a pose that stands still may be by rounding, metres or radians."""
+_LOSS = 0.3
+"""Smallest motion that counts as a restored loss, as a fraction of the pose's: of both wheels, the pose stands; of one,
+it moves as much as is lost."""
 
 
 class TwistChange(NamedTuple):
@@ -37,14 +38,12 @@ class TwistChange(NamedTuple):
     added : (n, 3) noisy minus clean, forward and leftward m/s, yaw rad/s, in the body at mid heading
     covariance : (n, 3, 3) of these
     clean : (n, 3) rates of the clean poses themselves since the message before, likewise
-    stationary : (n,) whether the clean pose equals that of the message before
     """
 
     known: NDArray[np.bool_]
     added: Array
     covariance: Array
     clean: Array
-    stationary: NDArray[np.bool_]
 
 
 class TopicTwist:
@@ -60,7 +59,7 @@ class TopicTwist:
         self._stretch = stretch
         self._stamps_ns: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._clean, self._correction, self._sums = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 0))
-        self._known, self._added, self._covariance, self._stationary = False, np.zeros(3), np.zeros((3, 3)), False
+        self._known, self._added, self._covariance = False, np.zeros(3), np.zeros((3, 3))
         self._rate = np.zeros(3)
 
     def change(self, stamps_ns: NDArray[np.int64], clean_xyt: Array, at: Correction) -> TwistChange:
@@ -81,8 +80,7 @@ class TopicTwist:
             if at.stretch[0] != self._stretch:
                 self._begin(int(at.stretch[0]))
             return self._within_stretch(stamps_ns, clean_xyt, at.xyt, at.sums)
-        none = np.zeros(n, dtype=bool)
-        out = TwistChange(none.copy(), np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3)), none)
+        out = TwistChange(np.zeros(n, dtype=bool), np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3)))
         for start, stop in zip([0, *edges], [*edges, n], strict=True):
             if start == stop:
                 continue
@@ -91,7 +89,7 @@ class TopicTwist:
             rows = slice(int(start), int(stop))
             part = self._within_stretch(stamps_ns[rows], clean_xyt[rows], at.xyt[rows], at.sums[:, rows])
             out.known[rows], out.added[rows], out.covariance[rows] = part.known, part.added, part.covariance
-            out.clean[rows], out.stationary[rows] = part.clean, part.stationary
+            out.clean[rows] = part.clean
         return out
 
     def _within_stretch(
@@ -117,24 +115,21 @@ class TopicTwist:
         known = np.concatenate(([self._known], np.arange(count) >= fresh))
         added, rate = np.zeros((len(known), 3)), np.zeros((len(known), 3))
         covariance = np.zeros((len(known), 3, 3))
-        stationary = np.concatenate(([self._stationary], np.zeros(count, dtype=bool)))
         added[0], covariance[0], rate[0] = self._added, self._covariance, self._rate
         difference, body = _body_difference(clean, correction)
         added[1 + fresh :], rate[1 + fresh :] = difference / dt_s[:, None], body / dt_s[:, None]
         covariance[1 + fresh :] = twist_covariance(np.diff(every_sum, axis=1), dt_s)
-        stationary[1 + fresh :] = np.abs(np.diff(clean, axis=0)).max(axis=1) < STILL
 
         self._stamps_ns, self._clean, self._correction = at_ns[-1:], clean[-1:], correction[-1:]
         self._sums = every_sum[:, -1:]
-        self._known, self._added, self._covariance = bool(known[-1]), added[-1], covariance[-1]
-        self._rate, self._stationary = rate[-1], bool(stationary[-1])
+        self._known, self._added, self._covariance, self._rate = bool(known[-1]), added[-1], covariance[-1], rate[-1]
         if isinstance(ahead, slice):
-            return TwistChange(known[1:], added[1:], covariance[1:], rate[1:], stationary[1:])
+            return TwistChange(known[1:], added[1:], covariance[1:], rate[1:])
         latest = np.zeros(len(stamps_ns), dtype=np.int64)
         latest[ahead] = np.arange(1, count + 1)
         latest = np.maximum.accumulate(latest)
         known = known[latest] & (stamps_ns != reach[:-1])
-        return TwistChange(known, added[latest], covariance[latest], rate[latest], stationary[latest])
+        return TwistChange(known, added[latest], covariance[latest], rate[latest])
 
 
 def _body_difference(clean_xyt: Array, correction_xyt: Array) -> tuple[Array, Array]:
@@ -261,9 +256,7 @@ class Patcher:
         for target, _ in parts:
             own = back[start : start + len(target.stamps_ns)]
             start += len(own)
-            part = TwistChange(
-                change.known[own], change.added[own], change.covariance[own], change.clean[own], change.stationary[own]
-            )
+            part = TwistChange(change.known[own], change.added[own], change.covariance[own], change.clean[own])
             self._patch_twist(block, target, part)
 
     def _patch_twist(self, block: Block, target: Target, change: TwistChange) -> None:
@@ -273,7 +266,8 @@ class Patcher:
             twist = gather(block, target.layout, target.item, "twist")
             if self._restores or self._steps:
                 has = _has_already(twist[:, PLANAR] - change.clean, added)
-                moved &= ~(has & (change.stationary | self._steps))
+                loss = np.sum(added**2, axis=1) >= _LOSS**2 * np.sum(change.clean**2, axis=1)
+                moved &= ~(has & (loss | self._steps))
             rows = slice(None) if moved.all() else np.flatnonzero(moved)
             for column, place in enumerate(PLANAR):
                 twist[rows, place] += added[rows, column]

@@ -16,10 +16,12 @@ from odomcorrupt.effects.effect import (
     Recorded,
     State,
     TwistError,
+    choice,
     parameter,
     stacked,
 )
 from odomcorrupt.effects.random_state import copied
+from odomcorrupt.effects.wheels import Rims, body_of, needed_track_m, rims_of, track_parameter
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -36,21 +38,32 @@ _MOST_IN_A_ROW = 3
 _LONGEST_S = 0.25
 """Longest gap that counts as a loss, seconds; a longer rest may be a real stop."""
 _CAUGHT_UP = 1.35
+_FAST_SHARE = 0.125
+"""Least share of losses at speeds above the median: half is expected, and none of a driver that cuts off low speeds."""
 _FREQUENT = 0.005
 """Rate of single losses above which losses of several increments in a row are plausible."""
 _NEIGHBOURS = 2
 """Number of increments on each side whose mean is the expected size of a pair of neighbours."""
-_LEAST_TICKS = 1.5
-"""Smallest neighbour of a lost increment, in ticks: more than 1.5, i.e. two whole ticks."""
+_LEAST_TICKS, LEAST_WHEEL_TICKS = 1.5, 2.5
+"""Smallest neighbour of a lost increment, in ticks: two whole ones; three in evidence that a single wheel loses any."""
 _USUAL_QUANTILE, _ROUNDING_M = 0.8, 1e-7
 """Quantile of the changes between increments taken as the usual change; change that counts as zero, metres."""
 _ALIKE = 1e-3
 """Relative difference of increments of equal length: a chord is shorter than its arc by a 24th of the turn squared."""
+_TRACKS_M, _TRACK_RANGE = (0.03, 3.0), (0.7, 1.4)
+"""Tracks that a driver may compute the odometry with: of any robot, and as a multiple of a robot's known track."""
+_FEWEST = 5
+"""Fewest lost increments of a wheel that show the track: their ratios of travel to turn are the same."""
+_STEADY = 0.25
+"""Largest relative change of the other wheel's speed at such a loss."""
 
 
 @dataclass(frozen=True, slots=True)
 class LostIncrements(Effect):
     """Each increment is lost with probability `fraction`: the reported pose stops while the robot moves on.
+
+    `wheel` limits the losses to one encoder: the odometry turns about the wheel whose increment is lost. Independent
+    losses of both wheels are the effect twice, once for each wheel.
 
     On average this equals a scale error of the same size, but which increments are lost is random: it counts as noise.
     A correction does not scale up the other increments. It interpolates lost ones, visible as an increment of zero
@@ -63,14 +76,16 @@ class LostIncrements(Effect):
     restorable = True
     summary = "some increments of the odometry are lost, with their travel"
     about = About(
-        equation="reported increment = 0 with probability fraction",
+        equation="reported increment, of the robot or of one wheel, = 0 with probability fraction",
         typical="0.1 to 5 % on a bad serial line (an estimate)",
         source="engineering judgement; no published figures known to us",
-        confused_with=("wheel_scale", "slip_burst"),
+        confused_with=("wheel_scale", "unequal_wheels", "slip_burst"),
         drive="any: single increments of zero between neighbours that move, in the odometry alone",
     )
 
     fraction: float = parameter("", "part of the increments that is lost", low=0.0, high=0.9, typical=0.01)
+    wheel: str = choice("whose increments are lost: of both wheels at once, or of one", "both", "left", "right")
+    track: float = track_parameter()
 
     def start(self, rng: Generator) -> State:
         """Return the random generator of the losses."""
@@ -80,34 +95,57 @@ class LostIncrements(Effect):
         """Return f = 0: reported increments are correct, and the lost ones are not a function of the motion."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
-    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - any time, any wheel
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return the increments with the lost ones set to zero."""
         rng = copied(state)
         lost = rng.uniform(size=len(steps)) < self.fraction
-        return Recorded(np.where(lost[:, None], 0.0, steps), rng)
+        if self.wheel == "both":
+            return Recorded(np.where(lost[:, None], 0.0, steps), rng)
+        return Recorded(np.where(lost[:, None], steps - self._travel_of_wheel(steps, track_m), steps), rng)
 
     def restored(self, motion: Motion) -> Motion:
         """Return the motion with the clearly lost increments interpolated between their neighbours."""
-        gone = losses(motion).lost
-        if not (self.acts and gone.any()):
+        if not self.acts:
             return motion
-        middle = np.cumsum(motion.dt_s) - motion.dt_s / 2.0
-        v, vy, omega = (
-            np.where(gone, np.interp(middle, middle[~gone], speed[~gone]), speed)
-            for speed in (motion.v, motion.vy, motion.omega)
-        )
-        return replace(motion, v=v, vy=vy, omega=omega)
+        if self.wheel == "both":
+            gone = losses(motion).lost
+            v, vy, omega = (_interpolated(speed, gone, motion) for speed in (motion.v, motion.vy, motion.omega))
+            return replace(motion, v=v, vy=vy, omega=omega)
+        found = wheel_losses(motion, self.track or motion.track_m)
+        if found is None:
+            return motion
+        rims = rims_of(motion.v, motion.omega, found.track_m)._asdict()
+        rims[self.wheel] = _interpolated(rims[self.wheel], getattr(found, self.wheel).lost, motion)
+        v, _, omega = body_of(Rims(**rims), found.track_m).T
+        return replace(motion, v=v, omega=omega)
 
     def moments(self, motion: Motion) -> Moments:
         """Return mean and variance of the loss."""
-        twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
+        twist = self._twist(motion)
         return Moments(self.fraction * twist, self.fraction * (1.0 - self.fraction) * twist**2)
 
     def gains(self, motion: Motion) -> tuple[Gain, ...]:
         """Return one independent coefficient per increment; the mean loss is not included."""
-        twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
         variance = self.fraction * (1.0 - self.fraction)
-        return (Gain(twist, np.zeros_like(motion.v), np.full_like(motion.v, variance), 0.0),)
+        return (Gain(self._twist(motion), np.zeros_like(motion.v), np.full_like(motion.v, variance), 0.0),)
+
+    def _twist(self, motion: Motion) -> Array:
+        """Return the part (n, 3) of the twist that a loss takes away."""
+        twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
+        return twist if self.wheel == "both" else self._travel_of_wheel(twist, motion.track_m)
+
+    def _travel_of_wheel(self, body: Array, track_m: float | None) -> Array:
+        """Return the part (n, 3) of a motion of the body (n, 3) that is due to the wheel alone."""
+        track = needed_track_m(self.name, self.track or track_m)
+        rims = rims_of(body[:, 0], body[:, 2], track)
+        still = np.zeros(len(body))
+        return body_of(Rims(still, rims.left) if self.wheel == "left" else Rims(rims.right, still), track)
+
+
+def _interpolated(speed: Array, gone: NDArray[np.bool_], motion: Motion) -> Array:
+    """Return a speed (n,) with its lost values interpolated between their neighbours."""
+    middle = np.cumsum(motion.dt_s) - motion.dt_s / 2.0
+    return np.where(gone, np.interp(middle, middle[~gone], speed[~gone]), speed) if gone.any() else speed
 
 
 class Losses(NamedTuple):
@@ -117,12 +155,19 @@ class Losses(NamedTuple):
     seen : number of lost increments detected
     of : number of increments, lost or not, whose loss would have been detected
     hidden : fraction of the moving increments that have too few ticks for a loss to be detected
+    fast : fraction of the losses at speeds of at least the median of the increments whose loss would have been detected
     """
 
     lost: NDArray[np.bool_]
     seen: int
     of: int
     hidden: float
+    fast: float
+
+    @property
+    def at_all_speeds(self) -> bool:
+        """Whether increments are also lost at high speed."""
+        return self.fast >= _FAST_SHARE
 
     @property
     def fraction(self) -> float:
@@ -130,29 +175,74 @@ class Losses(NamedTuple):
         return self.seen / max(self.of, 1)
 
 
+class WheelLosses(NamedTuple):
+    """Lost increments detected for each wheel.
+
+    right, left : where both wheels' increments are lost at once, both have the loss
+    alone : (right, left) number of losses of the one wheel while the other moves
+    track_m : track that the odometry is computed with
+    """
+
+    right: Losses
+    left: Losses
+    alone: tuple[int, int]
+    track_m: float
+
+
 def losses(motion: Motion) -> Losses:
-    """Return the lost increments of an odometry.
+    """Return the lost increments of an odometry: those of the whole robot.
 
     An increment of zero is a loss if both neighbours are clearly larger than the usual change between increments: an
     encoder of coarse ticks reports zeros, but none between increments of two ticks. A late count is not a loss: a
     neighbour catches up, so the two neighbours are longer than the increments around them.
     """
-    gone = np.zeros(len(motion), dtype=bool)
     arm_m = _ARM_M if motion.track_m is None else motion.track_m / 2.0
     travel = (np.hypot(motion.v, motion.vy) + arm_m * np.abs(motion.omega)) * motion.dt_s
-    going = np.flatnonzero((np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s >= _STILL)
-    way = travel[going]
+    moves = (np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s >= _STILL
+    return _losses_of(motion, travel, moves, _LEAST_TICKS)
+
+
+def wheel_losses(motion: Motion, track_m: float | None, ticks: float = _LEAST_TICKS) -> WheelLosses | None:
+    """Return the lost increments of each wheel, by the rule of `losses`; None if the odometry's track is unknown.
+
+    The travel of a wheel is exactly zero only for the track that the driver computes with, which may differ from the
+    robot's. Losses show it themselves; the robot's is taken if they are few.
+
+    track_m : track of the robot, or None if unknown
+    ticks : smallest neighbour of a loss, in ticks
+    """
+    own_m = _track_of_losses(motion, track_m) or track_m
+    if own_m is None:
+        return None
+    rims = rims_of(motion.v * motion.dt_s, motion.omega * motion.dt_s, own_m)
+    exact = _STILL + (_ALIKE + (motion.omega * motion.dt_s) ** 2 / 24.0) * np.maximum(*np.abs(rims))
+    moves = [np.abs(travel) > exact for travel in rims]
+    right, left = (_losses_of(motion, u, m, ticks) for u, m in zip(rims, moves, strict=True))
+    alone = int(np.sum(right.lost & moves[1])), int(np.sum(left.lost & moves[0]))
+    return WheelLosses(right, left, alone, own_m)
+
+
+def _losses_of(motion: Motion, travel: Array, moves: NDArray[np.bool_], ticks: float) -> Losses:
+    """Return the lost increments of a travel.
+
+    travel : (n,) metres; neighbours of a loss have the same sign
+    moves : (n,) False where the travel is zero
+    ticks : smallest neighbour of a loss, in ticks
+    """
+    gone = np.zeros(len(motion), dtype=bool)
+    going = np.flatnonzero(moves)
+    way = np.abs(travel[going])
     if len(going) < _NEIGHBOURS + 2:
-        return Losses(gone, 0, 0, 0.0)
+        return Losses(gone, 0, 0, 0.0, 0.0)
     fast = way > _MOVING_MPS * motion.dt_s[going]
-    plain = fast & (way > _LEAST_TICKS * _usual_change(going, way))
+    plain = fast & (way > ticks * _usual_change(going, way))
 
     last, following = going[:-1], going[1:]
     gap = following - last - 1
     ends_s = np.cumsum(motion.dt_s)
     gap_s = ends_s[following - 1] - ends_s[last]
     alone = (gap == 1) | ((gap > 1) & (gap <= _MOST_IN_A_ROW) & (gap_s < _LONGEST_S))
-    zero = alone & plain[:-1] & plain[1:]
+    zero = alone & plain[:-1] & plain[1:] & (travel[last] * travel[following] > 0.0)
     caught_up = zero & (way[:-1] + way[1:] > _CAUGHT_UP * 2.0 * _around(way))
     found = zero & ~caught_up
     if caught_up.sum() > found.sum():
@@ -163,9 +253,38 @@ def losses(motion: Motion) -> Losses:
         gone[begin + 1 : begin + 1 + count] = True
     gone &= motion.dt_s > 0.0  # a duplicated stamp is no loss
 
-    arrived = int(np.sum(plain[:-1] & plain[1:] & ((gap == 0) | found)))
+    pairs = plain[:-1] & plain[1:] & ((gap == 0) | found)
     hidden = 1.0 - float(plain.sum()) / max(int(fast.sum()), 1)
-    return Losses(gone, int(gone.sum()), int(gone.sum()) + arrived, hidden)
+    speed = way / motion.dt_s[going]
+    slower = np.minimum(speed[:-1], speed[1:])
+    above = float(np.mean(slower[found] >= np.median(slower[pairs]))) if found.any() else 0.0
+    return Losses(gone, int(gone.sum()), int(gone.sum()) + int(pairs.sum()), hidden, above)
+
+
+def _track_of_losses(motion: Motion, track_m: float | None) -> float | None:
+    """Return the track, metres, that the odometry is computed with, or None if losses of single wheels do not show it.
+
+    If only one wheel's increment is lost, v = +-omega track / 2 exactly. Of the intervals between which the one wheel
+    would have stopped and the other kept its speed, those of losses have one and the same ratio.
+    """
+    v, omega = motion.v[1:-1], motion.omega[1:-1]
+    ratio = np.divide(2.0 * np.abs(v), np.abs(omega), out=np.zeros_like(v), where=omega != 0.0)
+    lowest, highest = _TRACKS_M if track_m is None else (track_m * part for part in _TRACK_RANGE)
+    half = np.where(v * omega > 0.0, 0.5, -0.5) * ratio  # of the wheel that moves
+    stopped, other = (
+        [motion.v[rows] + side * half * motion.omega[rows] for rows in (slice(None, -2), slice(2, None))]
+        for side in (-1.0, 1.0)
+    )
+    here, mean = 2.0 * np.abs(v), (other[0] + other[1]) / 2.0
+    shows = (ratio > lowest) & (ratio < highest) & (stopped[0] * stopped[1] > 0.0)
+    shows &= np.minimum(*np.abs(stopped)) > np.maximum(_STEADY * here, _MOVING_MPS)
+    shows &= np.abs(2.0 * v - mean) < _STEADY * here
+    ratios = np.sort(ratio[shows])
+    if not len(ratios):
+        return None
+    alike = np.searchsorted(ratios, ratios * (1.0 + 2.0 * _ALIKE)) - np.arange(len(ratios))
+    first = int(np.argmax(alike))
+    return float(np.median(ratios[first : first + alike[first]])) if alike[first] >= _FEWEST else None
 
 
 def _usual_change(going: NDArray[np.int64], way: Array) -> float:

@@ -137,11 +137,12 @@ def test_steps_of_a_filter_are_taken_out_of_poses_and_not_of_twists(tmp_path, ca
     np.testing.assert_allclose(back.twist, was.twist, atol=0.05)
 
 
+@pytest.mark.parametrize("wheel", ["both", "left"])
 @pytest.mark.parametrize("twist", ["model", "keep"])
-def test_lost_increments_come_back_where_the_odometry_shows_them(tmp_path, twist, capsys):
+def test_lost_increments_come_back_where_the_odometry_shows_them(tmp_path, twist, wheel, capsys):
     # breaks where what is seen in the log counts as chance, or where a twist that lost nothing gets the motion twice
     source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
-    losses = ["--effect", "lost_increments:fraction=0.05"]
+    losses = ["--effect", f"lost_increments:fraction=0.05,wheel={wheel}", "--track", "0.4"]
     assert run([str(source), str(wrong), *losses, "--seed", "3", "--twist", twist]) == 0
     assert run(["correct", "-v", str(wrong), str(right), *losses]) == 0
     assert "Taken out: lost_increments" in capsys.readouterr().err

@@ -99,6 +99,21 @@ def test_lost_increments_are_zero_and_the_others_untouched():
     assert np.array_equal(reported[~gone], steps[~gone])
 
 
+@pytest.mark.parametrize(("wheel", "side"), [("right", 1.0), ("left", -1.0)])
+def test_a_lost_increment_of_one_wheel_leaves_the_other_wheels(wheel, side):
+    steps, reported = recorded("lost_increments", {"fraction": 0.1, "wheel": wheel}, motion(0.4, 0.3, 100.0, track=0.4))
+    own, other = (np.stack([s[:, 0] + at * 0.2 * s[:, 2] for s in (steps, reported)]) for at in (side, -side))
+    gone = np.abs(own[1]) < 1e-12
+    assert gone.mean() == pytest.approx(0.1, abs=5 * np.sqrt(0.09 / 5000))
+    assert own[1, ~gone] == pytest.approx(own[0, ~gone])
+    assert other[1] == pytest.approx(other[0])
+
+
+def test_losses_of_one_wheel_need_the_track():
+    with pytest.raises(EffectError, match="track"):
+        recorded("lost_increments", {"fraction": 0.1, "wheel": "left"}, motion(**STRAIGHT))
+
+
 def office():
     n = 20001
     stamps = 10**11 + np.arange(n) * 20_000_000

@@ -60,9 +60,13 @@ def _extent(effect: Effect) -> list[str]:
 
 
 def noise_text(effect: Effect) -> list[str]:
-    """Return a random effect's numbers in words; a time constant of zero is left out."""
+    """Return a random effect's numbers and the wheel it acts on, in words; a time constant of zero is left out."""
     shown = [p for p in parameters(effect) if p.amplitude or getattr(effect, p.name)]
-    return [f"{p.name} {value_text(getattr(effect, p.name), None, p.unit)}" for p in shown]
+    wheel = getattr(effect, "wheel", "both")
+    return [
+        *([f"wheel {wheel}"] if wheel != "both" else []),
+        *(f"{p.name} {value_text(getattr(effect, p.name), None, p.unit)}" for p in shown),
+    ]
 
 
 def _shape_text(value: float, unit: str) -> str:

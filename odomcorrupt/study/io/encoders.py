@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.compensation import corrected_increments
-from odomcorrupt.effects.lost_increments import losses
+from odomcorrupt.effects.lost_increments import LEAST_WHEEL_TICKS, losses, wheel_losses
 from odomcorrupt.geometry.increments import accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
@@ -37,16 +38,30 @@ _STILL_M = 1e-6
 
 def encoder_effects(recording: Recording) -> list[Effect]:
     """Return `lost_increments`, `quantization` and `gyro_dead_band`, with parameters, if the odometry shows them."""
-    found = []
-    shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
-    if shown.seen >= _MIN_LOST and shown.fraction > _MIN_LOST_FRACTION:
-        found.append(effect_from_values("lost_increments", {"fraction": shown.fraction}))
+    found = _losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
     step = _tick(recording)
     if step is not None:
         found.append(effect_from_values("quantization", {"step": step}))
     if recording.yaw_dead_band_radps:
         found.append(effect_from_values("gyro_dead_band", {"threshold": recording.yaw_dead_band_radps}))
     return found
+
+
+def _losses(motion: Motion) -> list[Effect]:
+    """Return `lost_increments` of the robot or, if most losses are of single wheels, of each wheel that shows them."""
+    whole, wheels = losses(motion), wheel_losses(motion, motion.track_m, LEAST_WHEEL_TICKS)
+    if wheels is not None and sum(wheels.alone) > whole.seen:
+        track = {} if motion.track_m else {"track": wheels.track_m}
+        single = [
+            effect_from_values("lost_increments", {"fraction": shown.fraction, "wheel": wheel, **track})
+            for wheel, shown, alone in zip(("right", "left"), wheels[:2], wheels.alone, strict=True)
+            if alone >= _MIN_LOST and alone > _MIN_LOST_FRACTION * shown.of and shown.at_all_speeds
+        ]
+        if single:
+            return single
+    if whole.seen >= _MIN_LOST and whole.fraction > _MIN_LOST_FRACTION:
+        return [effect_from_values("lost_increments", {"fraction": whole.fraction})]
+    return []
 
 
 def hides_losses(recording: Recording) -> bool:
