@@ -142,3 +142,12 @@ def test_ticks_are_seen_whatever_tells_the_heading(yaw_from):
     assert ticks.name == "quantization"
     assert ticks.step == pytest.approx(run.answer["parameters"]["step"], rel=0.01)
     assert encoder_effects(as_recording(simulate(310, None, yaw_from=yaw_from, duration_s=120.0))) == []
+
+
+@pytest.mark.parametrize(("channel", "own_scale"), [("along", True), ("along", False), ("yaw", True)])
+def test_a_varying_gain_of_travel_may_be_a_varying_scale_of_the_truth(channel, own_scale):
+    run = SimpleNamespace(own_scale=own_scale, yaw_dead_band_radps=0.0)
+    fitted = SimpleNamespace(problem=SimpleNamespace(recordings=(run,)))
+    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=False, fit=fitted)
+    gain = RandomCoefficient(effect_from_values("gauss_markov", {"sigma": 0.01, "channel": channel}), 500.0)
+    assert (confidence(noise_evidence(gain, learned)) > 0.5) != (own_scale and channel == "along")

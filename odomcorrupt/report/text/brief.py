@@ -23,6 +23,7 @@ from odomcorrupt.report.text.numbers import (
     step_confidence,
 )
 from odomcorrupt.study.estimate.drive_type import DriveType, readings_of
+from odomcorrupt.study.select.confidence import may_be_scale_of_truth
 from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.summary import Line, Summary, Tone, command_line
 
@@ -211,7 +212,9 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
             small.append(expression)
     for gain in search.noise:
         said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}"
-        lines.append(Line("noise", f"{said}  {confidence_words(noise_confidence(gain, search))}"))
+        said += f"  {confidence_words(noise_confidence(gain, search))}"
+        said += ", or the scale of the truth varies" if may_be_scale_of_truth(gain, search) else ""
+        lines.append(Line("noise", said))
     lines += _clock_lines(search.clocks, search.fit)
     lines += [
         Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): did the robot change?", "warning")

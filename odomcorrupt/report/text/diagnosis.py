@@ -28,6 +28,7 @@ from odomcorrupt.study.estimate.first_contact import unexplained_events
 from odomcorrupt.study.estimate.outliers import Event, events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
+from odomcorrupt.study.select.confidence import may_be_scale_of_truth
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -59,6 +60,7 @@ def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None 
         values = ", ".join(noise_text(gain.effect))
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
         sure = confidence_words(noise_confidence(gain, learned))
+        sure += ", or the scale of the truth varies" if may_be_scale_of_truth(gain, learned) else ""
         lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
         lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), fitted=unknown in learned.laws)

@@ -149,4 +149,5 @@ class _PoseReader:
             tuple(notes),
             child=plain(child),
             geodetic_origin=origin,
+            estimated=self.channels[0].msgtype.endswith("/Odometry"),
         )

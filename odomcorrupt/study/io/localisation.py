@@ -29,6 +29,10 @@ The second is the least number of corrections from which to learn.
 """
 MAP_SCALE_ACCURACY = 0.001
 """Standard deviation of a map's relative scale error: one cell of 5 cm in 50 m (judgement; no published figure)."""
+_MEASURED = re.compile(
+    r"mocap|vicon|optitrack|qualisys|motive|tracker|reflector|total_station|ground|truth|global|(^|[/_])gt|rtk|gps|gnss|sim|gazebo"
+)
+"""Names of odometry topics whose positions are measured in a frame of known scale, or exact."""
 _NAMES = re.compile(r"amcl|slam|locali[sz]|cartographer|rtabmap|hector")
 """Names of topics on which localisations publish their poses."""
 SPARSE_HZ = 5.0
@@ -84,6 +88,11 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
         f"a localisation on top of {odometry.name}; the truth is taken at its {len(rows)} corrections alone: between "
         "them it repeats the odometry",
     )
+
+
+def has_own_scale(truth: Samples) -> bool:
+    """Return whether the truth is an estimator's odometry whose name gives no source of its scale (visual SLAM)."""
+    return truth.estimated and truth.geodetic_origin is None and not _MEASURED.search(truth.name.lower())
 
 
 def is_of_base(truth: Samples, odometry: Samples) -> bool:

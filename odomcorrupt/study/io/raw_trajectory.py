@@ -42,6 +42,7 @@ class Samples:
     notes : findings and removals so far, for reports
     geodetic_origin : origin of the frame, for satellite fixes
     localised : whether these are corrections of a localisation, whose errors are correlated along the path
+    estimated : whether these are nav_msgs/Odometry messages, which estimators publish
     """
 
     place: str
@@ -58,6 +59,7 @@ class Samples:
     relative: bool = False
     geodetic_origin: Origin | None = None
     localised: bool = False
+    estimated: bool = False
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

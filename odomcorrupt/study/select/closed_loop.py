@@ -4,6 +4,11 @@ If a controller or driver with access to the true pose keeps a robot on its line
 within a second, and the odometry shows only the correction. On K intervals such corrections explain at most a
 chi-square of K^2 / X, where X is the information of the turns about a yaw gain. This is negligible if turns are much
 larger than the noise, and everything on a straight line. Source: Ljung 1999, System Identification, section 13.4.
+
+The yaw acceleration follows the noise as well. If a controller corrects a fraction c of a heading error within an
+interval of h seconds, what the odometry turned too much in the interval by noise, n of variance Q, changes the yaw rate
+so that E[n alpha] = c Q / h^2. For a column g(alpha) and normal noise, E[n g(alpha)] = E[g'(alpha)] E[n alpha] (Stein
+1981, Annals of Statistics 9): a score that is known but for c, whatever the controller and the drive are.
 """
 
 from __future__ import annotations
@@ -15,11 +20,15 @@ import numpy as np
 
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.selected_inverse import inverse_band
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.terms.channels import MOVES
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.score import Score
@@ -165,6 +174,38 @@ def least_thresholds(fit: Fit) -> dict[str, float]:
     noise = _NOISE * np.sqrt(variance[moving]) / dt_s
     speed = np.hypot(*nodes.odometry_step[moving, :2].T) / dt_s
     return {"yaw_rate": float(np.median(noise)), "lateral_acceleration": float(np.median(noise * speed))}
+
+
+def score_of_corrections(fit: Fit, columns_of: Callable[[Sequence[Motion]], Array]) -> Array | None:
+    """Return the expected score (p,) of columns if a controller corrects each heading error within its interval.
+
+    Only the response of the yaw acceleration is included, see above; None if regressors come from the truth.
+
+    Parameters
+    ----------
+    fit : the fitted model
+    columns_of : function from the motions of each run to columns (K, 3, p)
+    """
+    problem = fit.problem
+    if problem.approach.side == "truth":
+        return None
+    nodes = problem.nodes
+    noise = nodes.covariance(problem.approach.law, fit.noise.coefficients, problem.steps)[:, :, 2]
+    dt_s = nodes.end_s - nodes.start_s
+    band = inverse_band(fit.noise.whitener.factor)
+    inverse = np.array([[band[abs(i - j), min(i, j) :: 3] for j in range(3)] for i in range(3)])
+    pulled = np.einsum("ijk,kj->ki", inverse, noise) / dt_s[:, None] ** 2
+    # the change of alpha by the noise, not a smaller one, because a column may have steps
+    change = float(np.median(np.sqrt(noise[:, 2]) / dt_s**2))
+    if not change > 0.0:
+        return None
+    step = np.array([0.0, 0.0, change])
+    higher, lower = (
+        columns_of([replace(m, acceleration=m.acceleration + sign * step) for m in problem.motions])
+        for sign in (1.0, -1.0)
+    )
+    score: Array = np.einsum("ki,kip->p", pulled, higher - lower) / (2.0 * change)
+    return score
 
 
 def _turn_columns(fit: Fit) -> Array:

@@ -173,7 +173,14 @@ def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
     late = [step.candidates[0].gain for step in learned.steps if step.added in _LATE]
     misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT_GAIN * max(late, default=0.0)
     misfit |= gain.effect.name in CORRELATED_NOISE and (learned.drifts_too_far or _loses_slow_turns(learned))
+    misfit |= may_be_scale_of_truth(gain, learned)
     return Evidence(own, (own,) if misfit else (), left=left)
+
+
+def may_be_scale_of_truth(gain: RandomCoefficient, learned: Learned) -> bool:
+    """Return whether a varying gain of travel may be a varying scale of the truth, which has the same residuals."""
+    of_travel = gain.effect.name == "gauss_markov" and getattr(gain.effect, "channel", "") == "along"
+    return of_travel and any(recording.own_scale for recording in learned.fit.problem.recordings)
 
 
 def _loses_slow_turns(learned: Learned) -> bool:

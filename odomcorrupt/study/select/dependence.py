@@ -8,7 +8,8 @@ be included in the model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby, islice
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ import numpy as np
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
-from odomcorrupt.study.select.closed_loop import hardly_turns, may_be_steering
+from odomcorrupt.study.select.closed_loop import hardly_turns, may_be_steering, score_of_corrections
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.periodic import waves
 from odomcorrupt.study.select.score import score_columns, score_terms
@@ -27,16 +28,22 @@ from odomcorrupt.study.terms.splines import curve_regressors
 from odomcorrupt.study.terms.term import BasisTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import ColumnScore, Score
     from odomcorrupt.study.select.screening import CoarseDesign, Screened
 
 _OF_TURNS = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "heading")
 """Regressors of turning: on a drive with hardly any turns they show only the heading control."""
+_CORRECTED = ("yaw_acceleration", "yaw")
+"""Regressor and channel of a dependence that a controller causes, see `score_of_corrections`."""
 _MOST_STARTS = 40
 """Largest number of terms of one regressor and channel from which shape searches may start."""
 
@@ -143,7 +150,9 @@ def basis_scores(fit: Fit, decisions: Decisions, design: CoarseDesign | None = N
         ranked = [s for _, nats, _, s in islice(group, _MOST_STARTS) if nats > decisions.exact_nats]
         terms += search.forms(ranked) if ranked else []
     found: dict[tuple[str, str], list[Score]] = {}
-    for term, score in zip(terms, score_terms(fit, terms, decisions, family=1) if terms else [], strict=True):
+    imitated = [_imitated(fit, term) for term in terms]
+    scores = score_terms(fit, terms, decisions, family=1, imitated=imitated) if terms else []
+    for term, score in zip(terms, scores, strict=True):
         if term.action.move == "omega" and may_be_steering(fit, term.columns(fit.problem), score.estimate):
             continue
         if term.share(score.estimate.tolist(), fit.problem.motions) < decisions.max_share:
@@ -188,6 +197,13 @@ def basis_term(score: Score) -> BasisTerm:
     return score.term
 
 
+def _imitated(fit: Fit, term: BasisTerm) -> Array | None:
+    """Return the score of a term that corrections of the heading cause, see `score_of_corrections`; None if none."""
+    if (term.function.regressor, term.action.channel) != _CORRECTED:
+        return None
+    return score_of_corrections(fit, lambda seen: term.columns(replace(fit.problem, motions=tuple(seen))))
+
+
 def _kind(screened: Screened) -> tuple[str, str]:
     return screened.term.function.regressor, screened.term.action.channel
 
@@ -205,25 +221,36 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
     turn = np.concatenate([MOVES["omega"](m) * m.dt_s for m in motions])
     amounts = {"m": travel, "rad": turn, "s": np.concatenate([m.dt_s for m in motions])}
     names, groups, centres = [], [], []
+    imitated: list[Array | None] = []
     regressors = curve_regressors(motions, placed=shared_frame(fit.problem.recordings) is not None)
     for name, regressor in regressors.items():
-        shapes = [regressor(m) for m in motions]
-        hats = np.concatenate([values.T for values, _ in shapes], axis=1)
+        hats = np.concatenate([regressor(m)[0].T for m in motions], axis=1)
         for per, channels in (("m", CHANNELS), ("rad", ("yaw",)), ("s", ("yaw",))):
-            held = hats * -amounts[per]
-            used = np.abs(held).sum(axis=1) > 0.01 * np.abs(amounts[per]).sum()
+            used = np.abs(hats * amounts[per]).sum(axis=1) > 0.01 * np.abs(amounts[per]).sum()
             if used.sum() < 2:
                 continue
             for channel in channels:
-                columns = []
-                for hat in held[used]:
-                    error = np.zeros((3, len(hat)))
-                    error[CHANNELS.index(channel)] = hat
-                    columns.append(nodes.column(error.T))
+                columns = partial(_columns_of, nodes, regressor, used, -amounts[per], channel)
                 names.append((name, channel, per))
-                groups.append(by_column(np.stack(columns)))
-                centres.append(shapes[0][1][used])
-    return list(zip(names, centres, score_columns(fit, groups), strict=True))
+                groups.append(columns(motions))
+                centres.append(regressor(motions[0])[1][used])
+                imitated.append(score_of_corrections(fit, columns) if (name, channel) == _CORRECTED else None)
+    return list(zip(names, centres, score_columns(fit, groups, imitated=imitated), strict=True))
+
+
+def _columns_of(
+    nodes: Intervals,
+    regressor: Callable[[Motion], tuple[Array, Array]],
+    used: NDArray[np.bool_],
+    amount: Array,
+    channel: str,
+    motions: Sequence[Motion],
+) -> Array:
+    """Return columns (K, 3, m) of errors of a channel: the used hats of a regressor times an amount of motion (n,)."""
+    hats = np.concatenate([regressor(m)[0].T for m in motions], axis=1)[used]
+    errors = np.zeros((len(hats), len(amount), 3))
+    errors[:, :, CHANNELS.index(channel)] = hats * amount
+    return by_column(np.stack([nodes.column(error) for error in errors]))
 
 
 def _dependence(

@@ -61,7 +61,8 @@ class HeldOut:
     ten_second_error_m : without the part, and with it
     drift_nats : gain of log likelihood of the errors over 10 s windows
     failure : reason why the part was dropped; "" if it was kept
-    needed : whether the 10 s error is clearly larger without the part, or the likelihood significantly smaller
+    needed : whether the 10 s error is clearly larger without the part, or the likelihood significantly smaller and the
+        error not smaller
     """
 
     name: str
@@ -155,9 +156,10 @@ def _mean_of(part: Effect) -> Effect | None:
 def _least_confident(
     found: Sequence[tuple[tuple[Effect, ...], HeldOut]], learned: Learned
 ) -> tuple[tuple[Effect, ...], HeldOut] | None:
-    """Return the part of lowest confidence, if below the threshold and not supported by held-out data.
+    """Return the part of lowest confidence, if below even odds and not supported by held-out data.
 
     A confidence refers to the name of a cause; a part that improves predictions stays even if its name is doubtful.
+    With a wrong cause at other speeds or in other bends, predictions may be worse than without it.
     """
     evidence = {step.added: evidence_of(step, learned) for step in learned.steps if step.added is not None}
     evidence |= {gain.effect.name: noise_evidence(gain, learned) for gain in learned.noise}
@@ -170,7 +172,8 @@ def _least_confident(
     if one is None or least >= learned.decisions.least_confidence:
         return None
     return parts, replace(
-        one, failure=f"other causes are likelier by far (confidence {least:.2f}), and the error does not grow"
+        one,
+        failure=f"other causes are likelier (confidence {least:.2f}), and the error does not clearly grow without it",
     )
 
 
@@ -254,6 +257,7 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
     farther = with_it.worse_than(base, **_WORSE)
     unlikelier = len(gains) >= _MIN_BLOCKS and nats < -_SIGNIFICANT * error
     closer = base.worse_than(with_it, **_WORSE)
+    as_far = with_it.rmse <= _WORSE["factor"] * base.rmse
     failure = ""
     if farther:
         failure = (
@@ -268,5 +272,5 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
         ten_second_error_m=(base.rmse, with_it.rmse),
         drift_nats=with_it.nats_over(base),
         failure=failure,
-        needed=closer or nats > _SIGNIFICANT * error,
+        needed=closer or (as_far and nats > _SIGNIFICANT * error),
     )

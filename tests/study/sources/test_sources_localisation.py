@@ -114,3 +114,19 @@ def test_poses_in_the_map_that_come_after_so_much_motion_are_a_localisations(tmp
     poses = topic("/pose", "PoseWithCovarianceStamped", flat(moved.stamps_ns[rows], base[rows]), frame=frame)
     (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
     assert recording.localised == (by_motion and frame == "map")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "own_scale"),
+    [
+        ("/vslam/odometry", "Odometry", True),
+        ("/vicon/robot", "Odometry", False),
+        ("/ground_truth", "Odometry", False),
+        ("/robot/pose", "PoseStamped", False),
+    ],
+)
+def test_an_estimators_odometry_as_truth_may_have_a_scale_of_its_own(tmp_path, name, kind, own_scale):
+    moved, real = odometry(30.0), truth(30.0)
+    bag = write(tmp_path / "r.mcap", topic("/odom", "Odometry", moved), topic(name, kind, real, frame="map"))
+    (run,) = read_runs(Source(bag, truth=name, odom="/odom"))
+    assert run.own_scale == own_scale
