@@ -55,8 +55,8 @@ class Check:
 class Verdict:
     """All tests, the smallest p-value first; rejected if one is below the level divided by their number (Bonferroni).
 
-    misfit : ratio of measured to predicted errors over the path length that deviates most beyond chance; below 1 if
-        the errors are smaller; 1 if none deviates
+    misfit : ratio of measured to predicted errors over the path length that deviates most, of those that deviate beyond
+        the chance of all of them together; below 1 if the errors are smaller; 1 if none deviates
     """
 
     level: float
@@ -105,7 +105,8 @@ def size_question(distance_m: float) -> str:
 
 def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: Mapping[str, Whiteness]) -> Verdict:
     """Return the joint verdict of all tests."""
-    beyond = [h.nees for h in horizons if not h.nees_bounds[0] <= h.nees <= h.nees_bounds[1] and _is_seen(h)]
+    # each length has its chance to deviate: only sizes beyond the chance of all of them together count
+    beyond = [h.nees for h in horizons if h.nees_p < REJECTION_LEVEL / len(horizons) and _is_seen(h)]
     misfit = float(np.sqrt(max(beyond, key=lambda nees: abs(np.log(max(nees, 1e-300)))))) if beyond else 1.0
     checks = [Check(size_question(h.distance_m), h.nees_p) for h in horizons]
     checks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
