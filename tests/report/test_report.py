@@ -21,6 +21,7 @@ from odomcorrupt.report.json.comparison import comparison_json
 from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.report.plots.paths import draw_paths
+from odomcorrupt.report.text.brief import comparison_brief
 from odomcorrupt.report.text.comparison import MOST, judgement_sentence, sentence
 from odomcorrupt.study.validate.compare import compare
 
@@ -50,6 +51,26 @@ def parsed_page(page):
     assert len(page.encode()) <= 3_000_000
     assert all(source.startswith("data:") for source in parsed.sources)
     return parsed
+
+
+def test_a_rejection_without_a_direction_names_the_failed_test(comparison):
+    base = replace(comparison.judgements[0], failures=())
+    assert base.verdict.fails
+
+    def reason(judgement):
+        lines = comparison_brief(replace(comparison, judgements=(judgement,))).lines
+        (found,) = [line.text for line in lines if line.label == "fails"]
+        return found
+
+    sized = next(check for check in base.verdict.checks if "NEES" in check.question)
+    path = re.search(r"over (\S+ m) of path", sized.question)[1]
+    said = reason(replace(base, verdict=replace(base.verdict, checks=(replace(sized, p=1e-4),))))
+    assert re.fullmatch(
+        rf"errors over {path} of path are \S+ times .* \(NEES \S+, by chance \S+ to \S+; \d+ windows\)", said
+    )
+    drawn = next(check for check in base.verdict.checks if "PIT" in check.question)
+    said = reason(replace(base, verdict=replace(base.verdict, checks=(replace(drawn, p=2e-3), sized))))
+    assert said.startswith(f"{drawn.question}: p 0.002, below the 0.025")
 
 
 def test_the_page_is_whole_small_and_needs_nothing_but_itself(page):

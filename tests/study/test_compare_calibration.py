@@ -161,6 +161,17 @@ def test_a_model_fails_where_sizes_are_wrong_by_a_factor_that_matters():
     assert not Verdict(0.05, (Check("memory", 0.5),), 2.0).fails
 
 
+def test_one_of_several_lengths_that_deviates_by_chance_gives_no_reason_to_reject():
+    """Errors over 1 m are significantly but irrelevantly larger; those of three windows deviate at a level of 3 %."""
+    many = horizon_of(1.0, [(gaussian_windows(0, 2000, 1.1), SURE)])
+    few = replace(horizon_of(100.0, [(gaussian_windows(0, 3), SURE)]), nees=2.2, nees_bounds=(0.3, 2.1), nees_p=0.03)
+    verdict = verdict_of([many, few], {}, {})
+    assert verdict.rejected
+    assert verdict.misfit == pytest.approx(1.1, rel=0.03)
+    assert not verdict.fails
+    assert verdict_of([many, replace(few, nees_p=0.01)], {}, {}).fails
+
+
 @pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
 def test_the_misfit_is_by_how_much_errors_differ_from_the_predicted_ones(scale):
     horizon = horizon_of(2.0, [(gaussian_windows(1, 400, scale), SURE)])

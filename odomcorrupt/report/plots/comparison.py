@@ -25,7 +25,7 @@ from odomcorrupt.report.plots.figure import (
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.report.plots.residuals import draw_residuals
 from odomcorrupt.report.text.comparison import MOST, sequence_steps
-from odomcorrupt.study.estimate.windows import distance_windows, window_errors
+from odomcorrupt.study.estimate.windows import distance_windows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -269,7 +269,7 @@ def _local_ratio(piece: Evaluation, length_m: float) -> Array:
         windows = distance_windows(piece.left, length_m, phase)
         if not len(windows):
             continue
-        errors = window_errors(windows, piece.model.noise, piece.truth, piece.problem.steps, headed=piece.headed)
+        errors = piece.errors_of(windows)
         nees = errors.nees / errors.error.shape[1]
         at = np.searchsorted(windows.end_s, middle)
         covered = (at < len(nees)) & (middle >= windows.start_s[0])

@@ -7,7 +7,15 @@ from math import degrees, isfinite, radians
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.report.text.comparison import HELD, measures_words, reproduction_sentence, sentence, size, within
+from odomcorrupt.report.text.comparison import (
+    HELD,
+    failed_test,
+    measures_words,
+    reproduction_sentence,
+    sentence,
+    size,
+    within,
+)
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
 from odomcorrupt.report.text.numbers import (
@@ -306,12 +314,11 @@ def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
         said = f"{one.name}: 10 s error {size('along', one.ten_second_error_m)}, {one.nats.per_m:.4g} nats/m, "
         said += "rejected" if one.verdict.fails else "not rejected"
         lines.append(Line("model" if one is shown[0] else "", said))
-    if last.failures:
+    if last.verdict.fails:
+        lines.append(Line("fails", sentence(last.failures[0]) if last.failures else failed_test(last), "warning"))
+    elif last.failures:
         worst = sentence(last.failures[0])
-        if last.verdict.fails:
-            lines.append(Line("fails", worst, "warning"))
-        else:
-            lines.append(Line("deviation", f"the largest one, too small to reject {last.name}: {worst}"))
+        lines.append(Line("deviation", f"the largest one, too small to reject {last.name}: {worst}"))
     return Summary((*lines, command_line(following)))
 
 

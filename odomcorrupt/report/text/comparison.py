@@ -6,7 +6,7 @@ from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.study.validate.compare import agreement_of
-from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR
+from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR, size_question
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -262,6 +262,17 @@ def rejection(judgement: Judgement) -> str:
     return f"{said}; the size of its errors is as predicted"
 
 
+def failed_test(judgement: Judgement) -> str:
+    """Return the test that rejects a model most clearly, with its value and what is expected by chance."""
+    verdict = judgement.verdict
+    worst = verdict.against[0]
+    sized = next((h for h in judgement.horizons if size_question(h.distance_m) == worst.question), None)
+    if sized is None:
+        return f"{worst.question}: p {_p(worst.p)}, below the {verdict.threshold:.2g} that rejects"
+    low, high = sized.nees_bounds
+    return _times(sized, f", by chance {low:.2f} to {high:.2f}; {sized.windows} windows")
+
+
 def _remaining(judgement: Judgement) -> str:
     """Return possible reasons for errors larger than predicted: the most significant failure decides."""
     worst = min(judgement.failures, key=lambda failure: failure.log_p, default=None)
@@ -310,8 +321,9 @@ def reproduction_sentence(one: Reproduction) -> str:
     return carry if one.by_outliers else ""
 
 
-def _times(h: Horizon) -> str:
-    return f"errors over {h.distance_m:g} m of path are {h.nees**0.5:.2g} times the predicted ones (NEES {h.nees:.2g})"
+def _times(h: Horizon, more: str = "") -> str:
+    said = f"errors over {h.distance_m:g} m of path are {h.nees**0.5:.2g} times the predicted ones"
+    return f"{said} (NEES {h.nees:.2g}{more})"
 
 
 def _p(p: float) -> str:

@@ -9,9 +9,10 @@ import numpy as np
 from scipy.stats import norm
 
 from odomcorrupt.geometry.se2 import between
+from odomcorrupt.model.noise_laws import variances
 from odomcorrupt.study.estimate.intervals import intervals, join
 from odomcorrupt.study.estimate.nodes import pick_nodes
-from odomcorrupt.study.estimate.whitener import interval_covariance
+from odomcorrupt.study.estimate.whitener import FLOOR, interval_covariance
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Noise, TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.estimate.position_windows import PositionWindows
     from odomcorrupt.study.io.recording import Recording
 
 WINDOW_S = 10.0
@@ -213,13 +215,25 @@ class WindowErrors:
 
 
 def window_errors(
-    windows: Intervals, noise: Noise, truth: TruthNoise, steps: Increments, *, headed: bool = True
+    windows: Intervals,
+    noise: Noise,
+    truth: TruthNoise,
+    steps: Increments,
+    *,
+    headed: bool = True,
+    positions: PositionWindows | None = None,
 ) -> WindowErrors:
     """Return errors and predicted covariances of windows.
 
     steps : increments of the odometry, from which the noise law computes variances
     headed : whether the truth has measured headings; without, yaw is left out: its headings come from the odometry
+    positions : for a truth of positions only, the windows with the headings estimated at their starts
     """
-    q = windows.covariance(noise.law, noise.coefficients, steps)
     count = 3 if headed else 2
-    return WindowErrors(windows.residual[:, :count], interval_covariance(windows, q, truth)[:, :count, :count])
+    if positions is not None:
+        law = noise.law
+        total = positions.spread(law, variances(law, noise.coefficients, steps), steps) + positions.of_truth(truth)
+        total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
+    else:
+        total = interval_covariance(windows, windows.covariance(noise.law, noise.coefficients, steps), truth)
+    return WindowErrors(windows.residual[:, :count], total[:, :count, :count])

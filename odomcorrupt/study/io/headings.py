@@ -5,19 +5,23 @@ the heading there. These headings depend on the odometry, so the likelihood trea
 `UNKNOWN_RAD` squared, practically flat within the range of the linearisation. Only the positions carry information.
 
 Drift errors at the end of a window also need an initial heading. For each model it comes from that model's corrected
-odometry aligned with the positions; bends of the uncorrected odometry then do not count as errors of the model.
+odometry aligned with the positions; bends of the uncorrected odometry then do not count as errors of the model. Its
+error depends on the window's own positions, see `position_windows`.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.geometry.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
 UNKNOWN_RAD = 0.5
@@ -36,30 +40,72 @@ def with_recomputed_headings(recording: Recording) -> Recording:
     return recording if recording.heading_error_rad is None else _headed(recording)
 
 
-def _headed(recording: Recording) -> Recording:
+class Alignment(NamedTuple):
+    """Odometry and truth positions around each of t truth samples, from which its heading is estimated.
+
+    q, p : (t,) complex positions of odometry and truth at the samples, 0 outside the odometry's time
+    inside : (t,) whether a sample is within the odometry's time
+    first, last : (t,) the samples first, ..., last - 1 are aligned
+    mean_q, spread_q : (t,) mean and sum of squared deviations of the aligned q
+    known : (t,) whether the aligned positions determine a heading; elsewhere it is interpolated
+    """
+
+    q: Array
+    p: Array
+    inside: NDArray[np.bool_]
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    mean_q: Array
+    spread_q: Array
+    known: NDArray[np.bool_]
+
+    def sums(self, x: Array) -> Array:
+        """Return the sum (t,) of values (t,) over the samples aligned around each one."""
+        total = np.concatenate(([0.0], np.cumsum(x)))
+        summed: Array = total[self.last] - total[self.first]
+        return summed
+
+
+def alignment(recording: Recording) -> Alignment:
+    """Return the positions aligned around each truth sample."""
+    return _alignment(recording, _odometry_at_truth(recording))
+
+
+def _odometry_at_truth(recording: Recording) -> Array:
+    """Return the odometry's poses (t, 3) at the truth's samples; its first or last pose outside its time."""
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    return recording.odometry.at(np.clip(truth_s, odo_s[0], odo_s[-1]), recording.origin_ns)
+
+
+def _alignment(recording: Recording, odometry: Array) -> Alignment:
     truth = recording.truth
     odo_s, truth_s = recording.odometry_s, truth.seconds_since(recording.origin_ns)
     inside = (truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])
-    odometry = recording.odometry.at(np.clip(truth_s, odo_s[0], odo_s[-1]), recording.origin_ns)
     q = (odometry[:, 0] + 1j * odometry[:, 1]) * inside
     p = (truth.xyt[:, 0] - truth.xyt[0, 0] + 1j * (truth.xyt[:, 1] - truth.xyt[0, 1])) * inside
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry[:, :2], axis=0), axis=1))))
     first = np.searchsorted(travelled, travelled - _REACH_M, side="left")
     last = np.searchsorted(travelled, travelled + _REACH_M, side="right")
-
-    def window_sum(x: np.ndarray) -> np.ndarray:
-        total = np.concatenate(([0.0], np.cumsum(x)))
-        return total[last] - total[first]
-
-    count = np.maximum(window_sum(inside.astype(np.float64)), 1.0)
-    mean_q, mean_p = window_sum(q) / count, window_sum(p) / count
-    cross = window_sum(np.conj(q) * p) - count * np.conj(mean_q) * mean_p
-    spread_q = window_sum(np.abs(q) ** 2) - count * np.abs(mean_q) ** 2
-    spread_p = window_sum(np.abs(p) ** 2) - count * np.abs(mean_p) ** 2
+    found = Alignment(q, p, inside, first, last, q, travelled, inside)
+    count = np.maximum(found.sums(inside.astype(np.float64)), 1.0)
+    mean = found.sums(q) / count
+    spread = found.sums(np.abs(q) ** 2) - count * np.abs(mean) ** 2
     # beside outages a window may have too few positions: there the rotation is interpolated between known ones
-    known = spread_q >= np.median(spread_q[inside]) / _POOR**2 if inside.any() else np.ones(len(q), dtype=bool)
-    heading = odometry[:, 2] + np.interp(truth_s, truth_s[known], np.unwrap(np.angle(cross[known])))
-    left_over = np.maximum(spread_p + spread_q - 2.0 * np.abs(cross), 0.0)
-    error = float(np.sqrt(np.median(left_over / np.maximum(spread_q, 1e-9))))
+    known = spread >= np.median(spread[inside]) / _POOR**2 if inside.any() else np.ones(len(q), dtype=bool)
+    return found._replace(mean_q=mean, spread_q=spread, known=known)
+
+
+def _headed(recording: Recording) -> Recording:
+    truth = recording.truth
+    truth_s = truth.seconds_since(recording.origin_ns)
+    odometry = _odometry_at_truth(recording)
+    a = _alignment(recording, odometry)
+    count = np.maximum(a.sums(a.inside.astype(np.float64)), 1.0)
+    mean_p = a.sums(a.p) / count
+    cross = a.sums(np.conj(a.q) * a.p) - count * np.conj(a.mean_q) * mean_p
+    spread_p = a.sums(np.abs(a.p) ** 2) - count * np.abs(mean_p) ** 2
+    heading = odometry[:, 2] + np.interp(truth_s, truth_s[a.known], np.unwrap(np.angle(cross[a.known])))
+    left_over = np.maximum(spread_p + a.spread_q - 2.0 * np.abs(cross), 0.0)
+    error = float(np.sqrt(np.median(left_over / np.maximum(a.spread_q, 1e-9))))
     xyt = np.concatenate((truth.xyt[:, :2], heading[:, None]), axis=1)
     return replace(recording, truth=Trajectory(truth.stamps_ns, xyt), heading_error_rad=max(error, 1e-3))

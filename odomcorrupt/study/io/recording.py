@@ -57,7 +57,8 @@ class Recording:
     notes : removals and findings of the reader, for reports
     alerts : findings of the reader that every summary shows
     clock : name of the clock, and of the origin, shared by stretches of one run; "" if not shared
-    heading_error_rad : for a truth of positions only, standard deviation of the headings estimated for it
+    heading_error_rad : for a truth of positions only, upper bound of the error of the headings estimated for it: as if
+        all that alignment leaves were one error
     truth_scale_error : standard deviation of a scale error common to all lengths of the truth (of a laser, or of a map)
     positioned : whether the truth measured positions; a gyro's are the odometry's travel along the gyro's headings
     turn_scale_error : standard deviation of a scale error common to all turns of the truth (a gyro's)

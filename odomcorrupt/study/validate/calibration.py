@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.estimate.position_windows import PositionWindows
     from odomcorrupt.study.estimate.problem import Problem
 
 LOCALISED = 0.25
@@ -71,11 +72,18 @@ class ParameterUncertainty:
 
 
 def uncertainty_of(
-    model: MotionModel, windows: Intervals, errors: WindowErrors, problem: Problem, *, inflate: float
+    model: MotionModel,
+    windows: Intervals,
+    errors: WindowErrors,
+    problem: Problem,
+    *,
+    inflate: float,
+    positions: PositionWindows | None = None,
 ) -> ParameterUncertainty:
     """Return the model's uncertainty on these windows; a model without standard errors counts as exact.
 
     inflate : factor on the standard errors, for a model refitted on fewer data
+    positions : as in `window_errors`
     """
     count = errors.error.shape[1]
     k, law = model.noise.coefficients, model.noise.law
@@ -88,7 +96,7 @@ def uncertainty_of(
             bounds = getattr(k, name) + error, max(getattr(k, name) - error, 0.0)
             more, less = (law.rule(replace(k, **{name: value}), *moved) for value in bounds)
             parts = (getattr(more, part) - getattr(less, part) for part in Variances._fields)
-            change = windows.spread(law, Variances(*parts), steps)
+            change = (positions or windows).spread(law, Variances(*parts), steps)
             relative = np.linalg.solve(errors.covariance, change[:, :count, :count] / 2.0)
             scales.append(float(np.trace(relative, axis1=1, axis2=2).mean() / count))
     columns = _effect_errors(model, replace(problem, nodes=windows), inflate)[:, :count]

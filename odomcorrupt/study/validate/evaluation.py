@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.study.estimate.noise_fit import outliers
+from odomcorrupt.study.estimate.position_windows import position_windows
 from odomcorrupt.study.estimate.problem import Problem, pose_problem, undo
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
 from odomcorrupt.study.estimate.regressors import truth_noise
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.estimate.position_windows import PositionWindows
     from odomcorrupt.study.io.recording import Recording
 
 _MIN_NATS_PER_NODE = 0.3
@@ -99,14 +101,23 @@ class Evaluation:
         windows = distance_windows(self.left, distance_m)
         if not len(windows):
             return None
-        errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
+        positions = None if self.headed else position_windows(self.left, windows)
+        errors = self.errors_of(windows, positions)
         count = errors.error.shape[1]
         more = random_covariance(_random_effects(self.model), windows, self.problem.motions[0])[:, :count, :count]
         shared = window_roots(self.left, windows)
         shared = None if shared is None else shared[:, :count]
         errors = replace(errors, covariance=errors.covariance + more, shared=shared)
         return errors, uncertainty_of(
-            self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0
+            self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0, positions=positions
+        )
+
+    def errors_of(self, windows: Intervals, positions: PositionWindows | None = None) -> WindowErrors:
+        """Return the errors of windows of `left` with their covariance from the noise of odometry and truth."""
+        if positions is None and not self.headed:
+            positions = position_windows(self.left, windows)
+        return window_errors(
+            windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed, positions=positions
         )
 
 
