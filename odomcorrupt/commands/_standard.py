@@ -103,7 +103,7 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add -v, -q, --json and --config; the command receives the first three as one argument, `console`."""
 
     @functools.wraps(command)
-    def with_voice(*args: Any, verbose: bool, quiet: bool, as_json: bool, **given: Any) -> Any:
+    def with_console(*args: Any, verbose: bool, quiet: bool, as_json: bool, **given: Any) -> Any:
         if quiet and verbose:
             raise click.UsageError("--quiet and --verbose: say nothing, and all; give one of them")
         console = Console(verbose, quiet, as_json)
@@ -123,7 +123,7 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
             expose_value=False, callback=_read_defaults,
             help=f"File with defaults of options. [default: {CONFIG}, where there is one]",
         ),
-    )(with_voice)  # fmt: skip
+    )(with_console)  # fmt: skip
 
 
 def typed_words(*without: str) -> list[str]:

@@ -414,7 +414,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     monkeypatch.setattr(
         "odomcorrupt.study.pipeline.compare", lambda _runs, models, **_named: asked.append(models) or sequence
     )
-    monkeypatch.setattr("odomcorrupt.study.validate.compare.compare", lambda _runs, _models: sequence)
+    monkeypatch.setattr("odomcorrupt.study.validate.compare.compare", lambda _runs, _models, **_clocks: sequence)
     monkeypatch.setattr("odomcorrupt.report.html.diagnosis.found_html", lambda story, version: f"{version} {story[3]}")
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]

@@ -69,14 +69,17 @@ class MotionSmoother:
         self.recording = whole = max(stretches, key=lambda r: len(r.odometry))
         t_s = whole.odometry_s
         self._ends_s, self._dt_s, middle = t_s[1:], np.diff(t_s), (t_s[:-1] + t_s[1:]) / 2.0
-        # slopes and patches of the floor are fixed in the world, so places come from the truth
-        begins = _by_truth(self.stretches, t_s[:-1])
-        at = np.concatenate([_where(stretch.truth, part, whole.origin_ns) for stretch, part in begins])
-        self._x, self._y, self._theta = np.ascontiguousarray(at.T)
+        # Slopes and patches of the floor are fixed in the world, so places come from the truth: where intervals begin,
+        # as in corruption, with the mean heading.
+        begins, shared = (_by_truth(self.stretches, at_s) for at_s in (t_s[:-1], middle))
+        at, mean = (
+            np.concatenate([_where(stretch.truth, part, whole.origin_ns) for stretch, part in parts])
+            for parts in (begins, shared)
+        )
+        self._x, self._y, self._theta = (np.ascontiguousarray(c) for c in (at[:, 0], at[:, 1], mean[:, 2]))
         if side == "odometry":
             shared, widths_s = [(whole, middle)], [SMOOTHING_S]
         else:
-            shared = _by_truth(self.stretches, middle)
             widths_s = [_truth_window(stretch.truth) for stretch, _ in shared]
         self._slopes = [
             _Slopes.of(stretch.odometry if side == "odometry" else stretch.truth, part, whole.origin_ns, width_s)

@@ -173,9 +173,6 @@ class _Selection:
     seen: set[frozenset[str]] = field(default_factory=set)
     over_lag: float | None = None
 
-    def __post_init__(self) -> None:
-        self.noise = list(self.noise)
-
     def run(self) -> _Selection:
         """Take steps until the model no longer changes, then finish; return self."""
         self._replace_clock_by_lag(first=True)
