@@ -153,7 +153,7 @@ class Decisions:
     curve_nats: float = 4.0
     curve_of_turns_nats: float = 25.0
     exact_nats: float = 3.0
-    least_confidence: float = 0.5
+    least_confidence: float = 0.1
     heterogeneity_level: float = 1e-3
     prior: PriorOdds = field(default_factory=PriorOdds)
     practical: Practical = field(default_factory=Practical)

@@ -49,6 +49,8 @@ _WORSE = {"factor": 1.02, "plain": 1.15, "errors": _SIGNIFICANT}
 """Thresholds at which a 10 s error counts as larger, see `Drift.worse_than`."""
 _FRACTION = re.compile(r"(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* ")
 """Beginning of a dependence that is a fraction of a motion."""
+_EVEN, _DOUBTFUL = 0.5, 1.05
+"""Confidence below which a part with which the 10 s error is this much larger is dropped (judgement: 2 to 10 %)."""
 _MIN_BLOCKS = 6
 """Fewest blocks of 15 s for a significance test of the likelihood."""
 
@@ -61,8 +63,8 @@ class HeldOut:
     ten_second_error_m : without the part, and with it
     drift_nats : gain of log likelihood of the errors over 10 s windows
     failure : reason why the part was dropped; "" if it was kept
-    needed : whether the 10 s error is clearly larger without the part, or the likelihood significantly smaller and the
-        error not smaller
+    needed : whether the 10 s error is clearly larger without the part, or the likelihood significantly smaller
+    doubtful : whether the 10 s error is larger with the part by 5 %, be it by chance
     """
 
     name: str
@@ -72,6 +74,7 @@ class HeldOut:
     drift_nats: float
     failure: str
     needed: bool
+    doubtful: bool
 
     @property
     def remark(self) -> str:
@@ -156,7 +159,7 @@ def _mean_of(part: Effect) -> Effect | None:
 def _least_confident(
     found: Sequence[tuple[tuple[Effect, ...], HeldOut]], learned: Learned
 ) -> tuple[tuple[Effect, ...], HeldOut] | None:
-    """Return the part of lowest confidence, if below even odds and not supported by held-out data.
+    """Return the part of lowest confidence, if it is hardly likely, or below even odds and the error grows with it.
 
     A confidence refers to the name of a cause; a part that improves predictions stays even if its name is doubtful.
     With a wrong cause at other speeds or in other bends, predictions may be worse than without it.
@@ -166,10 +169,12 @@ def _least_confident(
     sure = [
         (confidence(evidence[one.name], learned.decisions.prior), parts, one)
         for parts, one in found
-        if one.name in evidence and not one.needed
+        if one.name in evidence
     ]
-    least, parts, one = min(sure, key=lambda each: each[0], default=(1.0, (), None))
-    if one is None or least >= learned.decisions.least_confidence:
+    hardly = learned.decisions.least_confidence
+    dropped = [each for each in sure if each[0] < (_EVEN if each[2].doubtful else 0.0 if each[2].needed else hardly)]
+    least, parts, one = min(dropped, key=lambda each: each[0], default=(1.0, (), None))
+    if one is None:
         return None
     return parts, replace(
         one,
@@ -257,7 +262,6 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
     farther = with_it.worse_than(base, **_WORSE)
     unlikelier = len(gains) >= _MIN_BLOCKS and nats < -_SIGNIFICANT * error
     closer = base.worse_than(with_it, **_WORSE)
-    as_far = with_it.rmse <= _WORSE["factor"] * base.rmse
     failure = ""
     if farther:
         failure = (
@@ -272,5 +276,6 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
         ten_second_error_m=(base.rmse, with_it.rmse),
         drift_nats=with_it.nats_over(base),
         failure=failure,
-        needed=closer or (as_far and nats > _SIGNIFICANT * error),
+        needed=closer or nats > _SIGNIFICANT * error,
+        doubtful=with_it.rmse > _DOUBTFUL * base.rmse,
     )
