@@ -13,6 +13,7 @@ from odomcorrupt.study.design.advise import Advice, advise
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.stepwise import learn
@@ -82,16 +83,16 @@ def learn_robot(
     search = learn(recordings, work=work)
     work.begin("each part on held-out data", 1.5, 4.0)
     search, parts = drop_unsupported_parts(search, held_out)
+    remarks = [part.remark for part in parts if part.failure]
     work.begin("what the data leave open", 0.7, 3.3)
     advice = advise(search)
     work.begin("fit", 0.8, 2.5)
     base = fit_robot(recordings, (), law_name=LAW, clocks=search.clocks)
-    random = [gain.effect for gain in search.noise]
-    found = (*search.fit.effects, *random)
-    robot = fit_robot(recordings, found, law_name=LAW, clocks=search.clocks, shaped=search.added)
-    proof = verified_model(robot.model, recordings)
+    search, (robot, proof, reproduction), more = _without_excess(search, recordings)
+    remarks += more
     models = {"without effects": base.model}
-    names = [*search.added, *(one.title for one in search.laws), *search.means, *(effect.name for effect in random)]
+    names = [*search.added, *(one.title for one in search.laws), *search.means]
+    names += [gain.effect.name for gain in search.noise]
     if names:
         models["with " + ", ".join(names)] = proof.model
     work.begin("comparison on held-out data", 2.5, 0.0)
@@ -100,7 +101,6 @@ def learn_robot(
     clocks = clocks_beside(judged_on, choose_approach(judged_on), list(models.values())[-1], plain)
     comparison = compare(judged_on, models, clocks=clocks)
     explained = contributions(search.fit, judged_on, comparison.clocks.clocks)
-    reproduction = reproduction_of(robot.fit, proof.model, recordings)
     return LearnedRobot(
         recordings=recordings,
         held_out=judged_on,
@@ -110,9 +110,41 @@ def learn_robot(
         robot=robot,
         proof=proof,
         reproduction=reproduction,
-        dropped=tuple(part.remark for part in parts if part.failure),
+        dropped=tuple(remarks),
         comparison=comparison,
     )
+
+
+def _written(search: Learned, recordings: Sequence[Recording]) -> tuple[RobotFit, RoundTrip, Reproduction]:
+    """Return the fit of all that a search found, its model in a usable form, and the drift of that model."""
+    found = (*search.fit.effects, *(gain.effect for gain in search.noise))
+    robot = fit_robot(recordings, found, law_name=LAW, clocks=search.clocks, shaped=search.added)
+    proof = verified_model(robot.model, recordings)
+    return robot, proof, reproduction_of(robot.fit, proof.model, recordings)
+
+
+def _without_excess(
+    search: Learned, recordings: Sequence[Recording]
+) -> tuple[Learned, tuple[RobotFit, RoundTrip, Reproduction], list[str]]:
+    """Return a search, what is written of it, and remarks.
+
+    Random processes with which the model drifts clearly farther than the recordings, and without which it does not, are
+    dropped; their confidence would be even odds at most (`Learned.drifts_too_far`).
+    """
+    written = _written(search, recordings)
+    processes = [gain.effect.name for gain in search.noise if gain.effect.name in CORRELATED_NOISE]
+    if not (written[-1].too_large and processes):
+        return search, written, []
+    others = tuple(gain for gain in search.noise if gain.effect.name not in processes)
+    calmer = replace(search, noise=others, fit=search.fit.refit(random=()))
+    without = _written(calmer, recordings)
+    if not without[-1].holds:
+        return search, written, []
+    said = (
+        f"{' and '.join(processes)} was found, but is not in the model: with it, a robot would drift much farther than "
+        "in the recordings; without it, about as far"
+    )
+    return calmer, without, [said]
 
 
 @cache

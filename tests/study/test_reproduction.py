@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from odomcorrupt.geometry.increments import Increments, increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.json.diagnosis import reproduction_json
 from odomcorrupt.report.text.comparison import reproduction_sentence
+from odomcorrupt.study import pipeline
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
@@ -135,3 +137,27 @@ def test_bursts_that_are_too_short_to_see_are_not_made_too_strong():
     assert bursts.duration == pytest.approx(0.25)
     assert bursts.slip == pytest.approx(0.4, rel=0.5)
     assert reproduction_of(fitted, model_of(fitted, [bursts]), runs=5).holds
+
+
+@dataclass(frozen=True)
+class Search:
+    noise: tuple
+    fit: SimpleNamespace
+
+
+@pytest.mark.parametrize(
+    ("with_it", "without", "left"), [("far", "right", 1), ("far", "far", 2), ("right", "right", 2)]
+)
+def test_a_process_that_drifts_too_far_is_dropped_if_the_model_drifts_as_far_as_the_recordings_without(
+    monkeypatch, with_it, without, left
+):
+    noise = tuple(SimpleNamespace(effect=SimpleNamespace(name=name)) for name in ("quantization", "gauss_markov"))
+    search = Search(noise, SimpleNamespace(refit=lambda random: SimpleNamespace(random=random)))
+
+    def written(own, _recordings):
+        drift = with_it if len(own.noise) == 2 else without
+        return None, None, SimpleNamespace(too_large=drift == "far", holds=drift == "near")
+
+    monkeypatch.setattr(pipeline, "_written", written)
+    kept, _, said = pipeline._without_excess(search, [])
+    assert (kept.noise, len(said)) == (noise[:left], 2 - left)
