@@ -145,9 +145,7 @@ class Search:
     fit: SimpleNamespace
 
 
-@pytest.mark.parametrize(
-    ("with_it", "without", "left"), [("far", "right", 1), ("far", "far", 2), ("right", "right", 2)]
-)
+@pytest.mark.parametrize(("with_it", "without", "left"), [("far", "near", 1), ("far", "far", 2), ("near", "near", 2)])
 def test_a_process_that_drifts_too_far_is_dropped_if_the_model_drifts_as_far_as_the_recordings_without(
     monkeypatch, with_it, without, left
 ):
