@@ -431,6 +431,19 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     assert printed["comparison"]["models"][0]["name"] == sequence.judgements[0].name
 
 
+def test_the_mean_of_a_dependence_on_time_is_reported_beside_it(rich, sequence):
+    one = UNKNOWNS[-1]
+    mean = user_effect(f"mean_of_{one.name}", "along += v * k", {"k": 0.0})
+    fit = rich.fit.refit((*rich.fit.effects, mean))
+    learned = replace(rich, unknown=(one,), laws=(), means=(mean.name,), fit=fit)
+    k = learned.mean_of(one)
+    assert [e.k for e in fit.effects if e.name == mean.name] == [k]
+    assert f"in the model: its mean, {k:.4g}" in found_text(learned, NONE)
+    assert f"the model has its mean, {k:.4g}" in "".join(line.text for line in _found_lines(learned, fit, set())[0])
+    assert f"in the model: its mean, {k:.4g}" in found_html(SearchReport(learned, sequence, NONE, ""), version="0")
+    assert replace(learned, means=()).mean_of(one) is None
+
+
 def test_a_drive_that_settles_nothing_is_not_written(monkeypatch, searched, case, tmp_path, capsys):
     monkeypatch.setattr("odomcorrupt.study.pipeline.learn", lambda *_args, **_named: searched)
     monkeypatch.setattr("odomcorrupt.study.pipeline.advise", lambda _learned: NONE)

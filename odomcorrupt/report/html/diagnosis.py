@@ -222,4 +222,6 @@ def _unknown(unknown: Dependence, learned: Learned) -> str:
     expression = fitted_expression(unknown, law_numbers(unknown, learned))
     then = "fitted" if unknown in learned.laws else "suggested"
     lines = [f"<p>{escape(evidence_words(unknown))}; {then}:</p>", f"<p><code>{escape(expression)}</code></p>"]
+    mean = learned.mean_of(unknown)
+    lines += [f"<p>in the model: its mean, {mean:.4g}</p>"] if mean is not None else []
     return _card("unknown", "unknown", lines)

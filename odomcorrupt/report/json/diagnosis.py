@@ -74,7 +74,7 @@ def learned_json(
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
             "unknown": [
                 _unknown(u, law_numbers(u, learned, fit), fitted=u in learned.laws)
-                | {"negligible": learned.hardly_moves(u)}
+                | {"negligible": learned.hardly_moves(u), "mean_in_model": learned.mean_of(u)}
                 for u in learned.unknown
             ],
             "not_testable": [

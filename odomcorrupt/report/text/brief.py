@@ -238,8 +238,8 @@ def _left_out(unknown: Dependence, search: Learned) -> str:
     if unknown in search.laws or unknown.instead_of:
         return ""
     other = "; another drive decides, --validate OTHER" if unknown.regressor == "time" else ""
-    mean = next((e for e in search.fit.effects if e.name == f"mean_of_{unknown.name}"), None)
-    said = "not in the model" if mean is None else f"the model has its mean, {getattr(mean, 'k', 0.0):.4g}"
+    mean = search.mean_of(unknown)
+    said = "not in the model" if mean is None else f"the model has its mean, {mean:.4g}"
     return f" ({said}{other})"
 
 

@@ -64,6 +64,8 @@ def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None 
         lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
         lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), fitted=unknown in learned.laws)
+        mean = learned.mean_of(unknown)
+        lines += [f"  in the model: its mean, {mean:.4g}"] if mean is not None else []
     lines += [_event_line(one) for one in unexplained_events(learned.fit)]
     like_a_clock = [name for name in learned.added if name in RIVALS]
     if like_a_clock and learned.clocks.ambiguous_nats > 0.0:

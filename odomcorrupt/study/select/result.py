@@ -135,6 +135,11 @@ class Learned:
         per_s = travelled_m / max(sum(float(np.sum(m.dt_s)) for m in motions), 1e-9)
         return self.error_m < self.decisions.practical.per_m * WINDOW_S * per_s
 
+    def mean_of(self, one: Dependence) -> float | None:
+        """Return the mean that is in the model in place of a dependence on the time of a single drive, if it is."""
+        own = (effect for effect in self.fit.effects if effect.name in self.means)
+        return next((float(effect.k) for effect in own if effect.name == f"mean_of_{one.name}"), None)  # type: ignore[attr-defined]
+
     @property
     def left_nats(self) -> float:
         """Largest gain among the dependences that no effect explains, nats; 0 if there are none."""
