@@ -64,7 +64,7 @@ class HeldOut:
     drift_nats : gain of log likelihood of the errors over 10 s windows
     failure : reason why the part was dropped; "" if it was kept
     needed : whether the 10 s error is clearly larger without the part, or the likelihood significantly smaller
-    doubtful : whether the 10 s error is larger with the part by 5 %, be it by chance
+    doubtful : whether the 10 s error is larger with the part by 5 %, significant or not
     """
 
     name: str
