@@ -51,3 +51,23 @@ def test_places_are_those_where_intervals_begin():
     path = Trajectory((1e9 * t_s).astype(np.int64), xyt)
     motion = driving_motion(Recording("drive", path, path, 0), "odometry")
     assert np.abs(motion.x - xyt[:-1, 0]).max() < 1e-9
+
+
+def test_starts_and_stops_are_no_noise_of_the_odometry():
+    """Most of a drive is straight at constant speed, so that starts, stops and turns are far rougher than the rest."""
+    rng = np.random.default_rng(6)
+    t_s = np.arange(0.0, 300.0, 0.02)
+    phase_s = t_s[1:] % 14.0
+    ramp = np.ones(75) / 75
+    speed_mps = np.convolve(np.where(phase_s < 10.0, 0.3, 0.0), ramp, "same")
+    rate_radps = np.convolve(np.where((phase_s > 9.5) & (phase_s < 13.5), 0.1, 0.0), ramp, "same")
+    moved = speed_mps + rate_radps > 1e-3
+    still = 0.0 * speed_mps
+    noise = 1e-3 * np.sqrt(0.02) * moved * rng.standard_normal((2, len(still)))
+    step, turn = 0.02 * speed_mps + 0.2 * noise[0], 0.02 * rate_radps + noise[1]
+    stamps = np.round(1e9 * t_s).astype(np.int64)
+    odometry = Trajectory(stamps, accumulate(np.zeros(3), Increments(step, still, turn)))
+    seen_s = np.arange(0.1037, 299.0, 0.01)
+    poses = odometry.at(seen_s, 0) + np.array([0.002, 0.002, 0.0035]) * rng.standard_normal((len(seen_s), 3))
+    truth = Trajectory(np.round(1e9 * seen_s).astype(np.int64), poses)
+    assert choose_side(Recording("exact", odometry, truth, 0), 0.5) == "odometry"

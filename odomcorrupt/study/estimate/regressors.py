@@ -41,6 +41,8 @@ _SIDEWAYS = 0.1
 _BIAS = 0.002  # relative bias of a gain above which the truth is used
 _LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0  # the same if the odometry has this many times the smoothed truth's noise
 _FEW = 50  # least number of samples in motion
+_CLIP = 5.0
+"""Multiple of the median roughness above which a sample is a start or stop, and a difference of the sides a jump."""
 _SHARED, _ERRORS = 0.7, 3.0
 """Roughness is noise of the odometry if the truth shares less than this fraction, by this many standard errors."""
 
@@ -263,19 +265,25 @@ def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Sh
     other = np.diff(_steps(seen.truth, grid, recording.origin_ns), n=2, axis=0)[chosen]
     if len(own) < _FEW or not np.isfinite(other).all():
         return None
-    bound = 5.0 * np.median(np.abs(own), axis=0)
-    own = np.clip(own, -bound, bound)
-    common, whole = own * other, np.maximum((own**2).mean(axis=0), 1e-30)
-    other = np.clip(other, -bound, bound)
-    alone = (own**2 - own * other) / 6.0
-    white = np.minimum(_white(seen.truth, grid, recording.origin_ns)[chosen], bound**2).mean(axis=0)
-    coloured = np.maximum((other**2 - own * other).mean(axis=0) - white, 0.0)
+    # starts and stops are left out, and differences clipped on both sides: an upper bound on one side alone would turn
+    # motion into noise of the other
+    bound = _CLIP * np.median(np.abs(own), axis=0)
+    kept = np.abs(own) <= bound
+    own, differs = np.where(kept, own, 0.0), np.where(kept, other - own, 0.0)
+    least = _CLIP * np.array([np.median(np.abs(d[k])) for d, k in zip(differs.T, kept.T, strict=True)])
+    differs = np.clip(differs, -least, least)
+    count = kept.sum(axis=0)
+    whole = np.maximum((own**2).sum(axis=0), 1e-30)
+    alone, of_truth = -own * differs / 6.0, (own + differs) * differs / 6.0
+    white = np.where(kept, _white(seen.truth, grid, recording.origin_ns)[chosen] / 6.0, 0.0)
+    white = np.minimum(white, least**2 / 6.0).sum(axis=0) / count
+    coloured = np.maximum(of_truth.sum(axis=0) / count - white, 0.0)
     return _Shared(
-        part=common.mean(axis=0) / whole,
-        error=common.std(axis=0) / np.sqrt(len(common)) / whole,
-        odometry_noise=alone.mean(axis=0),
-        noise_of_truth=(coloured + _remaining(seen.truth, grid) * white) / 6.0,
-        noise_error=alone.std(axis=0) / np.sqrt(len(alone)),
+        part=1.0 - 6.0 * alone.sum(axis=0) / whole,
+        error=6.0 * alone.std(axis=0) * np.sqrt(len(own)) / whole,
+        odometry_noise=alone.sum(axis=0) / count,
+        noise_of_truth=coloured + _remaining(seen.truth, grid) * white,
+        noise_error=alone.std(axis=0) * np.sqrt(len(own)) / count,
     )
 
 
