@@ -264,6 +264,16 @@ def test_a_car_that_slows_down_for_tight_bends_is_guessed_too():
     )
 
 
+def test_a_car_whose_steering_is_not_straight_at_zero_has_another_stop_on_each_side():
+    # breaks where both sides share one largest curvature: a tenth of slow driving is at the stop of the left side
+    t_s = np.arange(320 * 50) / 50.0
+    v = np.interp(t_s % 20.0, [0.0, 2.0, 8.0, 10.0, 20.0], [0.25, 1.0, 1.0, 0.25, 0.25])
+    bend = np.interp(t_s % 20.0, [10.0, 11.5, 18.5, 20.0], [0.0, 1.0, 1.0, 0.0])
+    curvature = bend * np.choose((t_s // 20.0).astype(int) % 4, [0.55, -0.45, -0.45, -0.2])
+    steps = Increments(v / 50.0, 0.0 * v, v * curvature / 50.0)
+    assert drive_type_of([recording(steps, accumulate(np.zeros(3), steps))]).name == "car"
+
+
 def test_a_robot_that_its_planner_never_turns_on_the_spot_is_no_car():
     # breaks where wide curves in slow driving suffice: a lawn mower and a robot in a hall were called cars
     for seed in range(4):

@@ -36,9 +36,9 @@ def turned(yaw_rate, seed=3):
     return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
 
 
-@pytest.mark.parametrize(("begin_s", "end_s", "rate"), [(144.0, 146.4, 0.5), (72.0, 86.4, 0.04)])
+@pytest.mark.parametrize(("begin_s", "end_s", "rate"), [(144.0, 146.4, 0.5), (72.0, 86.4, 0.04), (44.0, 84.0, 0.008)])
 def test_what_happened_once_is_no_bias_that_walks(begin_s, end_s, rate):
-    """A lift that takes 2 s, or a bend of 14 s: one half of the drive knows nothing of it."""
+    """A lift that takes 2 s, a bend of 14 s, a bias for 40 s: one half of the drive knows nothing of it."""
     t_s = np.arange(12_000) / RATE_HZ
     rate = np.where((t_s > begin_s) & (t_s < end_s), rate, 0.0)
     assert processes_of(turned(rate))[0] == []
@@ -47,6 +47,15 @@ def test_what_happened_once_is_no_bias_that_walks(begin_s, end_s, rate):
 def test_a_bias_that_walks_all_the_time_is_found():
     walk = np.cumsum(np.random.default_rng(4).normal(0.0, 2e-3 / np.sqrt(RATE_HZ), 12_000))
     assert [found.name for found in processes_of(turned(walk))[0]] == ["gyro_bias_walk"]
+
+
+@pytest.mark.parametrize("seed", [14, 34])
+def test_a_bias_that_hardly_walks_in_one_half_by_chance_is_found(seed):
+    """Breaks where the half that shows less has to gain: a walk has few degrees of freedom in two minutes."""
+    walk = np.cumsum(np.random.default_rng(seed).normal(0.0, 6e-4 / np.sqrt(RATE_HZ), 12_000))
+    (found,) = processes_of(turned(walk, seed))[0]
+    assert found.name == "gyro_bias_walk"
+    assert found.density == pytest.approx(6e-4, rel=0.25)
 
 
 @pytest.mark.slow

@@ -1,8 +1,9 @@
 """Drive type of a robot, given or guessed from its motion, and the library effects that it can have.
 
 A steered robot turns only while it travels, with a smallest radius that does not depend on speed. When it drives
-slowly, its steering is often at the stop: at least a fifth of slow driving has the same large curvature. A differential
-drive has no such stop, even if its planner never turns it on the spot. Many effects of the two types are the same
+slowly, its steering is often at a stop: at least a fifth of slow driving has the largest curvature of its side. The two
+sides differ if the steering's zero is off. A differential drive has no such stop, even if its planner never turns it on
+the spot. Many effects of the two types are the same
 function of the motion (steering offset and unequal wheels); the drive type then decides the name.
 """
 
@@ -140,13 +141,13 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
 
 
 def _has_stop(slow: Array) -> bool:
-    """Tell whether slow driving, as curvatures and durations (2, m), is often at the same largest curvature."""
+    """Tell whether slow driving, as signed curvatures and durations (2, m), is often at the largest of its side."""
     curvature, seconds = slow
-    if not len(curvature):
-        return False
-    largest = float(np.quantile(curvature, _STOP_QUANTILE))
-    there = curvature * _STOP >= largest
-    return bool(there.mean() >= _STOP_SHARE and seconds[there].sum() >= _SLOW_S)
+    there = np.zeros(len(curvature), dtype=bool)
+    for side in (curvature, -curvature):
+        if (turns := side > 0.0).any():
+            there |= turns & (side * _STOP >= np.quantile(side[turns], _STOP_QUANTILE))
+    return bool(there.any() and there.mean() >= _STOP_SHARE and seconds[there].sum() >= _SLOW_S)
 
 
 def mountings(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -193,7 +194,7 @@ class _SlowDriving:
     seconds, spells : duration of slow driving, s, and number of slow spells or stops
     beyond : turn in these beyond the largest curvature, rad
     turned_at_rest, rest_s : turn while the wheels were at rest, rad, and duration of rest, s
-    slow : (2, m) curvature, 1/m, and duration, s, of each interval of slow driving
+    slow : (2, m) signed curvature, 1/m, and duration, s, of each interval of slow driving
     """
 
     along_m: float
@@ -224,9 +225,9 @@ def _slow_driving(recording: Recording) -> _SlowDriving:
     fast, slow = v > _FAST * usual, v < _SLOW * usual
     curvature = float(np.quantile(omega[fast] / v[fast], _LARGEST)) if fast.any() else 0.0
     creeps = slow & (v > _CREEP * usual)
-    bends = np.stack((omega[creeps] / v[creeps], dt[creeps]))
+    bends = np.stack((world[creeps, 2] / along[creeps], dt[creeps]))
     if _has_stop(bends):  # who slows down for tight bends never reaches it at speed
-        curvature = max(curvature, float(np.quantile(bends[0], _STOP_QUANTILE)))
+        curvature = max(curvature, float(np.quantile(np.abs(bends[0]), _STOP_QUANTILE)))
     begins = np.count_nonzero(np.diff(slow.astype(np.int8)) == 1)
     beyond = float((np.maximum(omega - _SHARPER * curvature * v, 0.0) * dt)[slow].sum())
     return _SlowDriving(

@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.study.estimate.drift_error import drift
-from odomcorrupt.study.estimate.heading_source import heading_source_of
+from odomcorrupt.study.estimate.heading_source import heading_source_of, turns_at_rest
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.random_effects import is_remainder, remeasured
 from odomcorrupt.study.select.score import score_terms
@@ -147,15 +147,16 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
     """Return the fit with one source of the heading for all effects: the wheels, unless a gyro gains clearly more.
 
     A single effect may prefer "gyro" only because two wheel effects cancel in the heading. If a gyro bias is in the
-    model, no gain is required: heading errors of wheels and the scale error of a gyro may be the same function. A gyro
-    that gains less is chosen too if the wheels increase the drift. With a laser as truth, whose scale is uncertain, the
-    likelihood hardly penalises wheel effects that distort travel to leave turns unchanged.
+    model, or the odometry turns at rest, no gain is required: heading errors of wheels and a gyro's scale error may be
+    the same function, and a robot may hardly turn on a patch. A gyro that gains less is chosen too if the wheels
+    increase the drift. With a laser as truth, whose scale is uncertain, the likelihood hardly penalises wheel effects
+    that distort travel to leave turns unchanged.
 
     given : names of effects whose parameters were chosen by the user
     """
     either = [e for e in fit.effects if "heading" in choices(e) and e.name not in given]
     words = {getattr(e, "heading", "") for e in either}
-    known = any(e.name == "gyro_bias" for e in fit.effects)
+    known = any(e.name == "gyro_bias" for e in fit.effects) or all(map(turns_at_rest, fit.problem.recordings))
     if heading_source_of(fit.problem.recordings) or not words or ("gyro" not in words and not known):
         return fit
     found: dict[str, Fit] = {}

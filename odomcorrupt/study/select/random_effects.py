@@ -49,6 +49,8 @@ if TYPE_CHECKING:
 
 _LEAST_SCALE = 1e-6
 """Smallest standard deviation of a gain that is tried; the largest is the bound of the effect's parameter."""
+_LEAST_CHANCE, _DRAWS = 0.05, 4000
+"""Probability below which a half of the data contradicts a random process, and number of draws that estimate it."""
 _FEW, _BESIDE = 0.05, 2
 """Largest fraction of outliers among the intervals if they are events, and intervals affected on either side."""
 
@@ -136,8 +138,10 @@ def is_remainder(fit: Fit, effect: Effect) -> bool:
 
 
 def _in_both_halves(fit: Fit, effect: Effect) -> bool:
-    """Return whether a random coefficient estimated on either half of the intervals gains on the other half.
+    """Return whether a random coefficient estimated on either half of the intervals holds on the other half.
 
+    It holds where it gains. By chance, a slow process may hardly move in one half: if both halves together gain more
+    than the penalty, it also holds where such a process would gain that little with a probability of `_LEAST_CHANCE`.
     Events are no random process: if outliers are few, they and their neighbours are left out.
     """
     count = len(fit.problem.nodes)
@@ -148,13 +152,22 @@ def _in_both_halves(fit: Fit, effect: Effect) -> bool:
     family = [
         p for p in processes() if p.kind is type(effect) and p.fixed.get("channel") == getattr(effect, "channel", None)
     ]
-    gains = []
+    halves, gains = [], []
     for process in family:
         basis, white = _whitened(fit, process)
-        halves = [_part(basis, white, fit.noise.innovations, np.repeat(usual & side, 3)) for side in (early, ~early)]
-        gains.append([_gains(*half, _scales(process)) for half in halves])
-    first, second = np.swapaxes(gains, 0, 1)
-    return bool(min(second.flat[np.argmax(first)], first.flat[np.argmax(second)]) > 0.0)
+        sides = [_part(basis, white, fit.noise.innovations, np.repeat(usual & side, 3)) for side in (early, ~early)]
+        halves.append(sides)
+        gains.append([_gains(*half, _scales(process)) for half in sides])
+    both = np.array(gains).swapaxes(0, 1)  # (2, processes, scales)
+    charge = 0.5 * np.log(count) * np.array([process.numbers for process in family])
+    together = float(np.max(both.sum(axis=0) - charge[:, None]))
+    for own, other in ((0, 1), (1, 0)):
+        which, at = np.unravel_index(np.argmax(both[own]), both[own].shape)
+        nats, scale = float(both[other][which, at]), float(_scales(family[which])[at])
+        by_chance = together > 0.0 and _chance_of_less(nats, halves[which][other][0], scale) >= _LEAST_CHANCE
+        if nats <= 0.0 and not by_chance:
+            return False
+    return True
 
 
 def _matched(fit: Fit) -> bool:
@@ -282,6 +295,17 @@ def _spectrum(information: Array, score: Array) -> tuple[Array, Array]:
     """Return the eigenvalues (m,) of an information matrix, and the squared scores (m,) along its eigenvectors."""
     strength, vectors = eigh(information)
     return np.maximum(strength, 0.0), (vectors.T @ score) ** 2
+
+
+def _chance_of_less(nats: float, strength: Array, scale: float) -> float:
+    """Return the probability of a gain up to `nats` for a process that exists at this scale, from its eigenvalues (m,).
+
+    With q the squared scale, the squared score along an eigenvector of eigenvalue s is then s (1 + q s) times a
+    chi-squared variable of one degree of freedom.
+    """
+    growth = scale**2 * strength
+    draws = np.random.default_rng(0).chisquare(1.0, (_DRAWS, len(growth)))
+    return float(np.mean(0.5 * (draws @ growth - np.log1p(growth).sum()) <= nats))
 
 
 def _gains(strength: Array, score: Array, scales: Array) -> Array:
