@@ -15,12 +15,14 @@ def gaps_between(starts: NDArray[np.int64], ends: NDArray[np.int64], size: int) 
 
     If the gaps consist of whole records, none of the indexed kind, the index is correct and complete.
     """
-    befores = np.concatenate([[0], ends])
-    afters = np.append(starts, size)
-    if np.any(befores > afters):
+    befores, afters = np.concatenate(([0], ends)), np.concatenate((starts, [size]))
+    (open_ones,) = (befores != afters).nonzero()
+    if not open_ones.size:
+        return []
+    befores, afters = befores[open_ones], afters[open_ones]
+    if (befores > afters).any():
         return None
-    open_ones = np.flatnonzero(befores != afters)
-    return list(zip(befores[open_ones].tolist(), afters[open_ones].tolist(), strict=True))
+    return list(zip(befores.tolist(), afters.tolist(), strict=True))
 
 
 def windows(data: NDArray[np.uint8], width: int) -> NDArray[np.void]:

@@ -69,14 +69,14 @@ def record_bytes(data: memoryview, at: int) -> int:
 
 def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
     """Return the content by the indexes, or None where these are incomplete or wrong."""
-    entries = [np.frombuffer(index, _INDEX_ENTRY, offset=6) for index in indexes if (len(index) - 6) % 16 == 0]
-    offsets = np.concatenate([entry["offset"] for entry in entries]) if entries else np.empty(0, dtype=np.uint64)
-    if not offsets.size or data.size < MESSAGE_HEADER_BYTES or offsets.max() > data.size - MESSAGE_HEADER_BYTES:
+    entries = np.frombuffer(b"".join([index[6:] for index in indexes if (len(index) - 6) % 16 == 0]), _INDEX_ENTRY)
+    starts = entries["offset"].astype(np.int64)  # beyond 2^63 they are negative
+    starts.sort()
+    if not starts.size or starts[0] < 0 or starts[-1] > data.size - MESSAGE_HEADER_BYTES:
         return None
-    starts = np.sort(offsets.astype(np.int64))
     heads = _heads(data, starts)
-    lengths = heads["length"].astype(np.int64)  # beyond 2^63 they are negative
-    if np.any(heads["opcode"] != MESSAGE) or lengths.max() > data.size or lengths.min() < 22:
+    lengths = heads["length"].astype(np.int64)  # as above
+    if (heads["opcode"] != MESSAGE).any() or lengths.max() > data.size or lengths.min() < 22:
         return None
     ends = starts + lengths + RECORD_HEADER_BYTES
     gaps = gaps_between(starts, ends, data.size)

@@ -69,31 +69,42 @@ def _loaded(text: str, kind: str) -> Any:
     if len(text) > LARGEST_BYTES:
         raise ValueError(f"it has more than {LARGEST_BYTES} bytes")
     try:
-        _require_bounded(yaml_of(kind).parse(text))
-        return yaml_of(kind).load(text)
+        yaml = yaml_of(kind)
+        yaml.Parser = _bounded(yaml.Parser)
+        return yaml.load(text)
     except (YAMLError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise ValueError(yaml_problem(error)) from error
 
 
-def _require_bounded(events: Any) -> None:
-    """Raise ValueError where a document is too deep, too large with its aliases written out, or has keys of many parts.
+def _bounded(parser: type[Any]) -> type[Any]:
+    """Return a YAML parser that raises ValueError where a document exceeds the bounds, as soon as it is read.
 
-    events : of the YAML parser
+    Bounded are the depth, the size with aliases written out, and the CPU time; no key may be a list or a map. Data are
+    constructed once the tree composed from the events is complete.
     """
     from ruamel.yaml import events as kinds  # noqa: PLC0415 - as above
 
-    begun, bounds = time.thread_time(), _Bounds()
-    for event in events:
-        if isinstance(event, kinds.SequenceEndEvent | kinds.MappingEndEvent):
-            bounds.close()
-        elif isinstance(event, kinds.AliasEvent):
-            bounds.add(event.anchor, alias=True)
-        elif isinstance(event, kinds.CollectionStartEvent):
-            bounds.open(event.anchor, mapping=isinstance(event, kinds.MappingStartEvent))
-        elif isinstance(event, kinds.ScalarEvent):
-            bounds.add(event.anchor)
-        if time.thread_time() - begun > LONGEST_S:
-            raise ValueError(f"it takes more than {LONGEST_S:.0f} s to read")
+    class Bounded(parser):  # type: ignore[misc] # a class of ruamel.yaml
+        def __init__(self, *given: Any, **named: Any) -> None:
+            super().__init__(*given, **named)
+            self._begun, self._bounds = time.thread_time(), _Bounds()
+
+        def get_event(self) -> Any:
+            event = super().get_event()
+            bounds = self._bounds
+            if isinstance(event, kinds.SequenceEndEvent | kinds.MappingEndEvent):
+                bounds.close()
+            elif isinstance(event, kinds.AliasEvent):
+                bounds.add(event.anchor, alias=True)
+            elif isinstance(event, kinds.CollectionStartEvent):
+                bounds.open(event.anchor, mapping=isinstance(event, kinds.MappingStartEvent))
+            elif isinstance(event, kinds.ScalarEvent):
+                bounds.add(event.anchor)
+            if time.thread_time() - self._begun > LONGEST_S:
+                raise ValueError(f"it takes more than {LONGEST_S:.0f} s to read")
+            return event
+
+    return Bounded
 
 
 class _Open(NamedTuple):

@@ -179,9 +179,6 @@ class SqliteWriter(SqliteOutput):
 
     def _begin(self) -> None:
         sweep(self._path.parent, self._path.name)
-        if not self._reader.damaged:
-            with reported(self._reader.path), closing(read_only(self._reader.readable, whole=False)) as source:
-                self._expected = count_messages(source)
         if self._reader.damaged:
             with (
                 closing(read_only(self._reader.readable, whole=False)) as source,
@@ -195,6 +192,9 @@ class SqliteWriter(SqliteOutput):
         else:
             self._copied_to = self._partial.open("xb")
             self._copying = FileCopy(self._reader.path, self._copied_to.fileno())
+        if not self._reader.damaged:  # while a thread copies the file
+            with reported(self._reader.path), closing(read_only(self._reader.readable, whole=False)) as source:
+                self._expected = count_messages(source)
         if self._copying is None or not self._copying_thread:
             self._begin_changes()
 
