@@ -55,9 +55,12 @@ class MotorLag(Effect):
         if not len(motion):
             return TwistError(np.zeros((0, 3)), state)
         commanded = np.stack((motion.v, motion.vy, motion.omega))
-        kept = [lag_remainder(self.tau, dt_s) for dt_s in motion.dt_s.tolist()]
+        tau = np.full(len(motion), abs(self.tau))
+        kept = np.divide(tau, tau + motion.dt_s, out=np.ones_like(tau), where=motion.dt_s > 0.0).tolist()
         start = commanded[:, 0] if state.twist is None else state.twist
-        true = np.array([_followed(u, kept, now) for u, now in zip(commanded.tolist(), start.tolist(), strict=True)])
+        true = np.zeros_like(commanded)
+        for i in np.flatnonzero(commanded.any(axis=1) | (start != 0.0)):
+            true[i] = _followed(commanded[i].tolist(), kept, float(start[i]))
         return TwistError(np.sign(self.tau) * (true - commanded).T, state._replace(twist=true[:, -1]))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels

@@ -139,9 +139,13 @@ class RegionSlip(Effect):
 
     def _ratio(self, motion: Motion) -> Array:
         """Return the relative speed error (n,): -slip times the part of each interval's path inside the patch."""
-        ahead, left = self._inside_axes(motion)
-        to = motion.theta + 0.5 * motion.omega * motion.dt_s - self.angle
-        v, vy, c, s = motion.v * motion.dt_s, motion.vy * motion.dt_s, np.cos(to), np.sin(to)
+        # most intervals are too far away to reach the patch
+        reach = np.hypot(self.radius, self.width) + np.abs(motion.v * motion.dt_s) + np.abs(motion.vy * motion.dt_s)
+        near = (motion.x - self.x) ** 2 + (motion.y - self.y) ** 2 <= reach**2
+        ahead, left = (part[near] for part in self._inside_axes(motion))
+        dt_s = motion.dt_s[near]
+        to = motion.theta[near] + 0.5 * motion.omega[near] * dt_s - self.angle
+        v, vy, c, s = motion.v[near] * dt_s, motion.vy[near] * dt_s, np.cos(to), np.sin(to)
         forward, sideways = c * v - s * vy, s * v + c * vy
         if self.width:
             both = (_within(ahead, forward, self.radius), _within(left, sideways, self.width))
@@ -152,7 +156,8 @@ class RegionSlip(Effect):
             s = np.divide(sideways, way, out=np.zeros_like(way), where=way > 0.0)
             half = np.sqrt(np.maximum(self.radius**2 - (c * left - s * ahead) ** 2, 0.0))
             first, last = _within(c * ahead + s * left, way, half)
-        ratio: Array = -self.slip * np.maximum(last - first, 0.0)
+        ratio = np.zeros(len(motion))
+        ratio[near] = -self.slip * np.maximum(last - first, 0.0)
         return ratio
 
     def _inside_axes(self, motion: Motion) -> tuple[Array, Array]:

@@ -47,6 +47,17 @@ def test_a_problem_after_an_earlier_one_is_the_problem_by_itself(recording, side
     assert (after.smoothers == earlier.smoothers) == (clock == Clock())
 
 
+def test_the_odometrys_own_motion_is_shared_between_offsets_of_its_clock(recording):
+    approach = replace(choose_approach([recording]), side="odometry")
+    earlier = pose_problem([recording], approach=approach)
+    (now,) = pose_problem([recording], clocks=[Clock(0.03)], approach=approach, before=earlier).motions
+    (before,) = earlier.motions
+    assert now.acceleration is before.acceleration
+    assert np.array_equal(now.v, before.v)
+    assert not np.array_equal(now.t_s, before.t_s)
+    assert not np.array_equal(now.x, before.x)
+
+
 def test_nodes_are_the_same_samples_of_the_truth_for_every_clock(recording):
     approach = choose_approach([recording])
     plain, *others = (

@@ -86,6 +86,10 @@ class Fit:
         """Orthonormal basis (3 K, q) of the whitened design matrix."""
         return orthonormal(self.noise.whitener.whiten(self.design_matrix))
 
+    def for_reports(self) -> Fit:
+        """Return the fit without the data that only refits and tests need."""
+        return dataclasses.replace(self, problem=dataclasses.replace(self.problem, smoothers=(), left=()))
+
     def refit(
         self,
         effects: Sequence[Effect] | None = None,

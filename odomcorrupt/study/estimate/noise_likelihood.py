@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import blas, block_diag, lapack
+from scipy.linalg import blas, lapack
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
@@ -278,7 +278,10 @@ class NoiseLikelihood:
     def _share_slopes(self, free: Array) -> Array:
         """Return the derivatives (m, bands) of every band's weight by every parameter."""
         coefficients, truth = self._unpack(free)
-        slopes: Array = block_diag(self._components.share_slopes(coefficients), 2.0 * np.diag(truth_weights(truth)))
+        own, of_truth = self._components.share_slopes(coefficients), truth_weights(truth)
+        slopes = np.zeros((len(own) + len(of_truth), own.shape[1] + len(of_truth)))
+        slopes[: len(own), : own.shape[1]] = own
+        slopes[len(own) :, own.shape[1] :] = 2.0 * np.diag(of_truth)
         return slopes
 
     def _sum(self, shares: Array) -> Array:

@@ -45,11 +45,14 @@ def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmo
     """
     if not effects:
         return recording
-    motion = raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
     left = recording
     reading = any(effect.reads_truth for effect in effects)
     if reading and smoother is None:
         smoother = MotionSmoother([recording], "odometry")
+    if smoother is not None:
+        motion = raw = smoother.raw
+    else:
+        motion = raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
     # a force accelerates the body, not the wheels: a second pass takes accelerations from the corrected odometry
     for again in range(2 if reading else 1):
         if smoother is not None and reading:
@@ -187,18 +190,17 @@ def _smoothers(
     recordings: tuple[Recording, ...], clocks: tuple[Clock, ...], side: Side, before: Problem | None
 ) -> tuple[MotionSmoother, ...]:
     """Return each run on the truth's clock with its smooth motion, reused from an earlier problem with equal clocks."""
-    known = {}
-    if before is not None and before.smoothers and before.approach.side == side:
-        of_before = zip(_runs(before.recordings, before.clocks), before.smoothers, strict=True)
-        known = {
-            (tuple(id(before.recordings[i]) for i in run), before.clocks[run[0]]): smoother
-            for run, smoother in of_before
-        }
-    return tuple(
-        known.get((tuple(id(recordings[i]) for i in run), clocks[run[0]]))
-        or MotionSmoother([aligned(recordings[i], clocks[run[0]]) for i in run], side)
-        for run in _runs(recordings, clocks)
-    )
+    known: dict[tuple[int, ...], tuple[Clock, MotionSmoother]] = {}
+    if before is not None and before.approach.side == side:
+        for run, smoother in zip(_runs(before.recordings, before.clocks), before.smoothers, strict=False):
+            known[tuple(id(before.recordings[i]) for i in run)] = before.clocks[run[0]], smoother
+    smoothers = []
+    for run in _runs(recordings, clocks):
+        clock, like = known.get(tuple(id(recordings[i]) for i in run), (None, None))
+        if like is None or clock != clocks[run[0]]:
+            like = MotionSmoother([aligned(recordings[i], clocks[run[0]]) for i in run], side, like)
+        smoothers.append(like)
+    return tuple(smoothers)
 
 
 def _runs(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> list[list[int]]:
@@ -228,7 +230,7 @@ def _one_run(one: Recording, other: Recording) -> bool:
 def _undone(smoother: MotionSmoother, effects: Sequence[Effect], side: Side) -> Recording:
     """Return a run with the effects removed from its odometry."""
     if side != "odometry" and any(effect.reads_truth for effect in effects):
-        smoother = MotionSmoother(smoother.stretches, "odometry")
+        smoother = MotionSmoother(smoother.stretches, "odometry", smoother)
     return undo(smoother.recording, effects, smoother=smoother)
 
 

@@ -7,7 +7,7 @@ simulator contains the noise of every sample: the truth is used. The jitter of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal, NamedTuple, Self
@@ -64,39 +64,56 @@ class MotionSmoother:
     stretches : recorded stretches of one run, on the truth's clock: each has the odometry from the beginning of the
         run, and the truth of its own time
     side : the poses of which speeds are local slopes, "odometry" or "truth"
+    like : smoother of the same run at another offset of its clock, with which the odometry's own motion is shared
     """
 
-    def __init__(self, stretches: Sequence[Recording], side: Side) -> None:
+    def __init__(self, stretches: Sequence[Recording], side: Side, like: MotionSmoother | None = None) -> None:
         self.stretches, self._side = tuple(stretches), side
         self.recording = whole = max(stretches, key=lambda r: len(r.odometry))
+        self.odometry: _Odometry = like.odometry if like is not None else _Odometry(whole)
+        if not self.odometry.is_of(whole):
+            self.odometry = _Odometry(whole)
         t_s = whole.odometry_s
-        self._ends_s, self._dt_s, middle = t_s[1:], np.diff(t_s), (t_s[:-1] + t_s[1:]) / 2.0
+        self._ends_s, self._dt_s, middle = t_s[1:], self.odometry.motion.dt_s, _middle(t_s)
         # Slopes and patches of the floor are fixed in the world, so places come from the truth: where intervals begin,
         # as in corruption, with the mean heading.
-        begins, shared = (_by_truth(self.stretches, at_s) for at_s in (t_s[:-1], middle))
-        at, mean = (
-            np.concatenate([_where(stretch.truth, part, whole.origin_ns) for stretch, part in parts])
-            for parts in (begins, shared)
+        begins, means = (
+            [
+                (stretch.truth, _within(stretch.truth, part, whole.origin_ns))
+                for stretch, part in _by_truth(self.stretches, at_s)
+            ]
+            for at_s in (t_s[:-1], middle)
         )
-        self._x, self._y, self._theta = (np.ascontiguousarray(c) for c in (at[:, 0], at[:, 1], mean[:, 2]))
+        at = np.concatenate([path.at(part, whole.origin_ns) for path, part in begins])
+        self._x, self._y = np.ascontiguousarray(at[:, 0]), np.ascontiguousarray(at[:, 1])
+        self._theta = np.concatenate([path.heading_at(part, whole.origin_ns) for path, part in means])
         if side == "odometry":
-            shared, widths_s = [(whole, middle)], [SMOOTHING_S]
+            self._slopes = [self.odometry.slopes]
         else:
-            widths_s = [_truth_window(stretch.truth) for stretch, _ in shared]
-        self._slopes = [
-            _Slopes.of(stretch.odometry if side == "odometry" else stretch.truth, part, whole.origin_ns, width_s)
-            for (stretch, part), width_s in zip(shared, widths_s, strict=True)
-        ]
-        self._cuts = np.cumsum([len(part) for _, part in shared])[:-1]
+            self._slopes = [
+                _Slopes.of(stretch.truth, part, whole.origin_ns, _truth_window(stretch.truth))
+                for stretch, part in _by_truth(self.stretches, middle)
+            ]
+        self._cuts = np.cumsum([len(slopes.left) for slopes in self._slopes])[:-1]
+
+    @property
+    def raw(self) -> Motion:
+        """Motion of the unchanged odometry, not smoothed."""
+        return replace(self.odometry.motion, t_s=self._ends_s)
 
     @cached_property
     def recorded(self) -> Motion:
         """Smooth motion of the unchanged recording."""
+        if self._side == "odometry":
+            return self._motion(*self.odometry.smooth)
         return self.motion(self.recording)
 
     def motion(self, recording: Recording) -> Motion:
         """Return the smooth motion of the recording with other odometry at the same stamps."""
         twist = self._twist(recording)
+        return self._motion(twist, self._accelerations(twist))
+
+    def _motion(self, twist: Array, acceleration: Array) -> Motion:
         v, vy, omega = np.ascontiguousarray(twist.T)
         return Motion(
             t_s=self._ends_s,
@@ -104,29 +121,16 @@ class MotionSmoother:
             v=v,
             vy=vy,
             omega=omega,
-            acceleration=self._accelerations(twist),
+            acceleration=acceleration,
             x=self._x,
             y=self._y,
             theta=self._theta,
             distance=np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * self._dt_s),
-            track_m=recording.track_m,
-            reported=self._reported,
-            steps=self._steps,
+            track_m=self.recording.track_m,
+            # speeds of the truth add up to no phase of a wheel
+            reported=None if self._side == "odometry" else self.odometry.reported,
+            steps=self.odometry.steps,
         )
-
-    @cached_property
-    def _steps(self) -> tuple[float, float] | None:
-        """Steps of the reported speeds, if they are multiples of any."""
-        made = motion_of(self.recording.odometry_s, self.recording.odometry.xyt)
-        return speed_steps(made.v, made.omega, self._dt_s, self.recording.track_m)
-
-    @cached_property
-    def _reported(self) -> Array | None:
-        """Travel, m, and turn, rad, so far (n, 2) of the odometry, if speeds are the truth's, whose sums lose phase."""
-        if self._side == "odometry":
-            return None
-        steps = increments(self.recording.odometry.xyt)
-        return np.cumsum(np.stack((steps.ds_m, steps.dtheta_rad), axis=1), axis=0)
 
     def acceleration(self, recording: Recording) -> Array:
         """Return only the acceleration (n, 3) of `motion`."""
@@ -142,6 +146,49 @@ class MotionSmoother:
         return np.concatenate([part.twist(part.path) for part in self._slopes])
 
 
+class _Odometry:
+    """Motion of a run's recorded odometry, which is the same to the bit at any offset of its clock."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording, self._begin_ns = recording, int(recording.odometry.stamps_ns[0])
+        self._t_s = recording.odometry.seconds_since(self._begin_ns)
+
+    def is_of(self, recording: Recording) -> bool:
+        """Return whether a recording has this odometry, its stamps at most shifted."""
+        own, other = self._recording.odometry, recording.odometry
+        if len(own) != len(other) or self._recording.track_m != recording.track_m:
+            return False
+        return bool(np.ptp(own.stamps_ns - other.stamps_ns) == 0) and np.array_equal(own.xyt, other.xyt)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Motion over the intervals, not smoothed, at times since the first stamp."""
+        return motion_of(self._t_s, self._recording.odometry.xyt, track_m=self._recording.track_m)
+
+    @cached_property
+    def steps(self) -> tuple[float, float] | None:
+        """Steps of the reported speeds, if they are multiples of any."""
+        made = self.motion
+        return speed_steps(made.v, made.omega, made.dt_s, self._recording.track_m)
+
+    @cached_property
+    def reported(self) -> Array:
+        """Travel, m, and turn, rad, so far (n, 2)."""
+        steps = increments(self._recording.odometry.xyt)
+        return np.cumsum(np.stack((steps.ds_m, steps.dtheta_rad), axis=1), axis=0)
+
+    @cached_property
+    def slopes(self) -> _Slopes:
+        """Line fits to the poses at the middle of each interval."""
+        return _Slopes.of(self._recording.odometry, _middle(self._t_s), self._begin_ns, SMOOTHING_S)
+
+    @cached_property
+    def smooth(self) -> tuple[Array, Array]:
+        """Smooth twists and accelerations (n, 3) of the intervals."""
+        twist = self.slopes.twist(self._recording.odometry)
+        return twist, self.slopes.lines.accelerations(twist)
+
+
 @dataclass(frozen=True, slots=True)
 class _Slopes:
     """Line fits to the poses of a path at given times, and the position of these times among its stamps."""
@@ -154,9 +201,8 @@ class _Slopes:
     @classmethod
     def of(cls, path: Trajectory, at_s: Array, origin_ns: int, width_s: float) -> Self:
         """Return the fits to a path at times (m,), s, in windows of a given width, s."""
-        own = path.seconds_since(origin_ns)
-        left, fraction = path.place_of(np.clip(at_s, own[0], own[-1]), origin_ns)
-        return cls(path, LocalSlopes(own, at_s, width_s), left, fraction)
+        left, fraction = path.place_of(_within(path, at_s, origin_ns), origin_ns)
+        return cls(path, LocalSlopes(path.seconds_since(origin_ns), at_s, width_s), left, fraction)
 
     def twist(self, path: Trajectory) -> Array:
         """Return the twist (m, 3) of a path with the same stamps."""
@@ -171,10 +217,15 @@ def _by_truth(stretches: Sequence[Recording], at_s: Array) -> list[tuple[Recordi
     return list(zip(ordered, np.split(at_s, np.searchsorted(at_s, between)), strict=True))
 
 
-def _where(path: Trajectory, at_s: Array, origin_ns: int) -> Array:
-    """Return the poses (m, 3) of a path at times (m,), s; before and after the path those of its ends."""
+def _within(path: Trajectory, at_s: Array, origin_ns: int) -> Array:
+    """Return times (m,), s, with those before and after a path replaced by its ends."""
     own = path.seconds_since(origin_ns)
-    return path.at(np.clip(at_s, own[0], own[-1]), origin_ns)
+    return np.clip(at_s, own[0], own[-1])
+
+
+def _middle(t_s: Array) -> Array:
+    """Return the middle (n,) of each interval between stamps (n + 1,), s."""
+    return (t_s[:-1] + t_s[1:]) / 2.0
 
 
 def driving_motion(recording: Recording, side: Side) -> Motion:

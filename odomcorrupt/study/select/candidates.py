@@ -115,16 +115,7 @@ def library_candidates(fit: Fit, decisions: Decisions, withdrawn: Container[str]
     ]
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
     excused = [_compensated(c, decisions) if c.refused == _DRIFT and c.gain > best else c for c in candidates]
-    ranked = sorted(excused, key=_rank, reverse=True)
-    return [*ranked[:1], *(_without_problem_data(c) for c in ranked[1:])]
-
-
-def _without_problem_data(candidate: Candidate) -> Candidate:
-    """Return a candidate without the data that only refits need, for candidates that are kept for reports alone."""
-    if candidate.fit is None:
-        return candidate
-    problem = replace(candidate.fit.problem, smoothers=(), left=())
-    return replace(candidate, fit=replace(candidate.fit, problem=problem))
+    return sorted(excused, key=_rank, reverse=True)
 
 
 def _compensated(candidate: Candidate, decisions: Decisions) -> Candidate:

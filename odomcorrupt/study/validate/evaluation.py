@@ -12,13 +12,13 @@ from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.study.estimate.noise_fit import outliers
 from odomcorrupt.study.estimate.position_windows import position_windows
-from odomcorrupt.study.estimate.problem import Problem, pose_problem, undo
+from odomcorrupt.study.estimate.problem import Problem, pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
 from odomcorrupt.study.estimate.regressors import truth_noise
 from odomcorrupt.study.estimate.truth_field import remainder_whitener, window_roots
 from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
-from odomcorrupt.study.io.headings import UNKNOWN_RAD, with_recomputed_headings
+from odomcorrupt.study.io.headings import UNKNOWN_RAD
 from odomcorrupt.study.validate.calibration import Horizon, ParameterUncertainty, horizon_of, uncertainty_of
 
 if TYPE_CHECKING:
@@ -144,8 +144,8 @@ def evaluate_stretch(
     own = np.log(white.factor[0]) + 0.5 * innovations**2 + 0.5 * np.log(2.0 * np.pi)
     # A random coefficient acts over the whole run: spread its contribution over all intervals.
     own += (white.log_det - band.log_det) / own.size
-    left = with_recomputed_headings(undo(recording, effects))
-    raw = pose_problem([recording], approach=approach).nodes if effects else nodes
+    left = problem.left[0]
+    raw = pose_problem([recording], approach=approach, before=problem).nodes
     return Evaluation(
         recording=recording,
         left=left,

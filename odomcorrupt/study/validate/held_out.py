@@ -23,6 +23,7 @@ from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.clock import Clock
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.stepwise import Learned
@@ -217,31 +219,35 @@ def _test(
 
 @dataclass(frozen=True, slots=True)
 class _Fold:
-    """Recordings with corrected clocks to fit on (empty: keep the fit to all data), and recordings to evaluate on."""
+    """Recordings with corrected clocks to evaluate on, and others to fit on, as the problem of the whole model.
 
-    train: tuple[Recording, ...]
+    train : None to keep the fit to all data
+    """
+
+    train: Problem | None
     test: tuple[Recording, ...]
 
     def judged(self, fitted: Fit, parts: Sequence[Effect]) -> list[Evaluation]:
         """Return the evaluations on this fold of the model without some parts."""
-        if self.train:
+        if self.train is not None:
             own = fit(
-                self.train,
+                self.train.recordings,
                 _others(fitted.effects, parts),
                 approach=fitted.problem.approach,
                 start=fitted.noise.free,
                 random=_others(fitted.random, parts),
                 nearly=True,
+                known=self.train,
             )
         else:
             own = _without(fitted, parts) if parts else fitted
         model = model_of(own, own.random)
-        return [evaluate_stretch(r, model, fitted.problem.approach, refitted=bool(self.train)) for r in self.test]
+        return [evaluate_stretch(r, model, fitted.problem.approach, refitted=self.train is not None) for r in self.test]
 
 
 def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) -> list[_Fold]:
     if others:
-        return [_Fold((), tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True)))]
+        return [_Fold(None, tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True)))]
     problem = fitted.problem
     on_time = [aligned(r, c) for r, c in zip(problem.recordings, problem.clocks, strict=True)]
     split = split_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
@@ -250,7 +256,8 @@ def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) ->
         return []
     first = tuple(r for run in pieces for r in run.first)
     second = tuple(r for run in pieces for r in run.second)
-    return [_Fold(first, second), _Fold(second, first)]
+    halves = ((first, second), (second, first))
+    return [_Fold(pose_problem(own, fitted.effects, approach=problem.approach), other) for own, other in halves]
 
 
 def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequence[Evaluation]) -> HeldOut:
