@@ -19,8 +19,11 @@ from odomcorrupt.simulation import simulate
 from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.design.identifiability import is_untestable
 from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from laboratory.cases import Case
 
     from laser.drives import Seen
@@ -50,8 +53,8 @@ def ask(case: Case) -> dict[str, Any]:
         # nothing is named; the message lists the effects that are not testable
         return {"world": world_of(case), "refused": str(error)}
     matching_s = time.process_time() - begun
-    mocap = learn([mocap_recording(seen)])
-    laser = learn(recordings)
+    mocap = _learned([mocap_recording(seen)])
+    laser = _learned(recordings)
     answer = plain_answer(laser)
     row: dict[str, Any] = {
         "world": world_of(case),
@@ -78,8 +81,13 @@ def ask(case: Case) -> dict[str, Any]:
         "laser": ten_second_error([_in_the_map(recording, seen, recordings[0])], _robots(laser)),
     }
     known = [_with_exact_scale(one, seen.scale) for one in recordings]
-    row["error"]["exact_scale"] = ten_second_error([_in_the_map(recording, seen, known[0])], _robots(learn(known)))
+    row["error"]["exact_scale"] = ten_second_error([_in_the_map(recording, seen, known[0])], _robots(_learned(known)))
     return row
+
+
+def _learned(recordings: Sequence[Recording]) -> Learned:
+    """Return what a user gets: the result of the search without parts that fail on the halves of the drive."""
+    return drop_unsupported_parts(learn(recordings))[0]
 
 
 def _with_exact_scale(taught: Recording, scale: float) -> Recording:

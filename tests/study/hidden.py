@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +33,12 @@ def as_recording(run: SimulatedRun, name: str = "run", *, track: bool = True) ->
         int(run.odom_stamps_ns[0]),
         run.track_m if track else None,
     )
+
+
+def scanned(recording: Recording) -> Recording:
+    """Return a recording whose truth is a laser's: poses with covariances."""
+    each = np.tile(np.diag([1e-6, 1e-6, 1e-6]), (len(recording.truth), 1, 1))
+    return replace(recording, truth=replace(recording.truth, covariance=each))
 
 
 def ten_second_error(runs, effects=(), clock: Clock = Clock()) -> float:  # noqa: B008 - a frozen value

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden import as_recording
+from hidden import as_recording, scanned
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
@@ -57,6 +57,10 @@ def test_a_clock_is_dropped_if_it_gains_nothing_beside_play(run, late_s):
     assert (other is None) == bool(late_s)
     assert other is None or not np.any(other.free_clocks)
     assert without_clock(clocked, given={"backlash"}) is None
+
+
+def test_the_clock_of_a_laser_stays_beside_play(run):
+    assert without_clock(fitted(scanned(as_recording(run)), run.track_m, clocked=True), given=()) is None
 
 
 def with_lost_motion(run, lost_m, begin):

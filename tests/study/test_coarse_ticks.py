@@ -14,6 +14,7 @@ from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
+from odomcorrupt.study.io.recording import Recording
 
 TRACK_M = 0.35
 
@@ -174,3 +175,15 @@ def test_a_few_cruising_speeds_are_no_lattice_and_ticks_on_such_a_drive_are(tick
     found = effects_of(run).get("quantization")
     # without a track, a tick of the robot's travel is taken for that of one wheel of two
     assert (found is None) if tick_m is None else found.step == pytest.approx(2.0 * tick_m, rel=0.01)
+
+
+def test_one_cruising_speed_over_one_and_two_sampling_intervals_is_no_lattice_of_ticks():
+    """Breaks if increments that differ by their durations alone count as evidence for ticks."""
+    rng = np.random.default_rng(8)
+    dt_s = 0.01 * rng.choice([1, 2], 6000, p=[0.8, 0.2])
+    speed = np.full(6000, 0.2)
+    speed[::500] = 0.0
+    xyt = np.zeros((6001, 3))
+    xyt[1:, 0] = np.cumsum(speed * dt_s)
+    path = Trajectory(np.concatenate(([0], np.cumsum(np.round(dt_s * 1e9).astype(np.int64)))), xyt)
+    assert encoder_effects(Recording("exact", path, path, 0)) == []

@@ -85,27 +85,28 @@ def _tick(recording: Recording) -> float | None:
 
     With a known track, both wheels are tested. Otherwise the robot's travel is, which is half a tick per wheel tick.
     """
-    steps = increments(recording.odometry.xyt)
+    steps, dt_s = increments(recording.odometry.xyt), np.diff(recording.odometry_s)
     found = None
     if recording.track_m is not None:
         turn = steps.dtheta_rad * recording.track_m / 2.0
-        found = _lattice((steps.ds_m + turn, steps.ds_m - turn))
+        found = _lattice((steps.ds_m + turn, steps.ds_m - turn), dt_s)
     if found is None:
-        half = _lattice((steps.ds_m,))
+        half = _lattice((steps.ds_m,), dt_s)
         found = 2.0 * half if half is not None else None
     return found
 
 
-def _lattice(travels: Sequence[Array]) -> float | None:
-    """Return the largest step of which all travels (n,) are multiples and by which they change, or None."""
+def _lattice(travels: Sequence[Array], dt_s: Array) -> float | None:
+    """Return the largest step of which all travels (n,) in intervals dt_s are multiples, and change by, or None."""
     lattices = []
     for travel in travels:
-        moved = travel[np.abs(travel) > _STILL_M]
+        moves = np.abs(travel) > _STILL_M
+        moved = travel[moves]
         if len(moved) < 200:
             return None
         # A moving wheel moves by at least one tick; coarser steps fit small increments only by chance.
         possible = np.quantile(np.abs(moved), 0.05) > 0.5 * _STEPS_M
-        lattices.append(np.where(possible, _regularity(moved), 0.0))
+        lattices.append(np.where(possible, _regularity(moved, dt_s[moves]), 0.0))
     common = np.min(lattices, axis=0)
     on = np.flatnonzero(common > _MIN_REGULARITY)
     if not len(on):
@@ -115,29 +116,39 @@ def _lattice(travels: Sequence[Array]) -> float | None:
     near = on[_STEPS_M[on] > 0.9 * _STEPS_M[last]]
     step = float(_STEPS_M[near[np.argmax(common[near])]])
     # Constant speed also gives equal increments, but without changes by a tick.
-    changes = min(_change_fraction(travel, step) for travel in travels)
+    changes = min(_change_fraction(travel, dt_s, step) for travel in travels)
     return step if changes > _MIN_CHANGES else None
 
 
-def _change_fraction(travel: Array, step: float) -> float:
+def _change_fraction(travel: Array, dt_s: Array, step: float) -> float:
     """Return the fraction of moving increments (n,) that differ from their predecessor by at least half a step."""
     moving = (np.abs(travel[1:]) > _STILL_M) | (np.abs(travel[:-1]) > _STILL_M)
-    return float(np.mean(np.abs(np.diff(travel))[moving] > 0.5 * step))
+    return float(np.mean((_changes(travel, dt_s) > 0.5 * step)[moving]))
 
 
-def _regularity(travel: Array) -> Array:
+def _changes(travel: Array, dt_s: Array) -> Array:
+    """Return by how much each increment (n - 1,) differs from the one before: the lesser of in travel and in speed.
+
+    At one speed, the increments over one and two sampling intervals are multiples of each other without any ticks.
+    """
+    last, ratio = travel[:-1], dt_s[1:] / dt_s[:-1]
+    changes: Array = np.minimum(np.abs(travel[1:] - last), np.abs(travel[1:] - last * ratio))
+    return changes
+
+
+def _regularity(travel: Array, dt_s: Array) -> Array:
     """Return the mean cosine of travel (n,) for each step: 1 for exact multiples, about 0 for no relation.
 
     The increments at one cruising speed are equal, and no independent evidence. Those that differ from the increment
     before by half a step are; the result is the lesser mean, of these alone and of all, and 0 if these are few.
     """
-    before, after = travel[:-1], travel[1:]
+    after, change = travel[1:], _changes(travel, dt_s)
     rows = np.unique(np.linspace(0, len(after) - 1, min(len(after), _MOST)).astype(np.int64))
-    before, after = before[rows], after[rows]
+    after, change = after[rows], change[rows]
     found = np.zeros(len(_STEPS_M))
     for i, step in enumerate(_STEPS_M):
         phases = np.cos(2.0 * np.pi * after / step)
-        changed = np.abs(after - before) > 0.5 * step
+        changed = change > 0.5 * step
         if np.count_nonzero(changed) >= _FEW:
             found[i] = min(phases.mean(), phases[changed].mean())
     return found

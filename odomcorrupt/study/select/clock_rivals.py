@@ -91,12 +91,12 @@ def without_clock(fit: Fit, given: Container[str]) -> Fit | None:
     """Return a fit without clocks if they gain nothing beside a wheel effect that resembles them; else None.
 
     Clocks are estimated before all effects. Once the wheel effect is in the model, and its track has been refined, an
-    offset may be superfluous.
+    offset may be superfluous, except that of a laser, which has a clock of its own.
 
     given : names of effects that were in the model from the beginning
     """
     like = [e for e in fit.effects if e.name in CLOCK_LIKE_EFFECTS and e.name not in given]
-    if not like or not np.any(fit.free_clocks):
+    if not like or not np.any(fit.free_clocks) or any(r.matched for r in fit.problem.recordings):
         return None
     count = len(fit.free_clocks)
     other = fit.refit(clocks=(Clock(),) * count, free_clocks=((False, False),) * count)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden import as_recording
+from hidden import as_recording, scanned
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
@@ -84,14 +84,15 @@ def test_4_an_offset_is_estimated_without_the_bias_of_a_smoothed_derivative():
     assert np.mean(offsets) == pytest.approx(0.03, rel=0.03)
 
 
-def test_4_an_offset_that_rounded_or_late_stamps_hide_needs_no_evidence():
-    # breaks if the offset is left at zero and the slip or play that resembles it is named
+def test_4_an_offset_that_rounded_or_late_stamps_or_a_scanners_clock_hide_needs_no_evidence():
+    # breaks if the offset is left at zero and the slip, play or lag that resembles it is named
     run = as_recording(simulate(26, None, duration_s=120.0))
     stamps = run.odometry.stamps_ns + 700_000
     hidden = replace(run, odometry=Trajectory(stamps, run.odometry.xyt), origin_ns=int(stamps[0]))
     assert not find_clocks([hidden], choose_approach([hidden])).free[0][0]
-    for known in ({"stamp_error_s": 0.01 / np.sqrt(12.0)}, {"stamp_jitter_s": 0.004}):
-        clocks = find_clocks([replace(hidden, **known)], choose_approach([hidden]))
+    rounded, late = (replace(hidden, **known) for known in ({"stamp_error_s": 0.003}, {"stamp_jitter_s": 0.004}))
+    for known in (rounded, late, scanned(hidden)):
+        clocks = find_clocks([known], choose_approach([known]))
         assert clocks.free[0][0]
         assert clocks.clocks[0].offset_s == pytest.approx(0.0007, abs=3.0 * clocks.errors[0][0])
 
