@@ -43,7 +43,7 @@ def plain_answer(learned: Learned) -> dict[str, Any]:
         "unknown": [[u.regressor, u.channel, u.nats, u.expression] for u in learned.unknown],
         "laws": [[u.regressor, u.channel] for u in learned.laws],
         "found": values,
-        "nodes": len(learned.fit.problem.nodes),
+        "nodes": len(learned.fit.problem.intervals),
     }
 
 

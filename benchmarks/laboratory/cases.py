@@ -78,7 +78,7 @@ def same_class(name: str) -> str:
     """Return the common name of all effects with exactly the same f."""
     name = KNOWN_AS.get(name, name)
     kind = registry().get(name)
-    return (kind.twin_of if kind is not None else None) or name
+    return (kind.aliased_with if kind is not None else None) or name
 
 
 def cases(*, pilot: bool = False) -> list[Case]:

@@ -19,8 +19,8 @@ from laboratory.drives import noiseless_pair, quiet_run
 from odomcorrupt.effects import registry
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.intervals import intervals
-from odomcorrupt.study.estimate.nodes import GAP_S, pick_nodes
+from odomcorrupt.study.estimate.interval_ends import GAP_S, pick_interval_ends
+from odomcorrupt.study.estimate.intervals import intervals_between
 
 if TYPE_CHECKING:
     from laboratory.cases import Case
@@ -69,6 +69,6 @@ def expected_information(case: Case) -> dict[str, float | str | bool]:
 def _residual(recording: Recording, like: Recording, spacing_s: float) -> np.ndarray:
     """Return the residuals (K, 3) over the same truth samples as those of `like`."""
     odo_s, truth_s = like.odometry_s, like.truth.seconds_since(like.origin_ns)
-    picked = pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)
+    picked = pick_interval_ends(truth_s, odo_s[0], odo_s[-1], spacing_s)
     kept = np.flatnonzero(np.diff(truth_s[picked]) < GAP_S * spacing_s)
-    return intervals(replace(recording, origin_ns=like.origin_ns), picked, kept).residual.copy()
+    return intervals_between(replace(recording, origin_ns=like.origin_ns), picked, kept).residual.copy()

@@ -64,6 +64,7 @@ class Learned(Findings):
             fit=self._fit,
             robot=found.robot,
             reproduction=found.reproduction,
+            written=found.proof.model,
             notes=(*found.dropped, *found.proof.changes, *replace(self.recordings, runs=tuple(found.recordings)).notes),
             alerts=self.recordings.alerts,
             following=self.following,

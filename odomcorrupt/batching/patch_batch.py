@@ -80,7 +80,7 @@ class Portion:
         """Log time of the first target."""
         return int(min(target.time_ns[0] for target in self.targets))
 
-    def put_back(self, number: int, patched: NDArray[np.uint8]) -> Block:
+    def patched_block(self, number: int, patched: NDArray[np.uint8]) -> Block:
         """Return a block with the messages of a run's patched portion."""
         place = self.places[number]
         if place is not None:

@@ -54,8 +54,8 @@ class SharedTransform(Transform):
     taken : targets of the block that `blocks` yielded last
     """
 
-    def __init__(self, silent: MotionModel, options: Options) -> None:
-        super().__init__(silent, 0, 0, options)
+    def __init__(self, identity_model: MotionModel, options: Options) -> None:
+        super().__init__(identity_model, 0, 0, options)
         self.growth: list[Arrivals | None] = []
         self.taken: list[Target] = []
         self._reach = _Reach()

@@ -157,8 +157,8 @@ def _make(
     job = replace(task.job, directory=room)
     home = task.job.directory
     # which topic is the odometry may follow from the one that the model was learned from
-    silent = replace(_STILL, source=job.model.source)
-    shared = SharedTransform(silent, job.options)
+    identity_model = replace(_STILL, source=job.model.source)
+    shared = SharedTransform(identity_model, job.options)
     shared.odometry.prepare(output.reader, output.reader.name)
     sink, drive = _sinks(job, output, workers), _drive(job)
     systematic = None if job.spreads else SystematicEffects(job.model)
@@ -166,7 +166,7 @@ def _make(
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
-        every.append(_Run(RunState(silent, job.seed, 0, job.options, [clean]), clean, patches=False))
+        every.append(_Run(RunState(identity_model, job.seed, 0, job.options, [clean]), clean, patches=False))
     for one in every:
         if one.sink is not None:
             stack.enter_context(one.sink)
@@ -264,8 +264,8 @@ def _put_beside(job: Job, home: Path, one: _Run) -> None:
 
 def _is_copy(job: Job, model: MotionModel) -> bool:
     """Whether a run changes nothing, so that the file is copied."""
-    silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
-    return silent and job.output == "full"
+    is_identity = model.noise.coefficients.noise_free and not any(acts(effect) for effect in model.effects)
+    return is_identity and job.output == "full"
 
 
 def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]:

@@ -248,7 +248,7 @@ class FullSink(BagSink):
     def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
         """Write the blocks; the next run patches the same ones."""
         for number in range(len(portion.blocks)):
-            block = portion.put_back(number, data)
+            block = portion.patched_block(number, data)
             if added is not None:
                 block = replace(block, added=block.added + added[number])
             self._writer.write(block)

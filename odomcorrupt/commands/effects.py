@@ -69,8 +69,8 @@ def _brief_page(kind: type[Effect]) -> Summary:
     own = parameters(kind)
     lines += [Line(p.name, f"{p.meaning}; typically {p.typical:g} {p.unit}".rstrip()) for p in own]
     lines += [Line(word, " or ".join(options)) for word, options in choices(kind).items()]
-    if kind.twin_of is not None:
-        lines.append(Line("twin", f"{kind.twin_of}: no recording of poses tells them apart"))
+    if kind.aliased_with is not None:
+        lines.append(Line("twin", f"{kind.aliased_with}: no recording of poses tells them apart"))
     if kind.about is not None:
         lines += [Line("adds", kind.about.equation), Line("source", kind.about.source)]
     return Summary((*lines, command_line(_example(kind))))
@@ -103,7 +103,7 @@ def _facts(kind: type[Effect]) -> dict[str, Any]:
         "typical": about.typical if about else None,
         "source": about.source if about else None,
         "confused_with": list(about.confused_with) if about else [],
-        "twin_of": kind.twin_of,
+        "twin_of": kind.aliased_with,
         "drive": about.drive if about else None,
         "drive_types": sorted(kind.drives) if kind.drives is not None else None,
         "needs_gyro": kind.needs_gyro,
@@ -132,8 +132,8 @@ def _page(kind: type[Effect]) -> str:
     if kind.about is not None:
         lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
         lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
-    if kind.twin_of is not None:
-        lines.append(f"twin           {kind.twin_of}: the same motion; no recording of poses can separate them")
+    if kind.aliased_with is not None:
+        lines.append(f"twin           {kind.aliased_with}: the same motion; no recording of poses can separate them")
     return "\n".join([*lines, "", _example(kind)])
 
 

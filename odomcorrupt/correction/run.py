@@ -253,8 +253,10 @@ def correct_bag(
     """
     effects = split_effects(model)
     if not (effects.undone or model.setup.pose_corrections):
-        silent = replace(NOISE_FREE, source=model.source)
-        copied = corrupt_bag(source, target, silent, seed=0, run=0, options=options, container=container, watch=watch)
+        identity_model = replace(NOISE_FREE, source=model.source)
+        copied = corrupt_bag(
+            source, target, identity_model, seed=0, run=0, options=options, container=container, watch=watch
+        )
         return Corrected(model=model, effects=effects, unplaced=(), run=copied)
     path = CorrectedPath(_measured(source, model, options, container).corrected(model, start_xyt))
     clocks = tuple(effect for effect in effects.undone if effect.clock)

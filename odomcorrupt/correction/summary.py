@@ -137,7 +137,7 @@ def _shift(corrected: Corrected) -> str:
 
 
 def _remains(corrected: Corrected) -> list[str]:
-    if corrected.model.noise.coefficients.silent or not corrected.effects.undone:
+    if corrected.model.noise.coefficients.noise_free or not corrected.effects.undone:
         return []
     drift = corrected.run.drift
     remains = f"What remains is noise: {size_words(drift.end_expected_m, drift.end_expected_rad)} expected at the end"
@@ -150,7 +150,7 @@ def _misplaced(corrected: Corrected) -> list[str]:
     """Return a warning if the position error is too large for effects that depend on the position."""
     names = ", ".join(effect.name for effect in corrected.effects.undone if effect.reads_places)
     off_m = corrected.run.drift.end_expected_m
-    if not names or corrected.model.noise.coefficients.silent or not off_m > _NEAR_M:
+    if not names or corrected.model.noise.coefficients.noise_free or not off_m > _NEAR_M:
         return []
     where = f"{names}: depends on the position, which by the end is uncertain by {off_m:.3g} m or more (1 sigma)"
     return [f"{where}, so that it may have been taken out in the wrong place. `compare` uses the true position."]

@@ -17,7 +17,7 @@ from odomcorrupt.effects.random_state import autoregression
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.effects.effect import Effect, Gain
+    from odomcorrupt.effects.effect import Effect, RandomCoefficient
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.noise_laws import Variances
 
@@ -66,12 +66,12 @@ class RandomEffectCovariance:
         """Begin a new path; the random coefficients keep their values."""
         self._memories = [_Memory(memory.variance, np.zeros(5)) for memory in self._memories]
 
-    def grow(self, gains: tuple[Gain, ...], dt_s: Array, middle_xy: Array, travel_rad: Array) -> Grown:
+    def grow(self, gains: tuple[RandomCoefficient, ...], dt_s: Array, middle_xy: Array, travel_rad: Array) -> Grown:
         """Return the covariance terms of n intervals.
 
         Parameters
         ----------
-        gains : tuple of Gain
+        gains : tuple of RandomCoefficient
             Random coefficients; the same, in the same order, at every call.
         dt_s : (n,)
             Lengths of the intervals, seconds.

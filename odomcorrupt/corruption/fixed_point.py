@@ -209,7 +209,7 @@ def _by_newton(equations: _Equations, f: Array, open_: NDArray[np.bool_]) -> NDA
         live, here = (equations.of(rows), f[rows]) if alone else (equations, f)
         own = slice(None) if alone else rows
         miss = (live.error_at(here)[0] - here)[own]
-        settled = np.abs(miss * equations.dt_s[rows]).max(axis=1) <= TOLERANCE
+        converged = np.abs(miss * equations.dt_s[rows]).max(axis=1) <= TOLERANCE
         slope = np.empty((len(rows), 3, 3))
         for i in range(3):
             nudge = np.zeros(3)
@@ -218,10 +218,10 @@ def _by_newton(equations: _Equations, f: Array, open_: NDArray[np.bool_]) -> NDA
         slope += np.eye(3)  # of the true motion by the odometry's
         usable: NDArray[np.bool_] = np.all(np.isfinite(np.column_stack((slope.reshape(-1, 9), miss))), axis=1)
         usable[usable] = np.abs(np.linalg.det(slope[usable])) > 0.0
-        done: NDArray[np.bool_] = settled & usable
+        done: NDArray[np.bool_] = converged & usable
         done[done] = (np.linalg.eigvals(slope[done]).real > 0.0).all(axis=1)
         unsolved[rows[done]] = False
-        going = usable & ~settled
+        going = usable & ~converged
         rows, miss, slope = rows[going], miss[going], slope[going]
         if not len(rows):
             break

@@ -21,7 +21,7 @@ from odomcorrupt.geometry.motion import accelerations
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
-    from odomcorrupt.effects.effect import Effect, Gain, State
+    from odomcorrupt.effects.effect import Effect, RandomCoefficient, State
     from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.motion import Accelerations, SpeedMemory
     from odomcorrupt.geometry.se2 import Array
@@ -156,7 +156,7 @@ class EffectInverse:
         self.slowed = Slowed()
         drawn = self._noise + self._recording
         self.random = tuple(effect for effect, _ in drawn if has_random_part(effect, model.track_m))
-        self.gains: tuple[Gain, ...] = ()
+        self.gains: tuple[RandomCoefficient, ...] = ()
         self._state = self._systematic.start
 
     def restart(self) -> None:

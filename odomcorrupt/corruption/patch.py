@@ -191,12 +191,12 @@ class Patcher:
         self.changes = Changes()
         self._clocks = tuple(e for e in model.effects if e.clock and acts(e))
         self._steps = model.setup.pose_corrections
-        self._moves = not model.noise.coefficients.silent or any(acts(e) for e in model.effects if not e.clock)
+        self._moves = not model.noise.coefficients.noise_free or any(acts(e) for e in model.effects if not e.clock)
         self._moves |= self._steps
         self._restores = any(e.restorable for e in model.effects)
         self._twist = not keep_twist
         drawn = any(has_random_part(e, model.track_m) for e in model.effects)
-        self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.silent)
+        self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.noise_free)
         self._twists: dict[str, TopicTwist] = {}
 
     @np.errstate(over="ignore", invalid="ignore")  # NaN and infinite poses stay as they are

@@ -234,9 +234,9 @@ def corrupt_bag(
         If an effect is too strong for this drive.
     """
     transform = Transform(model, seed, run, options, path=path)
-    silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
+    is_identity = model.noise.coefficients.noise_free and not any(acts(effect) for effect in model.effects)
     adds = options.keep_truth is not None or options.new_odom_frame is not None
-    tape = TeeReader() if source is None and silent and not adds and container.as_it_was else None
+    tape = TeeReader() if source is None and is_identity and not adds and container.as_it_was else None
     threads = default_threads(source) if container.threads is None else container.threads
     with (
         Workers(threads) as workers,
@@ -254,7 +254,7 @@ def corrupt_bag(
             workers=workers,
             form=output.form,
         )
-        if silent and not adds and container.as_it_was and reader is raw and may_stay(source, reader, output.form):
+        if is_identity and not adds and container.as_it_was and reader is raw and may_stay(source, reader, output.form):
             blocks = transform.blocks(reader, reader.name)
             write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
         else:
@@ -265,7 +265,7 @@ def corrupt_bag(
                     writer.write(block)
                     watch(block)
                 transform.require_frame()
-                if not silent:
+                if not is_identity:
                     writer.provenance("odomcorrupt", provenance(model, seed=seed, run=run) | dict(metadata or {}))
         return outcome_of(transform, reader, model, seed=seed, run=run)
 

@@ -49,12 +49,12 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     target : the output; "-" is a pipe
     remarks : further warnings, such as that the input was corrupted before
     """
-    drift, silent = outcome.drift, _is_silent(outcome.model)
-    if silent:
+    drift, is_identity = outcome.drift, _is_identity(outcome.model)
+    if is_identity:
         lines = [Line("UNCHANGED", "the model has nothing in it that moves odometry", "warning")]
     else:
         said = f"{size_words(drift.end_drawn_m, drift.end_drawn_rad)} off after {drift.distance_m:.4g} m"
-        if not outcome.model.noise.coefficients.silent:
+        if not outcome.model.noise.coefficients.noise_free:
             said += f" (noise: {_expected(drift.end_expected_m, drift.end_expected_rad)})"
         lines = [Line("MOVED", said, "good")]
         lines.append(Line("model", model_brief(outcome.model, origin.partition(":")[0])))
@@ -70,11 +70,11 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     )
     odd = [sentence for sentence in oddities(outcome) if not sentence.startswith("Lost: ")]
     true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
-    if true and not silent:
+    if true and not is_identity:
         lines.append(Line("true", f"{', '.join(true)}: these still hold the true motion", "warning"))
     lines += [Line("note", remark, "warning") for remark in remarks if remark]
     lines += [Line("odd", sentence, "warning") for sentence in odd]
-    if not silent and per_message(outcome.model.noise):
+    if not is_identity and per_message(outcome.model.noise):
         lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
     return Summary((*lines, *following))
@@ -116,17 +116,17 @@ def _counted(outcome: Outcome) -> str:
 
 def summary(outcome: Outcome, origin: str) -> str:
     """Return one paragraph: changed topics, model, drift, and topics that are not changed."""
-    silent = _is_silent(outcome.model)
+    is_identity = _is_identity(outcome.model)
     said = f"{moved_words(outcome)}, driven by {outcome.odometry}{topic_words(outcome)} ({travel_words(outcome)})"
     parts = [
-        f"{'Nothing to change' if silent else 'Moved'}: {said}.",
+        f"{'Nothing to change' if is_identity else 'Moved'}: {said}.",
         f"{model_words(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
     ]
-    if not silent:
-        parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.silent), *_rate(outcome)]
+    if not is_identity:
+        parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.noise_free), *_rate(outcome)]
     parts += [*_faster(outcome.drift), *oddities(outcome)]
     true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
-    if true and not silent:
+    if true and not is_identity:
         parts.append(f"Unchanged, so that a filter which reads them still gets the true motion: {', '.join(true)}.")
     return " ".join(parts)
 
@@ -136,8 +136,8 @@ def travel_words(outcome: Outcome) -> str:
     return f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
 
 
-def _is_silent(model: MotionModel) -> bool:
-    return model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
+def _is_identity(model: MotionModel) -> bool:
+    return model.noise.coefficients.noise_free and not any(acts(effect) for effect in model.effects)
 
 
 def moved_words(outcome: Outcome) -> str:
@@ -161,7 +161,7 @@ def model_words(model: MotionModel, origin: str) -> str:
     noise = model.noise
     values = [(f.name, getattr(noise.coefficients, f.name)) for f in dataclasses.fields(noise.coefficients)]
     numbers = " ".join(f"{name} {value:.4g}" for name, value in values if value or name in noise.law.alphas)
-    words = "No noise" if noise.coefficients.silent else f"Law {noise.law_name}, {numbers}"
+    words = "No noise" if noise.coefficients.noise_free else f"Law {noise.law_name}, {numbers}"
     if noise.step is not None:
         words += f", once per {noise.step}"
     if origin:
@@ -260,7 +260,7 @@ def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) ->
         One sentence, or none.
     """
     law = model.noise.law
-    if law.along_travel and not model.noise.coefficients.silent and sideways_m < STRAIGHT * distance_m:
+    if law.along_travel and not model.noise.coefficients.noise_free and sideways_m < STRAIGHT * distance_m:
         return [f"The law {law.name} is for robots that move sideways, and this one does not; leave --law out."]
     if law.along_travel or sideways_m <= SIDEWAYS * distance_m:
         return []

@@ -14,7 +14,7 @@ class BatterySag(Effect):
 
     name = "battery_sag"
     summary = "commanded speeds are reached less and less, as the battery's voltage falls"
-    twin_of = "scale_drift"
+    aliased_with = "scale_drift"
     about = About(
         equation="f = rate t (v, vy, omega), rate < 0, of the velocities that were commanded",
         typical="10 to 25 % from a full battery to an empty one: 5e-5 to 4e-4 per second (an estimate)",

@@ -30,10 +30,10 @@ __all__ = [
     "ByRows",
     "Drawn",
     "Effect",
-    "Gain",
     "Moments",
     "Motion",
     "Parameter",
+    "RandomCoefficient",
     "Recorded",
     "TwistError",
     "amplitudes",
@@ -91,7 +91,7 @@ class Moments(NamedTuple):
     variance: Array
 
 
-class Gain(NamedTuple):
+class RandomCoefficient(NamedTuple):
     """Random coefficient (first-order autoregressive), and the odometry error per unit of it.
 
     At each interval it is multiplied by `keep`, and noise of variance `kick` is added.
@@ -143,7 +143,7 @@ class Effect:
     rectifies : f depends on accelerations, and not linearly, so that the effects of their noise do not cancel
     reads_places : f depends on position or heading in the world frame, which may differ from the odometry's
     odd : near the identity f is exactly odd in the amplitudes, so that one evaluation gives its slope there
-    twin_of : name of an effect with the same f (an alias: no recording can separate the two)
+    aliased_with : name of an effect with the same f (an alias: no recording can separate the two)
     unsteered : for a steered robot's effect, the differential-drive effect that equals it at small steering angles
     in_place_of : name of the clock effect with the same f to first order, in whose place alone a study tests it
     """
@@ -164,7 +164,7 @@ class Effect:
     rectifies: ClassVar[bool] = False
     reads_places: ClassVar[bool] = False
     odd: ClassVar[bool] = False
-    twin_of: ClassVar[str | None] = None
+    aliased_with: ClassVar[str | None] = None
     unsteered: ClassVar[str | None] = None
     in_place_of: ClassVar[str | None] = None
 
@@ -256,7 +256,7 @@ class Effect:
         """Return expectation and variance of f on a true motion; None for an effect that draws nothing."""
         return None
 
-    def gains(self, motion: Motion) -> tuple[Gain, ...]:  # noqa: ARG002 - for effects that draw
+    def gains(self, motion: Motion) -> tuple[RandomCoefficient, ...]:  # noqa: ARG002 - for effects that draw
         """Return the random coefficients on a true motion, mutually independent; none if they are not stated.
 
         For covariances: to first order, the odometry error is the sum of the coefficients' deviations times `f`.

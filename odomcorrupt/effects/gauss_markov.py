@@ -11,9 +11,9 @@ from odomcorrupt.effects.effect import (
     About,
     ByRows,
     Effect,
-    Gain,
     Moments,
     Motion,
+    RandomCoefficient,
     State,
     TwistError,
     choice,
@@ -82,11 +82,11 @@ class GaussMarkov(Effect):
         """Return the stationary variance of the gain times the speed squared."""
         return Moments(np.zeros((len(motion), 3)), self._on_channel((self.sigma * self._speed(motion)) ** 2))
 
-    def gains(self, motion: Motion) -> tuple[Gain, ...]:
+    def gains(self, motion: Motion) -> tuple[RandomCoefficient, ...]:
         """Return the gain: it decays with tau, driven by noise that keeps its variance constant."""
         keep = np.exp(-motion.dt_s / self.tau)
         variance = self.sigma**2
-        return (Gain(self._on_channel(self._speed(motion)), keep, variance * (1.0 - keep**2), variance),)
+        return (RandomCoefficient(self._on_channel(self._speed(motion)), keep, variance * (1.0 - keep**2), variance),)
 
     def _speed(self, motion: Motion) -> Array:
         return motion.omega if self.channel == "yaw" else motion.v

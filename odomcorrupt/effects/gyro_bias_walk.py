@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Gain, Moments, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Moments,
+    Motion,
+    RandomCoefficient,
+    State,
+    TwistError,
+    parameter,
+    stacked,
+)
 from odomcorrupt.effects.random_state import autoregression, copied
 
 if TYPE_CHECKING:
@@ -71,10 +81,10 @@ class GyroBiasWalk(Effect):
         variance = nothing + self._spread**2 if self.tau else self.density**2 * np.cumsum(motion.dt_s)
         return Moments(np.zeros((len(motion), 3)), stacked(nothing, nothing, variance, nothing))
 
-    def gains(self, motion: Motion) -> tuple[Gain, ...]:
+    def gains(self, motion: Motion) -> tuple[RandomCoefficient, ...]:
         """Return the bias as an autoregressive coefficient."""
         one = np.ones_like(motion.v)
-        return (Gain(stacked(0.0, 0.0, -one, one), *self.kept(motion.dt_s), self._spread**2),)
+        return (RandomCoefficient(stacked(0.0, 0.0, -one, one), *self.kept(motion.dt_s), self._spread**2),)
 
     @property
     def _spread(self) -> float:

@@ -11,9 +11,9 @@ from scipy.special import ndtr
 from odomcorrupt.effects.effect import (
     About,
     Effect,
-    Gain,
     Moments,
     Motion,
+    RandomCoefficient,
     Recorded,
     State,
     TwistError,
@@ -80,11 +80,11 @@ class GyroDeadBand(Effect):
         turn = stacked(0.0, 0.0, motion.omega, motion.v)
         return Moments(p[:, None] * turn, (p * (1.0 - p))[:, None] * turn**2)
 
-    def gains(self, motion: Motion) -> tuple[Gain, ...]:
+    def gains(self, motion: Motion) -> tuple[RandomCoefficient, ...]:
         """Return one independent coefficient per increment; the mean loss is not included."""
         p = self._lost(motion)
         turn = stacked(0.0, 0.0, motion.omega, motion.v)
-        return (Gain(turn * np.sqrt(p * (1.0 - p))[:, None], np.zeros_like(p), np.ones_like(p), 0.0),)
+        return (RandomCoefficient(turn * np.sqrt(p * (1.0 - p))[:, None], np.zeros_like(p), np.ones_like(p), 0.0),)
 
     def _lost(self, motion: Motion) -> Array:
         """Return the probability (n,) that a turn is lost."""

@@ -14,7 +14,7 @@ class GyroScale(Effect):
     name = "gyro_scale"
     summary = "the yaw rate has a wrong gain"
     needs_gyro = True
-    twin_of = "wheelbase"
+    aliased_with = "wheelbase"
     about = About(
         equation="f_yaw = -e / (1 + e) omega",
         typical="0.1 to 3 % for an uncalibrated MEMS gyro",

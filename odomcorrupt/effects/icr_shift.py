@@ -15,7 +15,7 @@ class IcrShift(Effect):
     name = "icr_shift"
     summary = "the robot turns about a point ahead of or behind its base frame"
     drives = PIVOTING
-    twin_of = "lever_arm"
+    aliased_with = "lever_arm"
     about = About(
         equation="f_across = x omega",
         typical="a few centimetres on skid-steered and tracked robots",

@@ -10,9 +10,9 @@ import numpy as np
 from odomcorrupt.effects.effect import (
     About,
     Effect,
-    Gain,
     Moments,
     Motion,
+    RandomCoefficient,
     Recorded,
     State,
     TwistError,
@@ -124,10 +124,10 @@ class LostIncrements(Effect):
         twist = self._twist(motion)
         return Moments(self.fraction * twist, self.fraction * (1.0 - self.fraction) * twist**2)
 
-    def gains(self, motion: Motion) -> tuple[Gain, ...]:
+    def gains(self, motion: Motion) -> tuple[RandomCoefficient, ...]:
         """Return one independent coefficient per increment; the mean loss is not included."""
         variance = self.fraction * (1.0 - self.fraction)
-        return (Gain(self._twist(motion), np.zeros_like(motion.v), np.full_like(motion.v, variance), 0.0),)
+        return (RandomCoefficient(self._twist(motion), np.zeros_like(motion.v), np.full_like(motion.v, variance), 0.0),)
 
     def _twist(self, motion: Motion) -> Array:
         """Return the part (n, 3) of the twist that a loss takes away."""

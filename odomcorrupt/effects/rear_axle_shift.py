@@ -18,7 +18,7 @@ class RearAxleShift(Effect):
     name = "rear_axle_shift"
     summary = "a car's or tricycle's odometry is not that of a point on its rear axle"
     drives = STEERED
-    twin_of = "lever_arm"
+    aliased_with = "lever_arm"
     about = About(
         equation="f_across = x omega",
         typical="a part of the distance between the axles: a base frame at the centre of mass or at the front axle",

@@ -11,9 +11,9 @@ from odomcorrupt.effects.effect import (
     About,
     ByRows,
     Effect,
-    Gain,
     Moments,
     Motion,
+    RandomCoefficient,
     State,
     TwistError,
     choice,
@@ -150,7 +150,7 @@ class SlipBurst(Effect):
         mean = on[:, None] * self.slip * np.mean(sides, axis=0)
         return Moments(mean, on[:, None] * square * np.mean(np.square(sides), axis=0) - mean**2)
 
-    def gains(self, motion: Motion) -> tuple[Gain, ...]:
+    def gains(self, motion: Motion) -> tuple[RandomCoefficient, ...]:
         """Return the common and the differential error of the wheels as autoregressive coefficients.
 
         A wheel that loses the fraction s of its travel reports 1 / (1 - s) of the true travel, s uniformly distributed.
@@ -172,5 +172,5 @@ class SlipBurst(Effect):
         return _stationary(both, keep, alike), _stationary(right - left, keep, square / 6.0)
 
 
-def _stationary(f: Array, keep: Array, variance: float) -> Gain:
-    return Gain(f, keep, variance * (1.0 - keep**2), variance)
+def _stationary(f: Array, keep: Array, variance: float) -> RandomCoefficient:
+    return RandomCoefficient(f, keep, variance * (1.0 - keep**2), variance)

@@ -96,7 +96,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
         mount = np.array([*by_tf.position_xy, np.arctan2(by_tf.plane[1, 0], by_tf.plane[0, 0])])
     known = mount if by_tf is not None else None
     motion = Motion(odometry, origin_ns, 0.0, mount)
-    pairs, mirrored = _sense(sweeps, motion, flipped=flipped, sure=by_tf is not None)
+    pairs, mirrored = _sense(sweeps, motion, flipped=flipped, certain=by_tf is not None)
     said = []
     if mirrored and not flipped:
         said.append(f"{sweeps.topic}: turns against the odometry: it hangs upside down; mirrored")
@@ -137,18 +137,18 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     return Calibration(sweeps, motion, mirrored, tuple(said), turn_s, against_tf_rad)
 
 
-def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tuple[_Pairs, bool]:
+def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, certain: bool) -> tuple[_Pairs, bool]:
     """Return matched pairs, and whether bearings have to be mirrored so that sweeps turn like the odometry."""
     best: tuple[float, _Pairs, bool] | None = None
     for mirrored in (flipped, not flipped):
-        pairs = _matched(sweeps, motion, mirrored=mirrored, free=not sure)
+        pairs = _matched(sweeps, motion, mirrored=mirrored, free=not certain)
         if len(pairs.pose) < _LEAST_PAIRS:
             continue
         turned = _turned(pairs, replace(motion, lag_s=_lag(pairs, motion)))
         rms = float(np.median(np.abs(wrap(pairs.pose[:, 2] - turned)))) + 1e-3
         if best is None or rms < 0.5 * best[0]:
             best = (rms, pairs, mirrored)
-        if sure and rms < 0.3 * (float(np.median(np.abs(turned))) + 0.05):
+        if certain and rms < 0.3 * (float(np.median(np.abs(turned))) + 0.05):
             break
     if best is None:
         raise RecordingError(

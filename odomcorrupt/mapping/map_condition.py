@@ -108,7 +108,7 @@ class MapCondition(Constraint):
 
         drive : odometry, required to draw whole paths; None if unknown
         """
-        if without_effects(model).noise.coefficients.silent:
+        if without_effects(model).noise.coefficients.noise_free:
             return None
         if drive is None:
             return FreePath(model, self, seed, run)

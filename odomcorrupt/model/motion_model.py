@@ -163,6 +163,6 @@ class MotionModel:
         return replace(self, effects=tuple(effect for effect in self.effects if effect not in self.placed))
 
     @property
-    def silent(self) -> bool:
+    def is_identity(self) -> bool:
         """Whether the model changes nothing."""
-        return self.noise.coefficients.silent and not self.effects
+        return self.noise.coefficients.noise_free and not self.effects

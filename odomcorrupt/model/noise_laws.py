@@ -60,7 +60,7 @@ class Coefficients:
                 raise ModelError(f"coefficient {name}: {value}; it must be a number from zero to {_MAX_COEFFICIENT:g}")
 
     @property
-    def silent(self) -> bool:
+    def noise_free(self) -> bool:
         """Whether all coefficients are zero."""
         return not any(getattr(self, name) for name in self.__slots__)
 

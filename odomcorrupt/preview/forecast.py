@@ -101,8 +101,10 @@ def read_clean_drive(
     TopicError
         If there is no odometry source.
     """
-    silent = replace(model, noise=replace(model.noise, coefficients=Coefficients(0.0, 0.0, 0.0, 0.0)), effects=())
-    transform, stretches = Transform(silent, 0, 0, options), _Stretches()
+    identity_model = replace(
+        model, noise=replace(model.noise, coefficients=Coefficients(0.0, 0.0, 0.0, 0.0)), effects=()
+    )
+    transform, stretches = Transform(identity_model, 0, 0, options), _Stretches()
     transform.watchers.append(stretches)
     for block in transform.blocks(reader, reader.name):
         watch(block)
@@ -195,7 +197,7 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, followi
     lines += [Line("odd", one, "warning") for one in holonomic_words(model, outlook.sideways_m, outlook.distance_m)]
     lines.append(Line("runs", f"{outlook.runs} of seed {seed}, over {outlook.name}"))
     lines.append(Line("model", model_brief(model, origin.partition(":")[0])))
-    if not per_message(model.noise) and not model.noise.coefficients.silent:
+    if not per_message(model.noise) and not model.noise.coefficients.noise_free:
         lines.append(Line("rate", "the noise does not depend on the message rate"))
     return Summary((*lines, command_line(following)))
 
@@ -226,7 +228,7 @@ def _systematic(model: MotionModel) -> bool:
 
 
 def _rate(outlook: Forecast, model: MotionModel) -> list[str]:
-    if model.noise.coefficients.silent:
+    if model.noise.coefficients.noise_free:
         return []
     grown = f"travel would be {outlook.half_rate_position:.3g} and heading {outlook.half_rate_heading:.3g} times"
     if per_message(model.noise):

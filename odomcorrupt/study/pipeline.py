@@ -21,7 +21,7 @@ from odomcorrupt.study.validate.compare import Comparison, clocks_beside, compar
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 from odomcorrupt.study.validate.predictive_check import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
-from odomcorrupt.study.work import Watch, Work, silent
+from odomcorrupt.study.work import Watch, Work, no_progress
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,7 +66,7 @@ class LearnedRobot:
 
 
 def learn_robot(
-    recordings: Sequence[Recording], held_out: Sequence[Recording] = (), *, watch: Watch = silent
+    recordings: Sequence[Recording], held_out: Sequence[Recording] = (), *, watch: Watch = no_progress
 ) -> LearnedRobot:
     """Return the model supported by recordings of one robot, with its evaluation on held-out data.
 
@@ -167,7 +167,7 @@ class DiagnosedModel:
 
 
 def diagnose_model(
-    recordings: Sequence[Recording], model: MotionModel | None = None, *, name: str = "", watch: Watch = silent
+    recordings: Sequence[Recording], model: MotionModel | None = None, *, name: str = "", watch: Watch = no_progress
 ) -> DiagnosedModel:
     """Return the errors in recordings that a model does not explain; None is a model of noise only.
 

@@ -10,7 +10,7 @@ _MORE_STEPS = 2.0
 """Number of selection steps expected after the current one, however many have been made."""
 
 
-def silent(_stage: str, _share: float) -> None:
+def no_progress(_stage: str, _share: float) -> None:
     """Report no progress."""
 
 
@@ -23,7 +23,7 @@ class Work:
     following : expected work after the selection
     """
 
-    def __init__(self, watch: Watch = silent, following: float = 0.0) -> None:
+    def __init__(self, watch: Watch = no_progress, following: float = 0.0) -> None:
         self._watch, self._following = watch, following
         self._done = self._under_way = self._share = 0.0
         self._steps = 0

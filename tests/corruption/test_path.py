@@ -254,7 +254,7 @@ def test_white_noise_on_twists_is_the_rob521_projects():
     n = 101
     poses = np.column_stack((np.linspace(0.0, 5.0, n), np.zeros(n), np.zeros(n)))
     k = Coefficients(0, 0, 0, 0, white_v=0.2, white_omega=0.04)
-    assert not k.silent
+    assert not k.noise_free
     for drive in (poses, poses * 0.0):
         errors = last_errors(model(coefficients=k), (stamps(n, 10.0), drive), 1500)
         assert errors[:, 2].std() == pytest.approx(0.04 * 0.1 * math.sqrt(100), rel=0.06)

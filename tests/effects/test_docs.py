@@ -40,5 +40,5 @@ def test_every_word_of_the_language_is_documented():
 
 def test_shapes_and_aliases_are_documented():
     for name, kind in registry().items():
-        if kind.twin_of:
-            assert re.search(rf"`{name}` of `{kind.twin_of}`", PAGE)
+        if kind.aliased_with:
+            assert re.search(rf"`{name}` of `{kind.aliased_with}`", PAGE)

@@ -24,9 +24,9 @@ def varied():
     return motion(0.5 + 0.4 * np.sin(wave), np.cos(2.0 * wave), seconds=n / 50.0, track=0.4)
 
 
-@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.twin_of])
+@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.aliased_with])
 def test_twins_have_the_same_regressor(name):
-    kind, twin = KINDS[name], KINDS[KINDS[name].twin_of]
+    kind, twin = KINDS[name], KINDS[KINDS[name].aliased_with]
     p = amplitudes(kind)[0]
     ours = error_of(kind(**{p.name: p.typical}), varied())
     theirs = error_of(twin(**{p.name: p.typical}), varied())
@@ -39,7 +39,7 @@ def test_no_other_two_effects_of_a_drive_type_have_the_same_regressor(drive_type
     drive = varied()
     columns = {}
     for name, kind in KINDS.items():
-        if kind.kind in ("noise", "event") or kind.twin_of or drive_type not in (kind.drives or DRIVE_TYPES):
+        if kind.kind in ("noise", "event") or kind.aliased_with or drive_type not in (kind.drives or DRIVE_TYPES):
             continue
         for p in amplitudes(kind):
             f = error_of(kind(**{p.name: p.typical}), drive).ravel()

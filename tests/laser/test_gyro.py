@@ -114,12 +114,12 @@ def test_slips_of_wheels_are_not_named_where_a_gyro_alone_is_the_truth(tmp_path)
     simulated = drive(31, duration_s=90.0, yaw_from="encoders")
     runs = list(read_runs(Source(bag(tmp_path / "run.mcap", simulated))))
     fitted = fit(runs, approach=choose_approach(runs))
-    nodes = fitted.problem.nodes
-    odd = np.where(np.arange(len(nodes)) % 7 == 3, 9.0, 1.0)
-    residual = nodes.residual + (odd > 1.0)[:, None] * np.array([1e-4, 0.0, 0.05])
+    intervals = fitted.problem.intervals
+    odd = np.where(np.arange(len(intervals)) % 7 == 3, 9.0, 1.0)
+    residual = intervals.residual + (odd > 1.0)[:, None] * np.array([1e-4, 0.0, 0.05])
     jumped = replace(
         fitted,
-        problem=replace(fitted.problem, nodes=replace(nodes, residual=residual)),
+        problem=replace(fitted.problem, intervals=replace(intervals, residual=residual)),
         noise=replace(fitted.noise, weights=odd),
     )
     assert slip_bursts(jumped) is not None
@@ -129,11 +129,11 @@ def test_slips_of_wheels_are_not_named_where_a_gyro_alone_is_the_truth(tmp_path)
 def test_what_happened_once_is_a_turn_where_a_gyro_alone_is_the_truth(tmp_path):
     simulated = drive(31, duration_s=90.0, yaw_from="encoders")
     fitted = fit(runs := list(read_runs(Source(bag(tmp_path / "run.mcap", simulated)))), approach=choose_approach(runs))
-    nodes, jump = fitted.problem.nodes, np.zeros((len(fitted.problem.nodes), 3))
+    intervals, jump = fitted.problem.intervals, np.zeros((len(fitted.problem.intervals), 3))
     jump[40], jump[80] = (0.02, 0.03, 0.5), (0.02, 0.03, 0.0)
     jumped = replace(
         fitted,
-        problem=replace(fitted.problem, nodes=replace(nodes, residual=nodes.residual + jump)),
+        problem=replace(fitted.problem, intervals=replace(intervals, residual=intervals.residual + jump)),
         noise=replace(fitted.noise, weights=1.0 + 8.0 * jump.any(axis=1)),
     )
     (event,) = single_events(jumped)

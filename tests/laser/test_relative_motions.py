@@ -12,7 +12,7 @@ from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.estimate.intervals import intervals
+from odomcorrupt.study.estimate.intervals import intervals_between
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.relative_motions import read_motions
@@ -90,7 +90,7 @@ def test_a_gross_motion_breaks_the_chain_and_errors_of_motions_add_up(tmp_path):
     simulated = drive(31, duration_s=100.0)
     odometry, path = odometry_file(tmp_path / "odom.csv", simulated), motions_file(tmp_path / "m.csv", simulated)
     (whole,) = read_runs(Source(odometry, relative=path))
-    one, three = (intervals(whole, np.array([0, last])) for last in (1, 3))
+    one, three = (intervals_between(whole, np.array([0, last])) for last in (1, 3))
     assert three.end_shape == pytest.approx(3.0 * one.end_shape)
     lines = path.read_text().splitlines()
     middle = len(lines) // 2

@@ -99,8 +99,8 @@ def test_unknown_laws_and_senseless_coefficients_are_refused():
     for bad in (-0.1, math.nan, math.inf):
         with pytest.raises(ModelError, match="rot_trans"):
             Coefficients(0.1, bad, 0.1, 0.1)
-    assert Coefficients(0, 0, 0, 0).silent
-    assert not Coefficients(0, 0, 0, 0, 0.1).silent
+    assert Coefficients(0, 0, 0, 0).noise_free
+    assert not Coefficients(0, 0, 0, 0, 0.1).noise_free
 
 
 def test_coefficients_are_read_in_radians_or_degrees():

@@ -26,14 +26,14 @@ def data(page):
 @pytest.mark.slow
 def test_path_and_residuals_are_those_of_the_recording(data, comparison):
     (piece,), (shown,) = comparison.judgements[0].pieces, data["pieces"]
-    nodes = piece.problem.nodes
-    at = np.searchsorted(nodes.start_s, np.array(shown["t"]) - 0.006)
+    intervals = piece.problem.intervals
+    at = np.searchsorted(intervals.start_s, np.array(shown["t"]) - 0.006)
     truth = np.column_stack([shown["truth"][k] for k in ("x", "y", "yaw")])
-    np.testing.assert_allclose(truth, nodes.truth_xyt[at], atol=1e-3)
+    np.testing.assert_allclose(truth, intervals.truth_xyt[at], atol=1e-3)
     assert shown["measured"]["x"][0] == shown["truth"]["x"][0]
     for judgement, model in zip(comparison.judgements, data["models"], strict=True):
         own = judgement.pieces[0]
-        summed = np.concatenate(([0.0], np.cumsum(own.problem.nodes.residual[:, 2])))[at]
+        summed = np.concatenate(([0.0], np.cumsum(own.problem.intervals.residual[:, 2])))[at]
         np.testing.assert_allclose(model["pieces"][0]["residuals"][2], np.degrees(summed), atol=2e-3)
         worst = np.sqrt(np.mean(own.innovations.reshape(-1, 3) ** 2, axis=1)).max()
         assert max(model["pieces"][0]["residuals"][3]) == pytest.approx(worst, abs=0.01)

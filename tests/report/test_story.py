@@ -30,7 +30,7 @@ from odomcorrupt.study.design.plan import plan_of
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.dependence import BasisScore, Dependence
-from odomcorrupt.study.select.random_effects import RandomCoefficient
+from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 from odomcorrupt.study.select.score import Score
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
@@ -106,7 +106,7 @@ def sequence(diagnosed):
 def rich(searched):
     """Say that the search also found noise and unknowns, the first of which is in the model."""
     wandering = effect_from_values("gauss_markov", {"sigma": 0.02, "tau": 4.0, "channel": "yaw"})
-    return replace(searched, noise=(RandomCoefficient(wandering, 25.0),), unknown=UNKNOWNS, laws=UNKNOWNS[:1])
+    return replace(searched, noise=(DetectedRandomEffect(wandering, 25.0),), unknown=UNKNOWNS, laws=UNKNOWNS[:1])
 
 
 @pytest.fixture(scope="session")

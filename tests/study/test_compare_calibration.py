@@ -187,7 +187,7 @@ def test_the_right_model_gains_nats_over_a_wrong_one_by_more_than_the_paired_err
     paired = log_score_of([right], [wrong])
     assert paired.gain_per_m > 3.0 * paired.gain_error
     assert paired.gain_error < 0.5 * paired.error, "pairing takes out what the drive itself varies by"
-    assert paired.per_m * right.node_metres.sum() == pytest.approx(
+    assert paired.per_m * right.interval_metres.sum() == pytest.approx(
         right.whitener.log_likelihood(right.innovations), rel=1e-12
     )
     assert log_score_of([right], [right]).gain_error == 0.0
@@ -213,7 +213,7 @@ def test_a_gain_that_wanders_belongs_to_what_the_model_expects():
     for name, model in {"without": RIGHT, "with": replace(RIGHT, effects=(effect,))}.items():
         pieces = [evaluate_stretch(wandering_gain(seed), model, Approach("truth")) for seed in range(12)]
         nees[name] = [h.nees for h in horizons_of(pieces, (2.0, 10.0))]
-        log_likelihood[name] = sum(float(piece.node_nats.sum()) for piece in pieces)
+        log_likelihood[name] = sum(float(piece.interval_nats.sum()) for piece in pieces)
         whitened = sum(piece.whitener.log_likelihood(piece.innovations) for piece in pieces)
         assert log_likelihood[name] == pytest.approx(whitened, rel=1e-9)
     assert min(nees["without"]) > 1.2

@@ -15,7 +15,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.text.comparison import comparison_text
 from odomcorrupt.simulation import Segment, simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.estimate.nodes import lay_nodes
+from odomcorrupt.study.estimate.interval_ends import intervals_of
 from odomcorrupt.study.estimate.windows import distance_windows
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.validate.compare import compare
@@ -115,7 +115,7 @@ def test_a_recording_that_mostly_stands_is_cut_at_half_of_its_way(first):
     found = judged([as_recording(simulate(22, None, duration_s=230.0, route=route))])
     (note,) = (note for note in found.judgements[0].notes if "hardly moves" in note)
     assert f"hardly moves in the {'first' if first else 'second'} half of its time: cut at half of its way" in note
-    metres = [piece.node_metres.sum() for piece in found.judgements[0].pieces]
+    metres = [piece.interval_metres.sum() for piece in found.judgements[0].pieces]
     assert metres[0] == pytest.approx(metres[1], rel=0.1)
     assert found.judgements[0].horizons
 
@@ -155,7 +155,7 @@ def test_a_recording_without_any_time_in_common_is_named(office):
     recording = as_recording(office, "late")
     late = Trajectory(recording.truth.stamps_ns + 1000 * SECOND_NS, recording.truth.xyt)
     with pytest.raises(RecordingError, match="late: odometry and truth overlap in 0 truth samples"):
-        lay_nodes(replace(recording, truth=late), 0.5)
+        intervals_of(replace(recording, truth=late), 0.5)
 
 
 def test_a_robot_that_stands_has_no_windows_of_distance():

@@ -53,4 +53,4 @@ def test_headings_are_those_of_the_model_so_that_an_antenna_ahead_of_the_axle_tu
     assert np.abs(errors(plain, yaw)).max() > 0.05
     problem = pose_problem([plain], [effect_from_values("lever_arm", {"x": AHEAD_M})], approach=Approach())
     assert np.abs(errors(problem.left[0], yaw)).max() < 0.02
-    assert np.abs(problem.nodes.residual[:, :2]).max() < 0.05
+    assert np.abs(problem.intervals.residual[:, :2]).max() < 0.05

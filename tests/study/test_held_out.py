@@ -89,7 +89,7 @@ def test_noise_that_is_larger_than_the_model_has_it_costs_its_logarithm_where_it
     def nats(times):
         larger = white * np.where(np.isin(range(3), axes), times, 1.0)
         own = -0.5 * np.sum(larger**2, axis=1)
-        stretch = SimpleNamespace(innovations=larger.ravel(), node_nats=own, recording=SimpleNamespace(axes=axes))
+        stretch = SimpleNamespace(innovations=larger.ravel(), interval_nats=own, recording=SimpleNamespace(axes=axes))
         return Evaluation.sized_nats.fget(stretch)
 
     np.testing.assert_allclose(nats(4.0), nats(1.0) - len(axes) * np.log(4.0))
@@ -233,15 +233,15 @@ def test_what_a_lag_may_leave_is_no_sure_clock():
             problem=SimpleNamespace(clocks=clocks.clocks), clock_errors=np.array([[0.0005, 0.0]]), effects=(lag,)
         )
         (found,) = clocks_found(beside_lags(clocks, fitted))
-        assert (found.sure > 0.9) == sure
+        assert (found.confidence > 0.9) == sure
 
 
 def test_a_clock_beside_which_errors_depend_on_the_acceleration_is_the_less_sure():
     clocks = Clocks((Clock(-0.009),), ((True, False),), ((0.0005, 0.0),))
     (doubtful,) = clocks_found(replace(clocks, left_nats=80.0))
     (large,) = clocks_found(replace(clocks, clocks=(Clock(-0.2),), left_nats=80.0))
-    assert doubtful.sure < 0.8
-    assert large.sure > 0.9
+    assert doubtful.confidence < 0.8
+    assert large.confidence > 0.9
 
 
 def test_what_is_a_hundredth_of_another_effect_may_be_what_its_form_leaves():

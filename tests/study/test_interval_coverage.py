@@ -24,7 +24,7 @@ def test_planted_coefficients_lie_in_their_intervals(truth_mm):
         steps = wander(seed, 600.0)
         run = recording(steps, noisy_path(steps, PLANTED, seed), truth_mm=truth_mm, seed=seed)
         fitted = fit([run], approach=choose_approach([run]))
-        for interval in coefficient_intervals(fitted, np.zeros((len(fitted.problem.nodes), 3, 0))):
+        for interval in coefficient_intervals(fitted, np.zeros((len(fitted.problem.intervals), 3, 0))):
             planted = getattr(PLANTED, interval.name)
             if planted > 0.0:
                 inside.setdefault(interval.name, []).append(interval.low <= planted <= interval.high)

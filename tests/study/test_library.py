@@ -20,8 +20,8 @@ RANDOM = ("gauss_markov", "gyro_bias_walk", "lost_increments", "quantization", "
 @pytest.mark.parametrize("cause", SYSTEMATIC)
 def test_a_systematic_cause_is_named_first(cause):
     learned = learn([as_recording(simulate(1, cause))])
-    assert learned.added[:1] == (registry()[cause].twin_of or cause,)
-    if registry()[cause].twin_of is not None:
+    assert learned.added[:1] == (registry()[cause].aliased_with or cause,)
+    if registry()[cause].aliased_with is not None:
         assert cause in learned.rounds[0].alternatives
 
 

@@ -74,7 +74,7 @@ def test_a_rectangle_pays_for_the_two_numbers_more_than_a_disc_has(monkeypatch, 
     monkeypatch.setattr(ShapeSearch, "_refined", lambda self, term: (self.gain(term), term))
     monkeypatch.setattr(RegionSlip, "related", lambda self: (replace(wide, heading=self.heading),))
     family = [LibraryTerm.of(replace(disc, x=x), fitted.problem.motions) for x in (0.0, 1.0)]
-    assert len(fitted.problem.nodes) == pytest.approx(240, abs=3)
+    assert len(fitted.problem.intervals) == pytest.approx(240, abs=3)
     found = ShapeSearch(fitted, DECISIONS).best(family).start
     assert (found.heading, found.width) == (heading, width)
 

@@ -35,12 +35,12 @@ def short_problem(seed: int = 0):
 @pytest.mark.parametrize("law", LAWS)
 def test_banded_likelihood_equals_the_dense_normal(law):
     problem = short_problem()
-    nodes = problem.nodes
-    q = nodes.covariance(LAWS[law], Coefficients(0.05, 0.02, 0.05, 0.01, 0.003), problem.steps)
+    intervals = problem.intervals
+    q = intervals.covariance(LAWS[law], Coefficients(0.05, 0.02, 0.05, 0.01, 0.003), problem.steps)
     truth = TruthNoise(0.004, 0.006, 0.002)
-    white = whitener(nodes, q, truth)
-    banded = white.log_likelihood(white.whiten(nodes.residual))
-    dense = multivariate_normal(cov=dense_covariance(nodes, q, truth)).logpdf(nodes.residual.ravel())
+    white = whitener(intervals, q, truth)
+    banded = white.log_likelihood(white.whiten(intervals.residual))
+    dense = multivariate_normal(cov=dense_covariance(intervals, q, truth)).logpdf(intervals.residual.ravel())
     assert banded == pytest.approx(dense, abs=1e-8 * abs(dense))
 
 
@@ -48,9 +48,9 @@ def test_banded_likelihood_equals_the_dense_normal(law):
 def test_polarised_pieces_are_the_law(law):
     problem = short_problem()
     k = np.array([0.05, 0.02, 0.07, 0.03, 0.004, 0.01, 0.02])
-    pieces = VarianceComponents(LAWS[law], problem.nodes, problem.steps)
+    pieces = VarianceComponents(LAWS[law], problem.intervals, problem.steps)
     total = np.tensordot(pieces.shares(k), np.array(pieces.parts()), axes=1)
-    direct = problem.nodes.covariance(LAWS[law], Coefficients(*k), problem.steps)
+    direct = problem.intervals.covariance(LAWS[law], Coefficients(*k), problem.steps)
     np.testing.assert_allclose(total, direct, rtol=1e-10, atol=1e-18)
 
 
@@ -61,7 +61,10 @@ def test_a_gap_in_the_truth_breaks_the_chain_and_nothing_else():
     keep = np.ones(len(truth), dtype=bool)
     keep[1000:1500] = False
     holed = replace(whole, truth=Trajectory(truth.stamps_ns[keep], truth.xyt[keep]))
-    full, cut = pose_problem([whole], approach=Approach()).nodes, pose_problem([holed], approach=Approach()).nodes
+    full, cut = (
+        pose_problem([whole], approach=Approach()).intervals,
+        pose_problem([holed], approach=Approach()).intervals,
+    )
     assert len(cut) < len(full)
     assert (cut.end_s - cut.start_s).max() < 1.6
     assert (~cut.linked).sum() == 2
@@ -94,9 +97,9 @@ def test_whitened_innovations_are_standard_normal_at_the_planted_model():
         problem = pose_problem(
             [recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)], approach=Approach("truth")
         )
-        q = problem.nodes.covariance(LAWS["diffusion"], PLANTED, problem.steps)
-        white = whitener(problem.nodes, q, TruthNoise(0.003, 0.003, 0.0))
-        squares.append(white.whiten(problem.nodes.residual) ** 2)
+        q = problem.intervals.covariance(LAWS["diffusion"], PLANTED, problem.steps)
+        white = whitener(problem.intervals, q, TruthNoise(0.003, 0.003, 0.0))
+        squares.append(white.whiten(problem.intervals.residual) ** 2)
     all_squares = np.concatenate(squares)
     assert all_squares.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / len(all_squares)))
 
@@ -104,9 +107,9 @@ def test_whitened_innovations_are_standard_normal_at_the_planted_model():
 @pytest.mark.parametrize("law", ["diffusion", "quadratic"])
 def test_the_slope_of_the_likelihood_is_its_difference(law):
     problem = short_problem(3)
-    pieces = VarianceComponents(LAWS[law], problem.nodes, problem.steps)
+    pieces = VarianceComponents(LAWS[law], problem.intervals, problem.steps)
     likelihood = NoiseLikelihood(
-        problem.nodes, pieces, np.ones((len(problem.nodes), 3, 1)), np.ones(len(problem.nodes))
+        problem.intervals, pieces, np.ones((len(problem.intervals), 3, 1)), np.ones(len(problem.intervals))
     )
     at = likelihood.initial_guess()
     every = np.arange(len(at))
@@ -120,12 +123,12 @@ def test_the_slope_of_the_likelihood_is_its_difference(law):
 
 def test_the_band_of_the_inverse_is_that_of_the_whole_inverse():
     problem = short_problem(4)
-    nodes = problem.nodes
-    q = nodes.covariance(LAWS["diffusion"], PLANTED, problem.steps)
+    intervals = problem.intervals
+    q = intervals.covariance(LAWS["diffusion"], PLANTED, problem.steps)
     truth = TruthNoise(0.004, 0.006, 0.002)
-    band = inverse_band(whitener(nodes, q, truth).factor)
-    whole = np.linalg.inv(dense_covariance(nodes, q, truth))
-    for node in range(len(nodes)):
+    band = inverse_band(whitener(intervals, q, truth).factor)
+    whole = np.linalg.inv(dense_covariance(intervals, q, truth))
+    for node in range(len(intervals)):
         # the rest of the band lies in no block of neighbours
         for row, column in np.ndindex(6, 3):
             i, j = 3 * node + row, 3 * node + column

@@ -119,6 +119,17 @@ def test_a_law_of_which_a_correction_keeps_hardly_anything_is_left_out(monkeypat
     assert ("left out" in said[0]) != kept
 
 
+@pytest.mark.parametrize(("left_m", "kept"), [(0.0199, True), (0.0205, False)])
+def test_a_patch_that_drifting_odometry_meets_too_late_stays_for_corruption(monkeypatch, left_m, kept):
+    # of a carpet found with 67.6 -> 32.0 mm a correction kept 63.7, and the model was written without it
+    patch = effect_from_values("region_slip", {"slip": 0.05, "x": 1.0, "y": 0.0, "radius": 1.0})
+    monkeypatch.setattr(round_trip, "_corrected_error", lambda effects, *_: left_m if effects else 0.0202)
+    monkeypatch.setattr(round_trip, "_fitted_error", lambda model, _: 0.0153 if model.effects else 0.0202)
+    found, said = round_trip._correctable(MotionModel(NOISE, (patch,)), [], 1)
+    assert bool(found.effects) == kept
+    assert ("drifts" in said[0]) == kept
+
+
 def test_all_runs_but_the_first_are_of_minutes_and_together_reach_both_ends():
     long = SimpleNamespace(t_s=np.arange(0.0, 2000.0, 0.1))
     short = SimpleNamespace(t_s=np.arange(5.0, 65.0, 0.1))

@@ -35,9 +35,12 @@ def test_a_climb_from_anywhere_ends_at_the_top_that_a_textbook_optimiser_finds(l
     steps = wander(7, 200.0)
     run = recording(steps, noisy_path(steps, Coefficients(0.05, 0.02, 0.05, 0.01), 7), seed=7)
     problem = pose_problem([run], approach=Approach("truth"))
-    nothing = np.zeros((len(problem.nodes), 3, 0))
+    nothing = np.zeros((len(problem.intervals), 3, 0))
     likelihood = NoiseLikelihood(
-        problem.nodes, VarianceComponents(LAWS[law], problem.nodes, problem.steps), nothing, np.ones(len(problem.nodes))
+        problem.intervals,
+        VarianceComponents(LAWS[law], problem.intervals, problem.steps),
+        nothing,
+        np.ones(len(problem.intervals)),
     )
     guess = likelihood.initial_guess()
     rng = np.random.default_rng(7)

@@ -14,7 +14,7 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.correlation_length import with_pose_steps
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.nodes import lay_nodes
+from odomcorrupt.study.estimate.interval_ends import intervals_of
 from odomcorrupt.study.estimate.outliers import single_events
 
 PUSHED_S = 200.0
@@ -44,9 +44,9 @@ def test_a_push_is_found_with_time_and_size_and_no_interval_contains_it(seed, pu
     assert PUSHED_S - 2.0 < step.start_s < step.end_s < PUSHED_S + 4.0
     assert np.hypot(*step.apart[:2]) == pytest.approx(abs(pushed_m), abs=0.12)
     assert step.apart[2] == pytest.approx(0.0, abs=0.04)
-    nodes = lay_nodes(run, 2.0)
-    assert not np.any((nodes.start_s < step.end_s) & (nodes.end_s > step.start_s))
-    assert np.abs(nodes.residual[:, :2]).max() < 0.3
+    intervals = intervals_of(run, 2.0)
+    assert not np.any((intervals.start_s < step.end_s) & (intervals.end_s > step.start_s))
+    assert np.abs(intervals.residual[:, :2]).max() < 0.3
 
 
 @pytest.mark.slow

@@ -41,7 +41,7 @@ def test_a_problem_after_an_earlier_one_is_the_problem_by_itself(recording, side
     after = pose_problem([recording], EFFECTS, [clock], approach=approach, before=earlier)
     alone = pose_problem([recording], EFFECTS, [clock], approach=approach)
     for field in fields(Intervals):
-        assert np.array_equal(getattr(after.nodes, field.name), getattr(alone.nodes, field.name))
+        assert np.array_equal(getattr(after.intervals, field.name), getattr(alone.intervals, field.name))
     for name in ("v", "omega", "acceleration", "x", "theta", "distance"):
         assert np.array_equal(getattr(after.motions[0], name), getattr(alone.motions[0], name))
     assert (after.smoothers == earlier.smoothers) == (clock == Clock())
@@ -61,7 +61,7 @@ def test_the_odometrys_own_motion_is_shared_between_offsets_of_its_clock(recordi
 def test_nodes_are_the_same_samples_of_the_truth_for_every_clock(recording):
     approach = choose_approach([recording])
     plain, *others = (
-        pose_problem([recording], clocks=[Clock(offset_s)], approach=approach).nodes.start_s
+        pose_problem([recording], clocks=[Clock(offset_s)], approach=approach).intervals.start_s
         for offset_s in (0.0, 0.003, -0.055, 0.21, -2.3)
     )
     for other in others:
@@ -84,8 +84,8 @@ def test_the_same_model_is_not_posed_again_and_one_with_a_dropped_effect_is(reco
     bare = drop_term(fitted, fitted.effects[0]).problem
     posed = pose_problem([recording], (), problem.clocks, approach=problem.approach, before=bare)
     alone = pose_problem([recording], (), problem.clocks, approach=problem.approach)
-    assert np.array_equal(posed.nodes.residual, alone.nodes.residual)
-    assert not np.array_equal(posed.nodes.residual, bare.nodes.residual)
+    assert np.array_equal(posed.intervals.residual, alone.intervals.residual)
+    assert not np.array_equal(posed.intervals.residual, bare.intervals.residual)
 
 
 def stretches(recording: Recording, *times_s: float) -> list[Recording]:
@@ -113,10 +113,10 @@ def test_stretches_of_a_run_share_its_motion_and_pose_the_problem_that_each_pose
     assert len(together.motions) == 1
     assert len(together.motions[0]) == len(recording.odometry) - 1
     for name in ("start_s", "residual", "share", "lever", "truth_xyt"):
-        whole = np.concatenate([getattr(one.nodes, name) for one in apart])
-        np.testing.assert_allclose(getattr(together.nodes, name), whole, rtol=0.0, atol=1e-12)
+        whole = np.concatenate([getattr(one.intervals, name) for one in apart])
+        np.testing.assert_allclose(getattr(together.intervals, name), whole, rtol=0.0, atol=1e-12)
     # about a jump the motion of one stretch ends and that of the other begins
-    inner = together.nodes.linked & np.append(together.nodes.linked[1:], True)
+    inner = together.intervals.linked & np.append(together.intervals.linked[1:], True)
     for effect in tried:
         whole = np.concatenate([one.columns(effect) for one in apart])
         most = (1e-3 if side == "odometry" else 0.02) * np.abs(whole).max()

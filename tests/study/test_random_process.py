@@ -28,16 +28,16 @@ def test_residuals_are_whitened_by_the_whole_covariance(biased):
     recording = as_recording(simulate(93, "wheel_scale", duration_s=45.0))
     recording = replace(recording, truth_scale_error=0.002 if biased else 0.0)
     problem = pose_problem([recording], approach=choose_approach([recording]))
-    nodes, truth = problem.nodes, TruthNoise(0.002, 0.003, 1e-4)
-    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(nodes), 1, 1))
-    white = widened(whitener(nodes, q, truth), problem, RANDOM)
+    intervals, truth = problem.intervals, TruthNoise(0.002, 0.003, 1e-4)
+    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(intervals), 1, 1))
+    white = widened(whitener(intervals, q, truth), problem, RANDOM)
     roots = np.concatenate([root_of(effect, problem).columns for effect in RANDOM], axis=1)
-    whole = dense_covariance(nodes, q, truth) + roots @ roots.T
+    whole = dense_covariance(intervals, q, truth) + roots @ roots.T
     if biased:
         travel = [np.stack((m.v, m.vy, 0.0 * m.v), axis=1) * m.dt_s[:, None] for m in problem.motions]
-        along = 0.002 * (nodes.column(-np.concatenate(travel)) * (1.0, 1.0, 0.0)).ravel()
+        along = 0.002 * (intervals.column(-np.concatenate(travel)) * (1.0, 1.0, 0.0)).ravel()
         whole = whole + np.outer(along, along)
-    x = np.random.default_rng(4).normal(size=(3 * len(nodes), 2)) * 1e-3
+    x = np.random.default_rng(4).normal(size=(3 * len(intervals), 2)) * 1e-3
     w, solved = white.whitened(x), np.linalg.solve(whole, x)
     np.testing.assert_allclose(w.T @ w, x.T @ solved, rtol=1e-5)
     np.testing.assert_allclose(2.0 * white.log_det, np.linalg.slogdet(whole)[1], rtol=1e-8)
@@ -50,8 +50,8 @@ def test_knots_that_fade_inform_as_their_columns_written_out_do(way_m):
     recording = as_recording(simulate(93, "wheel_scale", duration_s=240.0))
     recording = replace(recording, truth_correlation_m=way_m)
     problem = pose_problem([recording], approach=choose_approach([recording]))
-    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(problem.nodes), 1, 1))
-    white = widened(whitener(problem.nodes, q, TruthNoise(0.002, 0.003, 0.0)), problem, RANDOM[1:])
+    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(problem.intervals), 1, 1))
+    white = widened(whitener(problem.intervals, q, TruthNoise(0.002, 0.003, 0.0)), problem, RANDOM[1:])
     spread = root_of(RANDOM[0], problem).spread
     written_out = white.whitened(spread.toarray())
     scale = np.sum(written_out**2)
@@ -65,9 +65,9 @@ def test_knots_that_fade_inform_as_their_columns_written_out_do(way_m):
 def test_nothing_is_whitened_without_a_call_of_lapack_which_would_write_where_there_is_nothing(monkeypatch):
     recording = as_recording(simulate(93, "wheel_scale", duration_s=45.0))
     problem = pose_problem([recording], approach=choose_approach([recording]))
-    nodes = problem.nodes
-    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(nodes), 1, 1))
-    white = widened(whitener(nodes, q, TruthNoise(0.002, 0.003, 1e-4)), problem, RANDOM)
+    intervals = problem.intervals
+    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(intervals), 1, 1))
+    white = widened(whitener(intervals, q, TruthNoise(0.002, 0.003, 1e-4)), problem, RANDOM)
     solve = lapack.dtbtrs
 
     def counted(factor, columns, **options):
@@ -75,5 +75,5 @@ def test_nothing_is_whitened_without_a_call_of_lapack_which_would_write_where_th
         return solve(factor, columns, **options)
 
     monkeypatch.setattr(lapack, "dtbtrs", counted)
-    assert white.whiten(np.zeros((len(nodes), 3, 0))).shape == (3 * len(nodes), 0)
-    assert white.pulled(white.whiten(nodes.residual)).shape == nodes.residual.shape
+    assert white.whiten(np.zeros((len(intervals), 3, 0))).shape == (3 * len(intervals), 0)
+    assert white.pulled(white.whiten(intervals.residual)).shape == intervals.residual.shape

@@ -39,24 +39,24 @@ def test_a_clock_that_moves_past_a_node_takes_the_weights_along():
     # weights kept from an earlier fit, and a first guess of the clock from which a node more or less is in sight
     for guess in (0.6, -0.6):
         first = fit([late], clocks=[Clock(guess)], approach=Approach())
-        kept = np.where(np.arange(len(first.problem.nodes)) == 100, 9.0, 1.0)
+        kept = np.where(np.arange(len(first.problem.intervals)) == 100, 9.0, 1.0)
         held = replace(first, noise=replace(first.noise, weights=kept))
         again = fit([late], clocks=[Clock(guess)], free_clocks=[(True, False)], approach=Approach(), weights_of=held)
-        nodes = again.problem.nodes
+        intervals = again.problem.intervals
         assert again.problem.clocks[0].offset_s != guess
-        assert len(again.noise.weights) == len(nodes)
+        assert len(again.noise.weights) == len(intervals)
         heavy = np.flatnonzero(again.noise.weights == 9.0)
         assert 1 <= len(heavy) <= 2
-        before = first.problem.nodes.start_s[100]
-        assert np.abs(nodes.start_s[heavy] - before).min() <= 0.5
+        before = first.problem.intervals.start_s[100]
+        assert np.abs(intervals.start_s[heavy] - before).min() <= 0.5
 
 
 def test_a_refit_keeps_the_weights_of_a_fit_at_another_clock_although_that_has_more_intervals():
     run = slipping(1, 0.5)
     here, there = (fit([run], clocks=[Clock(offset)], approach=Approach()) for offset in (0.0, 2.6))
-    assert len(here.problem.nodes) != len(there.problem.nodes)
+    assert len(here.problem.intervals) != len(there.problem.intervals)
     kept = here.refit(weights_of=there).noise.weights
-    assert len(kept) == len(here.problem.nodes)
+    assert len(kept) == len(here.problem.intervals)
     assert set(kept) <= {1.0, *there.noise.weights}
 
 

@@ -24,7 +24,7 @@ from odomcorrupt.study.estimate.outliers import events, odd_steps, slip_bursts
 from odomcorrupt.study.estimate.tails import heavy_tails, log_density_of_sums
 from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.select.confidence import confidence, noise_evidence
-from odomcorrupt.study.select.random_effects import RandomCoefficient
+from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 from odomcorrupt.study.select.stepwise import learn
 
 
@@ -107,7 +107,7 @@ def test_what_the_form_of_an_effect_leaves_is_no_noise_of_every_step(monkeypatch
 def test_tails_that_a_strong_lag_may_leave_have_even_odds_at_most(lag_nats, sure):
     lag = SimpleNamespace(added="steering_lag", candidates=[SimpleNamespace(gain=lag_nats)])
     learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[lag])
-    tails_found = RandomCoefficient(effect_from_values("heavy_tails", {"inverse_dof": 0.375}), 44.0)
+    tails_found = DetectedRandomEffect(effect_from_values("heavy_tails", {"inverse_dof": 0.375}), 44.0)
     assert (confidence(noise_evidence(tails_found, learned)) > 0.5) == sure
 
 
@@ -115,7 +115,7 @@ def test_tails_that_a_strong_lag_may_leave_have_even_odds_at_most(lag_nats, sure
 def test_a_process_that_drifts_further_than_the_recordings_has_even_odds_at_most(too_far):
     fitted = SimpleNamespace(problem=SimpleNamespace(recordings=()))
     learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=too_far, fit=fitted)
-    walk = RandomCoefficient(effect_from_values("gyro_bias_walk", {"density": 1e-3}), 500.0)
+    walk = DetectedRandomEffect(effect_from_values("gyro_bias_walk", {"density": 1e-3}), 500.0)
     assert (confidence(noise_evidence(walk, learned)) > 0.5) != too_far
 
 
@@ -149,5 +149,5 @@ def test_a_varying_gain_of_travel_may_be_a_varying_scale_of_the_truth(channel, o
     run = SimpleNamespace(own_scale=own_scale, yaw_dead_band_radps=0.0)
     fitted = SimpleNamespace(problem=SimpleNamespace(recordings=(run,)))
     learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=False, fit=fitted)
-    gain = RandomCoefficient(effect_from_values("gauss_markov", {"sigma": 0.01, "channel": channel}), 500.0)
+    gain = DetectedRandomEffect(effect_from_values("gauss_markov", {"sigma": 0.01, "channel": channel}), 500.0)
     assert (confidence(noise_evidence(gain, learned)) > 0.5) != (own_scale and channel == "along")

@@ -14,9 +14,9 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
-from odomcorrupt.study.estimate.config import NODE_S, choose_approach, independent_spacing_s
+from odomcorrupt.study.estimate.config import INTERVAL_S, choose_approach, independent_spacing_s
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.nodes import lay_nodes
+from odomcorrupt.study.estimate.interval_ends import intervals_of
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients
@@ -54,7 +54,7 @@ def test_errors_that_are_alike_over_a_metre_ask_for_seconds(run):
 def test_a_good_truth_keeps_its_close_nodes_and_a_noisy_one_without_correlation_one_second():
     steps = wander(3, 240.0)
     odometry = noisy_path(steps, QUIET, 3)
-    assert choose_approach([recording(steps, odometry)]).spacing_s == NODE_S
+    assert choose_approach([recording(steps, odometry)]).spacing_s == INTERVAL_S
     noisy = recording(steps, odometry, truth_mm=30.0, truth_rad=0.01)
     assert choose_approach([noisy]).spacing_s == 1.0
 
@@ -65,7 +65,7 @@ def test_a_short_drive_keeps_nodes_enough_for_its_halves():
 
 def test_nodes_are_the_same_for_all_models(run):
     wide = undo(run, [effect_from_values("wheelbase", {"e": 0.2}), effect_from_values("wheel_scale", {"e": -0.1})])
-    assert np.array_equal(lay_nodes(run, 4.0).start_s, lay_nodes(wide, 4.0).start_s)
+    assert np.array_equal(intervals_of(run, 4.0).start_s, intervals_of(wide, 4.0).start_s)
 
 
 @pytest.mark.slow

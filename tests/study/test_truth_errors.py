@@ -92,13 +92,13 @@ def small(length_m=2.0, **changes):
 
 def test_quasi_differences_are_as_likely_as_residuals_with_every_correlation():
     problem = small()
-    nodes, k = problem.nodes, len(problem.nodes)
-    assert nodes.linked[1:].all()
-    q = nodes.covariance(LAWS["diffusion"], QUIET, problem.steps)
+    intervals, k = problem.intervals, len(problem.intervals)
+    assert intervals.linked[1:].all()
+    q = intervals.covariance(LAWS["diffusion"], QUIET, problem.steps)
     # errors c of all k + 1 nodes on the map, and what they do to the residuals
-    at = np.concatenate(([0.0], np.cumsum(-np.log(nodes.memory))))
+    at = np.concatenate(([0.0], np.cumsum(-np.log(intervals.memory))))
     alike = np.exp(-np.abs(at[:, None] - at))
-    _, end, b = map_axes(replace(nodes, memory=np.zeros(k)))
+    _, end, b = map_axes(replace(intervals, memory=np.zeros(k)))
     carry = np.zeros((3 * k, 3 * (k + 1)))
     full = np.zeros((3 * k, 3 * k))
     for i in range(k):
@@ -107,21 +107,23 @@ def test_quasi_differences_are_as_likely_as_residuals_with_every_correlation():
         full[rows, rows] = q[i]
     errors = np.kron(alike, np.diag([TRUTH.xy_m**2, TRUTH.xy_m**2, TRUTH.yaw_rad**2]))
     full += carry @ errors @ carry.T
-    white = whitener(nodes, q, TRUTH)
-    banded = white.log_likelihood(white.whiten(nodes.residual))
-    assert banded == pytest.approx(multivariate_normal(cov=full).logpdf(nodes.residual.ravel()), abs=1e-3)
-    np.testing.assert_allclose(dense_covariance(nodes, q, TRUTH), full, rtol=1e-5, atol=1e-8)
+    white = whitener(intervals, q, TRUTH)
+    banded = white.log_likelihood(white.whiten(intervals.residual))
+    assert banded == pytest.approx(multivariate_normal(cov=full).logpdf(intervals.residual.ravel()), abs=1e-3)
+    np.testing.assert_allclose(dense_covariance(intervals, q, TRUTH), full, rtol=1e-5, atol=1e-8)
     single = np.stack([full[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(k)])
-    np.testing.assert_allclose(interval_covariance(nodes, q, TRUTH), single, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(interval_covariance(intervals, q, TRUTH), single, rtol=1e-6, atol=1e-9)
     other = np.random.default_rng(0).normal(size=3 * k)
-    assert white.pulled(other).ravel() @ nodes.residual.ravel() == pytest.approx(other @ white.whiten(nodes.residual))
+    assert white.pulled(other).ravel() @ intervals.residual.ravel() == pytest.approx(
+        other @ white.whiten(intervals.residual)
+    )
 
 
 def test_the_slope_of_the_likelihood_is_its_difference():
     problem = small()
-    pieces = VarianceComponents(LAWS["diffusion"], problem.nodes, problem.steps)
+    pieces = VarianceComponents(LAWS["diffusion"], problem.intervals, problem.steps)
     likelihood = NoiseLikelihood(
-        problem.nodes, pieces, np.zeros((len(problem.nodes), 3, 0)), np.ones(len(problem.nodes))
+        problem.intervals, pieces, np.zeros((len(problem.intervals), 3, 0)), np.ones(len(problem.intervals))
     )
     at, every = likelihood.initial_guess(), np.arange(len(pieces.active) + 2)
     moves = 1e-4 * np.eye(len(at))[every]
@@ -185,10 +187,12 @@ def test_errors_that_belong_to_places_are_told_from_those_that_do_not():
 
 def test_windows_know_what_their_places_add():
     field = TruthField(0.01, 0.004, 0.03, 0.01, 1.5)
-    nodes = small(0.0, truth_field=field).nodes
-    nothing = np.zeros((len(nodes), 3, 3))
-    far = interval_covariance(replace(nodes, field=nodes.field * (1, 1, 1, 1, 0)), nothing, TRUTH)
-    same = interval_covariance(replace(nodes, field=nodes.field * (1, 1, 1, 1, 0) + (0, 0, 0, 0, 1)), nothing, TRUTH)
+    intervals = small(0.0, truth_field=field).intervals
+    nothing = np.zeros((len(intervals), 3, 3))
+    far = interval_covariance(replace(intervals, field=intervals.field * (1, 1, 1, 1, 0)), nothing, TRUTH)
+    same = interval_covariance(
+        replace(intervals, field=intervals.field * (1, 1, 1, 1, 0) + (0, 0, 0, 0, 1)), nothing, TRUTH
+    )
     assert np.allclose(far[:, 2, 2], 2.0 * (0.004**2 + 0.01**2), rtol=1e-3)
     assert np.allclose(same[:, 2, 2], 2.0 * 0.004**2, rtol=1e-3)
 

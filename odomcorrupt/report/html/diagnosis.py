@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.select.random_effects import DetectedRandomEffect
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison
 
@@ -204,14 +204,14 @@ def _values(numbers: Iterable[str]) -> list[str]:
     return [f'<p class="value">{escape(number)}</p>' for number in numbers]
 
 
-def _meter(sure: float, nats: float) -> list[str]:
+def _meter(probability: float, nats: float) -> list[str]:
     return [
-        f'<span class="meter"><span style="width:{100.0 * sure:.1f}%"></span></span>',
-        f"<p>{100.0 * sure:.1f} % confidence, {nats:.0f} nats</p>",
+        f'<span class="meter"><span style="width:{100.0 * probability:.1f}%"></span></span>',
+        f"<p>{100.0 * probability:.1f} % confidence, {nats:.0f} nats</p>",
     ]
 
 
-def _noise(gain: RandomCoefficient, learned: Learned) -> str:
+def _noise(gain: DetectedRandomEffect, learned: Learned) -> str:
     channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
     lines = [*_values(noise_text(gain.effect)), f"<p>noise: {escape(gain.effect.summary)}</p>"]
     lines += _meter(noise_confidence(gain, learned), gain.nats)

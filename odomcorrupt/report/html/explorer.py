@@ -21,7 +21,7 @@ from odomcorrupt.report.plots.comparison import rms_interval
 from odomcorrupt.report.text.comparison import MOST, sentence
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.validate.calibration import HORIZONS_M
-from odomcorrupt.study.validate.error_rates import CHANNELS, node_motion
+from odomcorrupt.study.validate.error_rates import CHANNELS, interval_motion
 from odomcorrupt.study.validate.lack_of_fit import all_patterns
 from odomcorrupt.study.validate.predictive_check import replay
 
@@ -82,13 +82,13 @@ class _Stretch:
 
     @property
     def times_s(self) -> Array:
-        nodes = self.reference.problem.nodes
-        times: Array = nodes.start_s[self.start]
+        intervals = self.reference.problem.intervals
+        times: Array = intervals.start_s[self.start]
         return times
 
     @property
     def truth_xyt(self) -> Array:
-        poses: Array = self.reference.problem.nodes.truth_xyt[self.start]
+        poses: Array = self.reference.problem.intervals.truth_xyt[self.start]
         return poses
 
 
@@ -106,11 +106,11 @@ def _content(comparison: Comparison) -> dict[str, Any]:
 def _stretches(comparison: Comparison) -> list[_Stretch]:
     """Return the longest segments, in descending order, each with as many points as fit in the page."""
     pieces = comparison.judgements[0].pieces
-    longest = sorted(range(len(pieces)), key=lambda i: -float(pieces[i].node_metres.sum()))[:_MOST_PIECES]
+    longest = sorted(range(len(pieces)), key=lambda i: -float(pieces[i].interval_metres.sum()))[:_MOST_PIECES]
     most = max(_POINTS // (len(longest) * (1 + len(comparison.judgements))), 50)
     found = []
     for number in longest:
-        count = len(pieces[number].problem.nodes)
+        count = len(pieces[number].problem.intervals)
         start = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
         found.append(_Stretch(number, pieces[number], start))
     return found
@@ -119,14 +119,14 @@ def _stretches(comparison: Comparison) -> list[_Stretch]:
 def _stretch(stretch: _Stretch, comparison: Comparison) -> dict[str, Any]:
     """Return times, truth and odometry of a segment, with the odometry aligned to the truth at the first pose."""
     piece, start = stretch.reference, stretch.start
-    motion = node_motion(piece.problem)
-    driven = np.concatenate(([0.0], np.cumsum(piece.node_metres)[:-1]))
-    linked = piece.problem.nodes.linked
+    motion = interval_motion(piece.problem)
+    driven = np.concatenate(([0.0], np.cumsum(piece.interval_metres)[:-1]))
+    linked = piece.problem.intervals.linked
     breaks = [i for i in range(1, len(start)) if not linked[start[i - 1] + 1 : start[i] + 1].all()]
     recorded = undo(piece.recording, piece.model.setup.effects).odometry
     return {
         "name": piece.recording.name if len(comparison.recordings) > 1 else f"from {stretch.times_s[0]:.0f} s",
-        "length_m": round(float(piece.node_metres.sum())),
+        "length_m": round(float(piece.interval_metres.sum())),
         "t": _rounded(stretch.times_s, 2),
         "d": _rounded(driven[start], 2),
         "v": _rounded(motion.v[start], 3),
@@ -164,10 +164,10 @@ def _model(judgement: Judgement, stretches: list[_Stretch], with_runs: int) -> d
 
 def _under_model(piece: Evaluation, stretch: _Stretch, *, runs: bool) -> dict[str, Any]:
     """Return odometry without the model's effects, residuals summed along the drive, and runs of the model."""
-    nodes, times_s = piece.problem.nodes, stretch.times_s
+    intervals, times_s = piece.problem.intervals, stretch.times_s
     left = piece.left.odometry.at(times_s, piece.recording.origin_ns)
-    until = np.searchsorted(nodes.end_s, times_s + 1e-6)
-    summed = np.concatenate((np.zeros((1, 3)), np.cumsum(nodes.residual, axis=0)))[until]
+    until = np.searchsorted(intervals.end_s, times_s + 1e-6)
+    summed = np.concatenate((np.zeros((1, 3)), np.cumsum(intervals.residual, axis=0)))[until]
     count = 3 if piece.headed else 2
     size = np.sqrt(np.mean(piece.innovations.reshape(-1, 3)[:, :count] ** 2, axis=1))
     first = np.minimum(until, len(size) - 1)
@@ -205,19 +205,19 @@ def _failure(failure: Failure, judgement: Judgement, stretches: list[_Stretch]) 
 
 def _holds(failure: Failure, piece: Evaluation, stretch: _Stretch) -> NDArray[np.bool_]:
     """Return the points (k,) of a segment with a lack of fit; a drift accumulates everywhere and is at none of them."""
-    nodes = piece.problem.nodes
+    intervals = piece.problem.intervals
     if failure.kind == "drift":
         return np.zeros(len(stretch.start), dtype=np.bool_)
     if failure.span_s is not None:
-        inside = (nodes.end_s > failure.span_s[0]) & (nodes.start_s < failure.span_s[1])
+        inside = (intervals.end_s > failure.span_s[0]) & (intervals.start_s < failure.span_s[1])
     elif failure.place is not None:
         x, y, radius = failure.place
-        inside = np.hypot(nodes.truth_xyt[:, 0] - x, nodes.truth_xyt[:, 1] - y) < radius
+        inside = np.hypot(intervals.truth_xyt[:, 0] - x, intervals.truth_xyt[:, 1] - y) < radius
     else:
-        masks = [p.mask > 0.0 for p in all_patterns(node_motion(piece.problem)) if p.where == failure.where]
-        inside = masks[0] if masks else np.zeros(len(nodes), dtype=np.bool_)
+        masks = [p.mask > 0.0 for p in all_patterns(interval_motion(piece.problem)) if p.where == failure.where]
+        inside = masks[0] if masks else np.zeros(len(intervals), dtype=np.bool_)
     # a point represents all intervals until the next one
-    owner = np.searchsorted(stretch.times_s, nodes.start_s + 1e-6) - 1
+    owner = np.searchsorted(stretch.times_s, intervals.start_s + 1e-6) - 1
     found = np.zeros(len(stretch.start), dtype=np.bool_)
     found[np.clip(owner[inside], 0, len(found) - 1)] = True
     return found

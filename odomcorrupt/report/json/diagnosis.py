@@ -191,7 +191,7 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
     }
     for one in reversed(firsts.values()):
         effect = kinds[one.name](**{amplitudes(kinds[one.name])[0].name: one.value})
-        yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out, "negligible": False}
+        yield _entry(effect, [one.error], (), one.confidence) | {"held_out": held_out, "negligible": False}
 
 
 def _matters(name: str, learned: Learned) -> dict[str, Any]:

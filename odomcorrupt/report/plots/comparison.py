@@ -205,16 +205,16 @@ def draw_failure_map(comparison: Comparison) -> Figure:
 
 def _length(comparison: Comparison) -> float:
     """Return a path length (m) that is short relative to the drive, and long enough for errors to accumulate."""
-    metres = max(float(piece.node_metres.sum()) for piece in comparison.judgements[0].pieces)
+    metres = max(float(piece.interval_metres.sum()) for piece in comparison.judgements[0].pieces)
     return max((length for length in _LENGTHS_M if length <= metres / _FEWEST), default=_LENGTHS_M[0])
 
 
 def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
-    piece = max(judgement.pieces, key=lambda p: float(p.node_metres.sum()))
-    xy = piece.problem.nodes.truth_xyt[:, :2]
+    piece = max(judgement.pieces, key=lambda p: float(p.interval_metres.sum()))
+    xy = piece.problem.intervals.truth_xyt[:, :2]
     segments = np.stack((xy[:-1], xy[1:]), axis=1)
     ratio = _local_ratio(piece, length_m)
-    linked = piece.problem.nodes.linked[1:]
+    linked = piece.problem.intervals.linked[1:]
     # largest errors on top, where a path crosses itself
     order = np.argsort(ratio[:-1][linked])
     lines = LineCollection(
@@ -237,15 +237,15 @@ def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
 
 def _mark(axes: Axes, piece: Evaluation, failure: Failure, number: int) -> None:
     """Write the number of a lack of fit at its place; motions and drifts have none."""
-    nodes = piece.problem.nodes
+    intervals = piece.problem.intervals
     if failure.kind == "place" and failure.place is not None:
         x, y, radius = failure.place
         axes.add_patch(
             Circle((x, y), radius, fill=False, edgecolor=RED, linewidth=1.6, linestyle=(0, (4, 2)), zorder=5)
         )
     elif failure.kind == "time" and failure.span_s is not None:
-        during = (nodes.end_s > failure.span_s[0]) & (nodes.start_s < failure.span_s[1])
-        part = nodes.truth_xyt[during]
+        during = (intervals.end_s > failure.span_s[0]) & (intervals.start_s < failure.span_s[1])
+        part = intervals.truth_xyt[during]
         axes.plot(part[:, 0], part[:, 1], color=RED, linewidth=0.9, linestyle=(0, (2, 2)), zorder=5)
         x, y = map(float, part[len(part) // 2, :2])
     elif failure.kind == "moment" and failure.place is not None:
@@ -262,9 +262,9 @@ def _mark(axes: Axes, piece: Evaluation, failure: Failure, number: int) -> None:
 
 def _local_ratio(piece: Evaluation, length_m: float) -> Array:
     """Return, for each interval (K,), the mean NEES per degree of freedom of windows that cover it."""
-    nodes = piece.problem.nodes
-    middle = (nodes.start_s + nodes.end_s) / 2.0
-    total, count = np.zeros(len(nodes)), np.zeros(len(nodes))
+    intervals = piece.problem.intervals
+    middle = (intervals.start_s + intervals.end_s) / 2.0
+    total, count = np.zeros(len(intervals)), np.zeros(len(intervals))
     for phase in np.arange(_PHASES) / _PHASES:
         windows = distance_windows(piece.left, length_m, phase)
         if not len(windows):
@@ -275,7 +275,7 @@ def _local_ratio(piece: Evaluation, length_m: float) -> Array:
         covered = (at < len(nees)) & (middle >= windows.start_s[0])
         total[covered] += nees[at[covered]]
         count[covered] += 1.0
-    ratio: Array = np.divide(total, count, out=np.ones(len(nodes)), where=count > 0.0)
+    ratio: Array = np.divide(total, count, out=np.ones(len(intervals)), where=count > 0.0)
     return ratio
 
 

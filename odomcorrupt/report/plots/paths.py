@@ -34,7 +34,7 @@ def draw_paths(comparison: Comparison) -> Figure:
         figure.set_layout_engine("compressed", rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / figure.get_figheight()))
         for axes, judgement in panels:
             try:
-                longest = max(judgement.pieces, key=lambda piece: float(piece.node_metres.sum()))
+                longest = max(judgement.pieces, key=lambda piece: float(piece.interval_metres.sum()))
                 _panel(axes, replay(longest, runs=_RUNS), short_name(judgement.name))
             except EffectError:  # a law that absorbs all motion can be removed from odometry, but not applied
                 none = "no odometry of this drive obeys it: no runs to show"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.report.plots.figure import COLOURS, MARKERS, drawing, new_figure, short_name
-from odomcorrupt.study.validate.error_rates import CHANNELS, joint_rates, node_motion, unit_columns
+from odomcorrupt.study.validate.error_rates import CHANNELS, interval_motion, joint_rates, unit_columns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,7 +65,7 @@ def _shown(comparison: Comparison) -> list[tuple[Judgement, int]]:
 
 def _regressors(piece: Evaluation) -> dict[str, Array]:
     """Return the regressors by label, each over the K intervals of a segment, in customary units."""
-    m = node_motion(piece.problem)
+    m = interval_motion(piece.problem)
     return {
         "speed (m/s)": m.v,
         "yaw rate (deg/s)": np.degrees(m.omega),

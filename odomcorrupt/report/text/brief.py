@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
@@ -71,6 +72,7 @@ def findings_brief(
     *,
     fit: Fit | None = None,
     robot: RobotFit | None = None,
+    written: MotionModel | None = None,
     notes: Sequence[str] = (),
     alerts: Sequence[str] = (),
     reproduction: Reproduction | None = None,
@@ -82,6 +84,7 @@ def findings_brief(
     comparison : the evaluated models; the first one lacks the findings
     fit : final fit, if it is not that of the search
     robot : source of the noise with intervals, for the noise that a localisation hides
+    written : the model as written, which may lack findings that cannot be applied
     notes, alerts : the reader's notes on the recordings, and findings that are shown in any case
     reproduction : drift of the final model relative to the recordings, if known
     following : suggested next command, "" for none
@@ -114,6 +117,9 @@ def findings_brief(
     # the identity of an effect is more important than its gain
     at = max(len(search.matters), 1)
     lines[at:at] = [*_open_lines(search, advice), *_limit_lines(advice), *_drive_lines(search)]
+    if written is not None and (absent := _absent(search, written)):
+        said = f"without {' and '.join(absent)}, which cannot be applied as found (-v states why)"
+        lines.insert(at, Line("model", said, "warning"))
     last = comparison.judgements[-1]
     if last.verdict.fails:
         misfit = last.verdict.misfit
@@ -250,6 +256,12 @@ def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
     first = [[one.clock or one.name for one in runs].index(run.clock or run.name) for run in runs]
     found = [one for one in clocks_found(clocks) if first[one.recording] == one.recording]
     return [Line("clock", f"{one.name} {one.text} in {names[one.recording]}") for one in found]
+
+
+def _absent(search: Learned, written: MotionModel) -> list[str]:
+    """Return the names of included effects that the written model lacks."""
+    kept = {effect.name for effect in written.effects}
+    return [name for name in search.added if name in {e.name for e in search.fit.effects if e.kind != "setup"} - kept]
 
 
 def _drive_lines(search: Learned) -> list[Line]:

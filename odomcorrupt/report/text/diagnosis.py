@@ -59,9 +59,9 @@ def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None 
     for gain in learned.noise:
         values = ", ".join(noise_text(gain.effect))
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
-        sure = confidence_words(noise_confidence(gain, learned))
-        sure += ", or the scale of the truth varies" if may_be_scale_of_truth(gain, learned) else ""
-        lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
+        probability = confidence_words(noise_confidence(gain, learned))
+        probability += ", or the scale of the truth varies" if may_be_scale_of_truth(gain, learned) else ""
+        lines.append(f"noise: {gain.effect.name}{channel}, {values} ({probability}): {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
         lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), fitted=unknown in learned.laws)
         mean = learned.mean_of(unknown)
@@ -232,10 +232,10 @@ def _sequence_text(learned: Learned) -> str:
             rivals = f" (= {', '.join(twins)}: the same error)" if twins else ""
             rivals += f" (or {', '.join(others)}: these data do not separate them)" if others else ""
             name = step.added + words_text(own[step.added])
-            sure = confidence_words(step_confidence(step, learned))
+            probability = confidence_words(step_confidence(step, learned))
             lines.append(
                 f"  + {name:<16}{step.candidates[0].gain:+8.1f} nats   "
-                f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {sure}{rivals}"
+                f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {probability}{rivals}"
             )
     return "\n".join(lines)
 

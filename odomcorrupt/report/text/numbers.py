@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.returns import ReturnsFit
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.select.random_effects import DetectedRandomEffect
     from odomcorrupt.study.select.stepwise import Learned, Step
 
 
@@ -78,7 +78,7 @@ def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
     """Return a line for every recording with a clock error, with its confidence."""
     parts: dict[int, list[str]] = {}
     for one in clocks_found(clocks):
-        said = f"{one.name.rpartition('_')[2]} {one.text} ({confidence_words(one.sure)})"
+        said = f"{one.name.rpartition('_')[2]} {one.text} ({confidence_words(one.confidence)})"
         parts.setdefault(one.recording, []).append(said)
     return [f"{names[i]}: the odometry's clock is off: {', '.join(parts[i])}" for i in sorted(parts)]
 
@@ -105,7 +105,7 @@ class ClockFound(NamedTuple):
     recording: int
     value: float
     error: float
-    sure: float
+    confidence: float
 
     @property
     def text(self) -> str:
@@ -131,8 +131,8 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
             if free[position] and abs(value) > SIGNIFICANT * error:
                 own = 0.5 * (value / error) ** 2
                 margins, left = (clocks.margins_nats, clocks.left_nats) if name == "time_offset" else ((), 0.0)
-                sure = confidence(Evidence(own, tuple(own - max(nats, 0.0) for nats in margins), left))
-                yield ClockFound(name, i, float(value), float(error), sure)
+                probability = confidence(Evidence(own, tuple(own - max(nats, 0.0) for nats in margins), left))
+                yield ClockFound(name, i, float(value), float(error), probability)
 
 
 def step_confidence(step: Step, learned: Learned) -> float:
@@ -140,14 +140,14 @@ def step_confidence(step: Step, learned: Learned) -> float:
     return confidence(evidence_of(step, learned))
 
 
-def noise_confidence(gain: RandomCoefficient, learned: Learned) -> float:
+def noise_confidence(gain: DetectedRandomEffect, learned: Learned) -> float:
     """Return the confidence in the name of a random effect."""
     return confidence(noise_evidence(gain, learned))
 
 
-def confidence_words(sure: float) -> str:
+def confidence_words(probability: float) -> str:
     """Return "confidence 0.99", rounded down: 0.999 is not certain."""
-    return f"confidence {int(100.0 * sure) / 100.0:.2f}"
+    return f"confidence {int(100.0 * probability) / 100.0:.2f}"
 
 
 def law_numbers(unknown: Dependence, learned: Learned, fit: Fit | None = None) -> dict[str, LawNumber]:

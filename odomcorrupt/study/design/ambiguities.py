@@ -78,15 +78,15 @@ def open_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list[
     said = {step.added, *(name for choice in found for name in choice.names)}
     drive = drives.learned.drive_type
     for twin, kind in kinds.items():
-        if kind.twin_of in said and twin not in said and twin in readings_of(str(kind.twin_of), drive):
+        if kind.aliased_with in said and twin not in said and twin in readings_of(str(kind.aliased_with), drive):
             hint = "; ".join(filter(None, (kind.about.drive if kind.about else "", _correction_hint(drives, kind))))
-            found.append(Ambiguity((str(kind.twin_of), twin), "", None, 0.0, hint))
+            found.append(Ambiguity((str(kind.aliased_with), twin), "", None, 0.0, hint))
     return found, gains_found
 
 
 def _correction_hint(drives: Drives, twin: type[Effect]) -> str:
     """Return how to apply the robot's twin of a set-up effect in `correct`, which ignores set-up effects; or ""."""
-    own = next((e for e in drives.learned.fit.effects if e.name == twin.twin_of), None)
+    own = next((e for e in drives.learned.fit.effects if e.name == twin.aliased_with), None)
     if own is None or own.kind != "setup" or twin.kind == "setup":
         return ""
     values = ",".join(f"{p.name}={getattr(own, p.name):.4g}" for p in amplitudes(twin))

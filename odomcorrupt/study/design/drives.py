@@ -147,7 +147,7 @@ def missing_excitations(drive: Excitation) -> list[tuple[str, tuple[str, ...]]]:
 Gain: TypeAlias = "Callable[[Field], float]"
 """Information that a planned drive adds on one question, nats."""
 ENOUGH_NATS = 10.0
-"""Expected log likelihood ratio from which a question counts as settled."""
+"""Expected log likelihood ratio from which a question counts as answered."""
 _SHORT_S, _LONG_S = 180.0, 600.0
 _SUFFICIENT_SHARE = 0.3
 """A missing excitation is given as reason if adding it yields at least this fraction of the best information."""
@@ -192,7 +192,7 @@ def best_plan(drives: Drives, gain: Gain) -> tuple[Plan, float]:
 
 
 def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = ()) -> Plan:
-    """Return the plan that settles most questions; nats beyond those that settle a question count little.
+    """Return the plan that answers most questions; nats beyond those that answer a question count little.
 
     first : primary questions, which justify a longer drive
     beside : secondary questions, considered among plans for the primary ones
@@ -200,14 +200,14 @@ def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = 
     if len(first) + len(beside) == 1:
         return best_plan(drives, (*first, *beside)[0])[0]
 
-    def settled(drive: Field) -> float:
+    def answered_nats(drive: Field) -> float:
         shares = [float(np.mean([_share(gain(drive)) for gain in gains])) for gains in (first, beside) if gains]
         return float(np.dot(shares, (1.0, _SECONDARY_WEIGHT)[: len(shares)]))
 
     def answered(drive: Field) -> int:
         return sum(gain(drive) >= ENOUGH_NATS for gain in first or beside)
 
-    plan, drive = _most_valuable(drives, settled)
+    plan, drive = _most_valuable(drives, answered_nats)
     if answered(drive) >= (len(first) or 1):
         return plan
     gains = [(answered(field_), longer) for longer, field_ in _longer(drives, plan)]

@@ -151,7 +151,7 @@ def untried(learned: Learned) -> list[UntestableEffect]:
             name in have
             or kind.kind in ("noise", "event")
             or kind.clock
-            or kind.twin_of is not None
+            or kind.aliased_with is not None
             or kind.in_place_of is not None
             or kind.needs_sideways
             or not drive.admits(kind)

@@ -49,7 +49,7 @@ class Field:
     def white(self, effects: Sequence[Effect]) -> Array:
         """Return whitened columns (3 K, p) of the amplitudes of several effects."""
         parts = [self._white(effect) for effect in effects if amplitudes(effect)]
-        return np.concatenate([np.zeros((3 * len(self.problem.nodes), 0)), *parts], axis=1)
+        return np.concatenate([np.zeros((3 * len(self.problem.intervals), 0)), *parts], axis=1)
 
     def white_clocks(self) -> Array:
         """Return whitened columns (3 K, c) of the drive's clock."""
@@ -58,7 +58,7 @@ class Field:
     def _white(self, effect: Effect | None) -> Array:
         if effect not in self._known:
             columns = self.clocks if effect is None else self.problem.columns(effect)
-            empty = np.zeros((3 * len(self.problem.nodes), 0))
+            empty = np.zeros((3 * len(self.problem.intervals), 0))
             self._known[effect] = self.whitener.whiten(columns) if columns.shape[2] else empty
         return self._known[effect]
 
@@ -73,9 +73,9 @@ def planned_field(fit: Fit, plan: Plan) -> Field:
     """Return a planned drive, with the noise of the fit and a clock with free offset and rate."""
     problem = pose_problem([ideal_recording(plan, fit.problem.recordings[0])], approach=fit.problem.approach)
     truth = fit.noise.truth if fit.problem.headings else replace(fit.noise.truth, yaw_rad=UNKNOWN_RAD)
-    q = problem.nodes.covariance(fit.problem.approach.law, fit.noise.coefficients, problem.steps)
+    q = problem.intervals.covariance(fit.problem.approach.law, fit.noise.coefficients, problem.steps)
     clocks = problem.clock_columns()
-    noise = replace(fit.noise, whitener=whitener(problem.nodes, q, truth))
+    noise = replace(fit.noise, whitener=whitener(problem.intervals, q, truth))
     return Field(problem, with_random(noise, problem, clocks, fit.random).whitener, clocks)
 
 

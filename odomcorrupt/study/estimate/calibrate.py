@@ -66,8 +66,8 @@ class RobotFit:
     @property
     def information_nats(self) -> float:
         """Log likelihood minus half the log of the number of intervals per noise coefficient (Schwarz criterion)."""
-        nodes = len(self.fit.problem.nodes)
-        return self.fit.log_likelihood - 0.5 * len(self.fit.components.active) * float(np.log(nodes))
+        intervals = len(self.fit.problem.intervals)
+        return self.fit.log_likelihood - 0.5 * len(self.fit.components.active) * float(np.log(intervals))
 
 
 def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect]:
@@ -211,7 +211,7 @@ def _noise_covariance(fitted: Fit, columns: Array) -> tuple[list[str], Array]:
     names = [NAMES[active[i]] for i in positions]
     blank = np.zeros((len(names), len(names)))
     likelihood = NoiseLikelihood(
-        fitted.problem.nodes, fitted.components, columns, fitted.noise.weights, headings=fitted.problem.headings
+        fitted.problem.intervals, fitted.components, columns, fitted.noise.weights, headings=fitted.problem.headings
     )
 
     def value(*moves: tuple[int, float]) -> float:

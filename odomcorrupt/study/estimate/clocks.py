@@ -95,7 +95,7 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     together = {i: [r for r, leader in zip(recordings, leaders, strict=True) if leader == i] for i in set(leaders)}
     found = {i: _find_clock(runs, approach) for i, runs in together.items()}
     each = [found[leader] for leader in leaders]
-    longest = max(found.values(), key=lambda f: len(f.fit.problem.nodes)).fit
+    longest = max(found.values(), key=lambda f: len(f.fit.problem.intervals)).fit
     return Clocks(
         tuple(f.clock for f in each),
         tuple(f.free for f in each),

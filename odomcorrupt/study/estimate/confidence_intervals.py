@@ -55,10 +55,10 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
     """
     problem, noise = fitted.problem, fitted.noise
 
-    def over(nodes: Intervals) -> NoiseLikelihood:
-        return NoiseLikelihood(nodes, fitted.components, columns, noise.weights, headings=problem.headings)
+    def over(intervals: Intervals) -> NoiseLikelihood:
+        return NoiseLikelihood(intervals, fitted.components, columns, noise.weights, headings=problem.headings)
 
-    likelihood, free = over(problem.nodes), noise.free
+    likelihood, free = over(problem.intervals), noise.free
     # with a localisation as the truth, noise was fitted with a prior and without the field: compare with that fit
     alone = any(r.localised for r in problem.recordings)
     if fitted.random:  # otherwise their contribution would be fitted as noise of each step

@@ -15,8 +15,8 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.model.noise_laws import law_named
-from odomcorrupt.study.estimate.intervals import TURN_M, intervals
-from odomcorrupt.study.estimate.nodes import pick_nodes
+from odomcorrupt.study.estimate.interval_ends import pick_interval_ends
+from odomcorrupt.study.estimate.intervals import TURN_M, intervals_between
 from odomcorrupt.study.estimate.regressors import choose_side, truth_noise
 
 if TYPE_CHECKING:
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.regressors import Side
     from odomcorrupt.study.io.recording import Recording
 
-NODE_S = 0.5
+INTERVAL_S = 0.5
 """Spacing of nodes for an accurate truth, seconds."""
-_COARSE_NODE_S = 1.0
+_COARSE_INTERVAL_S = 1.0
 _COARSE_TRUTH_M = 0.008
 """Noise per sample above which a truth has correlated errors (AMCL, SLAM), so that nodes are spaced farther apart."""
-_BLIND_NODE_S = 2.0
+_BLIND_INTERVAL_S = 2.0
 """Spacing for a truth without headings: positions show a turn only later; closer nodes take jitter for turn noise."""
 
 
@@ -46,7 +46,7 @@ class Approach:
     """
 
     side: Side = "odometry"
-    spacing_s: float = NODE_S
+    spacing_s: float = INTERVAL_S
     law_name: str = "diffusion"
 
     @property
@@ -58,11 +58,11 @@ class Approach:
 def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion") -> Approach:
     """Return the settings that the recording with the least accurate truth needs."""
     noise_m = max(float(np.hypot(*truth_noise(r.truth)[:2])) / np.sqrt(2.0) for r in recordings)
-    spacing_s = NODE_S
+    spacing_s = INTERVAL_S
     if not all(r.headed for r in recordings):
-        spacing_s = _BLIND_NODE_S
+        spacing_s = _BLIND_INTERVAL_S
     elif noise_m > _COARSE_TRUTH_M or any(r.localised for r in recordings):
-        spacing_s = max([_COARSE_NODE_S, *(independent_spacing_s(r) for r in recordings if r.localised)])
+        spacing_s = max([_COARSE_INTERVAL_S, *(independent_spacing_s(r) for r in recordings if r.localised)])
     # a relative truth: no interval shorter than its measured motions
     usual_s = [float(np.median(np.diff(r.truth.stamps_ns))) * 1e-9 for r in recordings if r.truth.relative]
     spacing_s = max([spacing_s, *usual_s])
@@ -119,12 +119,12 @@ def _spread(recording: Recording, truth_s: Array, length_s: float) -> Array | No
     odo_s, found = recording.odometry_s, []
     for phase in np.arange(_PHASES) / _PHASES:
         try:
-            picked = pick_nodes(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
+            picked = pick_interval_ends(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
         except RecordingError:
             return None
         kept = np.flatnonzero(np.diff(truth_s[picked]) < 1.5 * length_s)
         if len(kept):
-            found.append(intervals(recording, picked, kept).residual)
+            found.append(intervals_between(recording, picked, kept).residual)
     if sum(map(len, found)) < _FEW:
         return None
     spread: Array = (1.4826 * np.median(np.abs(np.concatenate(found)), axis=0)) ** 2

@@ -218,7 +218,7 @@ def _with_right_headings(recording: Recording, approach: Approach) -> Recording:
     askew = [kinds["mount_yaw"](), *(kinds[name]() for name in _ASKEW)]
     askew += [effect_from_values("slope", {"direction": angle}) for angle in (0.0, np.pi / 2.0)]
     columns = np.concatenate([problem.columns(effect) for effect in askew] + [_columns_beside(problem)], axis=2)
-    components = VarianceComponents(approach.law, problem.nodes, problem.steps)
+    components = VarianceComponents(approach.law, problem.intervals, problem.steps)
     noise = _fitted(problem, components, columns, _USUAL_M).noise
     yaw_rad, error_rad = float(noise.theta[0]), float(np.sqrt(noise.theta_covariance[0, 0]))
     if not yaw_rad**2 > chi2.isf(_ASKEW_LEVEL, 1) * error_rad**2:
@@ -241,12 +241,12 @@ def _with_own(recording: Recording, approach: Approach) -> Recording:
     """Return a recording with the most likely correlation length, and a spatial field if that is more likely still."""
     problem = pose_problem([recording], approach=approach)
     columns = _columns_beside(problem)
-    components = VarianceComponents(approach.law, problem.nodes, problem.steps)
+    components = VarianceComponents(approach.law, problem.intervals, problem.steps)
     fits = {length: _fitted(problem, components, columns, length) for length in _LENGTHS_M}
     length, (best, nats_of_process) = max(fits.items(), key=lambda one: one[1].nats)
-    q = problem.nodes.covariance(approach.law, best.coefficients, problem.steps)
+    q = problem.intervals.covariance(approach.law, best.coefficients, problem.steps)
     field, nats = field_of(problem, q, columns)
-    constant = 1.5 * len(problem.nodes) * float(np.log(2.0 * np.pi))
+    constant = 1.5 * len(problem.intervals) * float(np.log(2.0 * np.pi))
     more = nats - constant - nats_of_process
     return replace(recording, truth_correlation_m=length, truth_field=field if more > _FIELD_NATS else None)
 
@@ -260,8 +260,8 @@ class _Fitted(NamedTuple):
 
 def _fitted(problem: Problem, components: VarianceComponents, columns: Array, length_m: float) -> _Fitted:
     """Return the maximum-likelihood noise for a given correlation length of the truth's errors along the path."""
-    nodes = replace(problem.nodes, memory=memory_over(problem.nodes.way_m, length_m))
-    likelihood = NoiseLikelihood(nodes, components, columns, np.ones(len(nodes)))
+    intervals = replace(problem.intervals, memory=memory_over(problem.intervals.way_m, length_m))
+    likelihood = NoiseLikelihood(intervals, components, columns, np.ones(len(intervals)))
     best = likelihood.evaluate(likelihood.maximise(likelihood.initial_guess()))
     apart = np.log(max(length_m, _NONE_M) / _USUAL_M) / _SPREAD
     return _Fitted(best, likelihood.posterior(best) - 0.5 * float(apart) ** 2)

@@ -168,8 +168,8 @@ def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[s
     """
     kinds = registry()
     name = effect if isinstance(effect, str) else effect.name
-    own = kinds[name].twin_of if name in kinds else None
-    twins = [other for other, kind in kinds.items() if kind.twin_of == name]
+    own = kinds[name].aliased_with if name in kinds else None
+    twins = [other for other, kind in kinds.items() if kind.aliased_with == name]
     either = (*twins, *([own] if own else []))
     guessed = drive is not None and drive.steered and not drive.stated
     if guessed:  # perhaps wrongly, so the names for differential drives are reported too

@@ -30,8 +30,8 @@ def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) 
     """
     kinds = registry()
     aboard = any(r.positioned and (r.matched or r.truth.relative) for r in recordings)
-    there = {name for effect in beside for name in (effect.name, effect.twin_of)}
-    there |= {name for name, kind in kinds.items() if kind.twin_of in there}
+    there = {name for effect in beside for name in (effect.name, effect.aliased_with)}
+    there |= {name for name, kind in kinds.items() if kind.aliased_with in there}
     return tuple(kinds[name]() for name in MOUNTING if aboard and name not in there)
 
 
@@ -44,8 +44,8 @@ def find_setup(
     that increases the drift, or that is aliased with a requested effect is left out.
     """
     kinds = registry()
-    asked = {name for effect in effects for name in (effect.name, effect.twin_of)}
-    asked |= {name for name, kind in kinds.items() if kind.twin_of in asked}
+    asked = {name for effect in effects for name in (effect.name, effect.aliased_with)}
+    asked |= {name for name, kind in kinds.items() if kind.aliased_with in asked}
     near = {effect.name: effect for effect in clocks.beside}
 
     def usual(names: Iterable[str]) -> list[Effect]:

@@ -172,7 +172,7 @@ def fit(
         if weights is not None and of is not None:
             weights = _carried(weights, of, problem)
         columns = design_matrix(problem, free)
-        components = VarianceComponents(approach.law, problem.nodes, problem.steps)
+        components = VarianceComponents(approach.law, problem.intervals, problem.steps)
         begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
         free_too = (
             np.concatenate((columns, bias_roots(problem)[:, :, :SHARED]), axis=2) if has_bias(problem) else columns
@@ -212,7 +212,7 @@ def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | A
     parts = [problem.columns(effect) for effect in problem.effects]
     if free.any():
         parts.append(problem.clock_columns()[:, :, free.ravel()])
-    return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.nodes), 3, 0))
+    return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.intervals), 3, 0))
 
 
 def orthonormal(white: Array) -> Array:
@@ -223,13 +223,13 @@ def orthonormal(white: Array) -> Array:
 
 def _carried(weights: Array, before: Problem, now: Problem) -> Array:
     """Return robust weights (K,) transferred to the current nodes: a clock step may add, remove or shift nodes."""
-    if np.array_equal(before.nodes.start_s, now.nodes.start_s):
+    if np.array_equal(before.intervals.start_s, now.intervals.start_s):
         return weights
-    carried = np.ones(len(now.nodes))
+    carried = np.ones(len(now.intervals))
     for r in range(len(now.recordings)):
         old, new = np.flatnonzero(before.run == r), np.flatnonzero(now.run == r)
-        middle = (before.nodes.start_s[old] + before.nodes.end_s[old]) / 2.0
-        wanted = (now.nodes.start_s[new] + now.nodes.end_s[new]) / 2.0
+        middle = (before.intervals.start_s[old] + before.intervals.end_s[old]) / 2.0
+        wanted = (now.intervals.start_s[new] + now.intervals.end_s[new]) / 2.0
         right = np.clip(np.searchsorted(middle, wanted), 1, len(middle) - 1)
         nearest = right - (wanted - middle[right - 1] < middle[right] - wanted)
         carried[new] = weights[old[nearest]]

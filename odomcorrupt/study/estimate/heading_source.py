@@ -67,9 +67,9 @@ def is_nameable(kind: type[Effect], source: str, *, travel: bool) -> bool:
     """
     if not travel and kind.name in (*_OF_TRAVEL, *_GYROS):
         return False
-    return not source or kind.name not in GAINS_OF_TURNS.values() or is_settled(kind, source)
+    return not source or kind.name not in GAINS_OF_TURNS.values() or is_yaw_gain_of(kind, source)
 
 
-def is_settled(kind: type[Effect], source: str) -> bool:
+def is_yaw_gain_of(kind: type[Effect], source: str) -> bool:
     """Return whether an effect is the yaw gain of a known source of the heading."""
     return kind.name == GAINS_OF_TURNS.get(source)

@@ -153,7 +153,9 @@ def _added(row: Array | None, more: Array) -> Array:
     return more if row is None else np.add(row, more, out=row)
 
 
-def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> Intervals:
+def intervals_between(
+    recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.int64] | None = None
+) -> Intervals:
     """Return the intervals between picked truth samples; `kept` has the indices of those to return (default all)."""
     odometry, truth = recording.odometry, recording.truth
     origin_ns = recording.origin_ns

@@ -71,7 +71,7 @@ def outliers(square: Array) -> NDArray[np.bool_]:
 
 
 def fit_noise(
-    nodes: Intervals, components: VarianceComponents, columns: Array, start: NoiseStart, *, headings: bool = True
+    intervals: Intervals, components: VarianceComponents, columns: Array, start: NoiseStart, *, headings: bool = True
 ) -> NoiseFit:
     """Return maximum-likelihood coefficients and truth noise; columns (K, 3, m) are free linear terms throughout.
 
@@ -80,9 +80,11 @@ def fit_noise(
     intervals are outliers they are signal, and the fit without weights is returned, unless `start.bursts` is set.
     If the truth has no headings, its heading noise is held at a large constant.
     """
-    ones = np.ones(len(nodes))
+    ones = np.ones(len(intervals))
     weights = start.weights
-    likelihood = NoiseLikelihood(nodes, components, columns, ones if weights is None else weights, headings=headings)
+    likelihood = NoiseLikelihood(
+        intervals, components, columns, ones if weights is None else weights, headings=headings
+    )
     if start.free is None or len(start.free) != len(likelihood.initial_guess()):
         free = likelihood.restart(likelihood.maximise(likelihood.initial_guess()))
     elif weights is not None:
@@ -100,7 +102,7 @@ def fit_noise(
         if not worse.any():
             break
         heavier = np.where(worse, done.weights * square / 3.0, done.weights)
-        likelihood = NoiseLikelihood(nodes, components, columns, heavier, headings=headings)
+        likelihood = NoiseLikelihood(intervals, components, columns, heavier, headings=headings)
         done = likelihood.evaluate(likelihood.maximise(likelihood.revived(done.free)))
     return plain if np.mean(done.weights > 1.0) > _SIGNAL and not start.bursts else done
 
@@ -109,20 +111,20 @@ def fit_noise_beside(
     problem: Problem, components: VarianceComponents, columns: Array, random: Sequence[Effect], start: NoiseStart
 ) -> NoiseFit:
     """Return the noise fitted to the residuals without the random coefficients' part, see `fit_noise`."""
-    nodes, headings, weights = problem.nodes, problem.headings, start.weights
+    intervals, headings, weights = problem.intervals, problem.headings, start.weights
     if random and start.free is not None:
-        even = np.ones(len(nodes)) if weights is None else weights
-        noise = NoiseLikelihood(nodes, components, columns, even, headings=headings).evaluate(start.free)
+        even = np.ones(len(intervals)) if weights is None else weights
+        noise = NoiseLikelihood(intervals, components, columns, even, headings=headings).evaluate(start.free)
     else:
-        noise = fit_noise(nodes, components, columns, start, headings=headings)
+        noise = fit_noise(intervals, components, columns, start, headings=headings)
     if not random:
         return noise
     root = joined([root_of(effect, problem) for effect in random])
     for normal in _normals(root):
         before = noise.free
-        rest = replace(nodes, residual=nodes.residual - _drawn(noise, problem, columns, root, normal))
-        again = NoiseStart(before, weights, bursts=start.bursts)
-        noise = fit_noise(rest, components, columns, again, headings=headings)
+        rest = replace(intervals, residual=intervals.residual - _drawn(noise, problem, columns, root, normal))
+        refit_start = NoiseStart(before, weights, bursts=start.bursts)
+        noise = fit_noise(rest, components, columns, refit_start, headings=headings)
         weights = noise.weights
         plain = before > np.log(_FAINT)
         if np.abs(noise.free - before)[plain].max(initial=0.0) < _SETTLED:
@@ -133,10 +135,10 @@ def fit_noise_beside(
 def without_process(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> Intervals:
     """Return the intervals with a posterior draw of the random coefficients subtracted; the step noise is left."""
     if not random:
-        return problem.nodes
+        return problem.intervals
     root = joined([root_of(effect, problem) for effect in random])
     drawn = _drawn(noise, problem, columns, root, _normals(root)[0])
-    return replace(problem.nodes, residual=problem.nodes.residual - drawn)
+    return replace(problem.intervals, residual=problem.intervals.residual - drawn)
 
 
 def _normals(root: Root) -> Array:
@@ -147,7 +149,7 @@ def _normals(root: Root) -> Array:
 def _drawn(noise: NoiseFit, problem: Problem, columns: Array, root: Root, normal: Array) -> Array:
     """Return a posterior draw (K, 3) of the processes' contribution to the residuals."""
     whiten, mixing = noise.whitener.whiten, root.mixing
-    r, design, knots = whiten(problem.nodes.residual), whiten(columns), noise.whitener.knots(root.spread)
+    r, design, knots = whiten(problem.intervals.residual), whiten(columns), noise.whitener.knots(root.spread)
     factor = cholesky(np.eye(mixing.shape[1]) + mixing.T @ knots.inner(knots) @ mixing, lower=True)
 
     def carried(data: Array) -> Array:

@@ -105,7 +105,7 @@ class NoiseLikelihood:
 
     Parameters
     ----------
-    nodes : the residuals of K intervals
+    intervals : the residuals of K intervals
     components : contribution of each coefficient of the law to their covariance
     columns : (K, 3, m)
         Columns of free linear parameters.
@@ -115,23 +115,29 @@ class NoiseLikelihood:
     """
 
     def __init__(
-        self, nodes: Intervals, components: VarianceComponents, columns: Array, weights: Array, *, headings: bool = True
+        self,
+        intervals: Intervals,
+        components: VarianceComponents,
+        columns: Array,
+        weights: Array,
+        *,
+        headings: bool = True,
     ) -> None:
         if not components.active:
             raise FitError("the odometry never moves; a noise law has nothing to act on")
-        self._nodes, self._components, self._weights, self._headings = nodes, components, weights, headings
+        self._intervals, self._components, self._weights, self._headings = intervals, components, weights, headings
         # arrays for LAPACK are in Fortran order, bands included
-        self._stacked = by_column(np.concatenate((nodes.residual[:, :, None], columns), axis=2))
-        bands = [band_of(*odometry_piece(nodes, part * weights[:, None, None])) for part in components.parts()]
-        bands += [band_of(*piece) for piece in truth_pieces(nodes)]
+        self._stacked = by_column(np.concatenate((intervals.residual[:, :, None], columns), axis=2))
+        bands = [band_of(*odometry_piece(intervals, part * weights[:, None, None])) for part in components.parts()]
+        bands += [band_of(*piece) for piece in truth_pieces(intervals)]
         self._bands = np.stack([band.T for band in bands]).reshape(len(bands), -1)
-        self._floor = np.asfortranarray(fixed_band(nodes))
-        self._rho = rho_of(nodes)
-        self._localised = bool(nodes.localised.all())
+        self._floor = np.asfortranarray(fixed_band(intervals))
+        self._rho = rho_of(intervals)
+        self._localised = bool(intervals.localised.all())
 
     def initial_guess(self) -> Array:
         """Return noise parameters (m,) with which truth and odometry each explain part of the residual."""
-        scale = np.median(np.abs(self._nodes.residual), axis=0)
+        scale = np.median(np.abs(self._intervals.residual), axis=0)
         truth = np.clip(np.array([scale[:2].mean() / 2.0, scale[2] / 2.0, 1e-4]), 1e-4, 0.1)
         if not self._headings:
             truth[1] = UNKNOWN_RAD

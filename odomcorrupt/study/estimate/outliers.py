@@ -164,16 +164,16 @@ def _joined(first: Event, second: Event) -> Event:
 
 def _across_gaps(fit: Fit) -> list[Event]:
     """Return each gap of the truth as an event: difference of odometry and truth from one end to the other."""
-    problem, nodes, found, usual = fit.problem, fit.problem.nodes, [], usual_residual(fit)
+    problem, intervals, found, usual = fit.problem, fit.problem.intervals, [], usual_residual(fit)
     for r, (recording, clock) in enumerate(zip(problem.recordings, problem.clocks, strict=True)):
         own = np.flatnonzero(problem.run == r)
-        gaps = own[1:][~nodes.linked[own[1:]]]
+        gaps = own[1:][~intervals.linked[own[1:]]]
         if not len(gaps):
             continue
         left = with_recomputed_headings(undo(aligned(recording, clock), problem.effects))
-        begin, end = nodes.end_s[gaps - 1], nodes.start_s[gaps]
-        truth_xyt = compose(nodes.truth_xyt[gaps - 1], nodes.truth_step[gaps - 1])
-        true = between(truth_xyt, nodes.truth_xyt[gaps])
+        begin, end = intervals.end_s[gaps - 1], intervals.start_s[gaps]
+        truth_xyt = compose(intervals.truth_xyt[gaps - 1], intervals.truth_step[gaps - 1])
+        true = between(truth_xyt, intervals.truth_xyt[gaps])
         said = between(left.odometry.at(begin, left.origin_ns), left.odometry.at(end, left.origin_ns))
         apart = np.column_stack((rotate(said[:, :2] - true[:, :2], -true[:, 2]), wrap(said[:, 2] - true[:, 2])))
         # noise grows with the square root of time, and heading noise displaces the path since the gap began
@@ -211,7 +211,7 @@ def odd_steps(fit: Fit) -> list[Event]:
 
 def set_apart(fit: Fit) -> Fit:
     """Return the fit with weights by which outlier intervals have almost no influence in a refit."""
-    weights = np.ones(len(fit.problem.nodes))
+    weights = np.ones(len(fit.problem.intervals))
     weights[_standing_out(fit)] = _HARDLY
     return replace(fit, noise=replace(fit.noise, weights=weights))
 
@@ -226,7 +226,7 @@ def _standing_out(fit: Fit) -> NDArray[np.int64]:
 
 def usual_residual(fit: Fit) -> Array:
     """Return the robust scale (3,) of an interval's residual; infinite for travel if the truth is a gyro alone."""
-    usual: Array = 1.4826 * np.median(np.abs(fit.problem.nodes.residual), axis=0) + 1e-12
+    usual: Array = 1.4826 * np.median(np.abs(fit.problem.intervals.residual), axis=0) + 1e-12
     if not any(recording.positioned for recording in fit.problem.recordings):
         usual[:2] = np.inf
     return usual
@@ -237,22 +237,22 @@ def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
 
 
 def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
-    problem, nodes = fit.problem, fit.problem.nodes
+    problem, intervals = fit.problem, fit.problem.intervals
     flagged = np.concatenate(groups) if len(groups) else np.zeros(0, dtype=np.int64)
     usual = usual_residual(fit)
     found = []
     for group in groups:
-        step, heading = nodes.odometry_step[group], nodes.truth_xyt[group, 2] + nodes.truth_step[group, 2]
+        step, heading = intervals.odometry_step[group], intervals.truth_xyt[group, 2] + intervals.truth_step[group, 2]
         # sum in the frame of the event's first interval, because the robot may turn
-        residual = nodes.residual[group].copy()
+        residual = intervals.residual[group].copy()
         residual[:, :2] = rotate(residual[:, :2], heading - heading[0])
         apart = np.linalg.norm(residual.sum(axis=0) / usual)
         most = float(np.linalg.norm(residual / usual, axis=1).max())
         found.append(
             Event(
                 recording=problem.recordings[int(problem.run[group[0]])].name,
-                start_s=float(nodes.start_s[group[0]]),
-                end_s=float(nodes.end_s[group[-1]]),
+                start_s=float(intervals.start_s[group[0]]),
+                end_s=float(intervals.end_s[group[-1]]),
                 along_m=float(residual[:, 0].sum()),
                 yaw_rad=float(residual[:, 2].sum()),
                 slip=_slip(
@@ -260,7 +260,7 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
                 ),
                 turn_rad=float(step[:, 2].sum()),
                 across_m=float(residual[:, 1].sum()),
-                place_xy=(float(nodes.truth_xyt[group[0], 0]), float(nodes.truth_xyt[group[0], 1])),
+                place_xy=(float(intervals.truth_xyt[group[0], 0]), float(intervals.truth_xyt[group[0], 1])),
                 plain=float(apart),
                 lasting=bool(apart > _LASTS * most) and not _comes_back(fit, group, flagged, usual),
             )
@@ -274,15 +274,15 @@ def _comes_back(fit: Fit, group: NDArray[np.int64], flagged: NDArray[np.int64], 
     A lost localisation or floating RTK fixes return to the true position some time later. After a push, the difference
     to the odometry remains.
     """
-    nodes, run = fit.problem.nodes, fit.problem.run
-    heading = nodes.truth_xyt[:, 2] + nodes.truth_step[:, 2]
-    world = nodes.residual.copy()
-    world[:, :2] = rotate(nodes.residual[:, :2], heading)
-    middle, own = float(nodes.start_s[group].mean()), world[group].sum(axis=0)
+    intervals, run = fit.problem.intervals, fit.problem.run
+    heading = intervals.truth_xyt[:, 2] + intervals.truth_step[:, 2]
+    world = intervals.residual.copy()
+    world[:, :2] = rotate(intervals.residual[:, :2], heading)
+    middle, own = float(intervals.start_s[group].mean()), world[group].sum(axis=0)
     reach = np.array([max(usual[:2]), max(usual[:2]), usual[2]])
     size = float(np.linalg.norm(own / reach))
     others = np.setdiff1d(flagged, group)
-    near = others[(run[others] == run[group[0]]) & (np.abs(nodes.start_s[others] - middle) < _EXCURSION_S)]
+    near = others[(run[others] == run[group[0]]) & (np.abs(intervals.start_s[others] - middle) < _EXCURSION_S)]
     for some in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
         back = world[some].sum(axis=0)
         largest = max(size, float(np.linalg.norm(back / reach)))
@@ -325,8 +325,8 @@ def slip_bursts(fit: Fit) -> Effect | None:
         _is_the_error(fit, lasting) and wilcoxon(lost_m * np.sign(slips), alternative="greater").pvalue < _LEVEL_ALONE
     ):
         return None
-    nodes = fit.problem.nodes
-    seconds = float(np.sum(nodes.end_s - nodes.start_s))
+    intervals = fit.problem.intervals
+    seconds = float(np.sum(intervals.end_s - intervals.start_s))
     spacing = fit.problem.approach.spacing_s
     # a burst is shorter than the stretch in which it was found, over which its slip is averaged
     duration = 0.5 * spacing
@@ -334,7 +334,7 @@ def slip_bursts(fit: Fit) -> Effect | None:
     # a stretch in which the truth rested or reversed would need more slip than is possible
     bounds = {p.name: (p.low, p.high) for p in parameters(registry()["slip_burst"])}
     slip = float(np.clip(slip, *bounds["slip"]))
-    rims = _rims(nodes.truth_step[:, 0], nodes.truth_step[:, 2], track_m)
+    rims = _rims(intervals.truth_step[:, 0], intervals.truth_step[:, 2], track_m)
     usual_mps = float(np.sqrt(np.sum(rims**2) / (2.0 * spacing * seconds)))
     asked = float(np.sqrt(np.mean(lost_m**2))) / max(usual_mps * duration, 1e-9)
     if asked > _OTHERWISE * _times_lost(slip):
@@ -371,18 +371,18 @@ def _lost(event: Event, track_m: float | None) -> float:
 def _is_the_error(fit: Fit, stretches: Sequence[Event]) -> bool:
     """Return whether the given stretches contain nearly all of the squared error of a fit."""
     inside = during(fit, stretches)
-    square = np.sum((fit.problem.nodes.residual / usual_residual(fit)) ** 2, axis=1)
+    square = np.sum((fit.problem.intervals.residual / usual_residual(fit)) ** 2, axis=1)
     return bool(square[inside].sum() > _NEARLY_ALL * square.sum())
 
 
 def during(fit: Fit, stretches: Sequence[Event]) -> NDArray[np.bool_]:
     """Return a mask (K,) of the fit's intervals inside the given stretches."""
-    nodes, run = fit.problem.nodes, fit.problem.run
-    inside = np.zeros(len(nodes), dtype=bool)
+    intervals, run = fit.problem.intervals, fit.problem.run
+    inside = np.zeros(len(intervals), dtype=bool)
     for r, recording in enumerate(fit.problem.recordings):
         for event in stretches:
             if event.recording == recording.name:
-                inside |= (run == r) & (nodes.start_s >= event.start_s) & (nodes.end_s <= event.end_s)
+                inside |= (run == r) & (intervals.start_s >= event.start_s) & (intervals.end_s <= event.end_s)
     return inside
 
 

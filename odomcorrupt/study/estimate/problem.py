@@ -18,8 +18,8 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.study.estimate.interval_ends import intervals_of
 from odomcorrupt.study.estimate.intervals import Intervals, join
-from odomcorrupt.study.estimate.nodes import lay_nodes
 from odomcorrupt.study.estimate.regressors import MotionSmoother, drives_sideways
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders
 from odomcorrupt.study.io.headings import with_recomputed_headings
@@ -76,7 +76,7 @@ class Problem:
 
     smoothers : per run, its recordings (several if its truth jumped) on the truth's clock, and its smooth motion
     left : per recording, the recording with the effects removed; empty if effects were changed to first order only
-    nodes : the K intervals of all recordings
+    intervals : the K intervals of all recordings
     run : (K,) index of the recording of each interval
     motions : per run, the motion from which regressors are computed (one entry per odometry interval)
     """
@@ -87,7 +87,7 @@ class Problem:
     approach: Approach
     smoothers: tuple[MotionSmoother, ...]
     left: tuple[Recording, ...]
-    nodes: Intervals
+    intervals: Intervals
     run: Array
     motions: tuple[Motion, ...]
 
@@ -111,7 +111,7 @@ class Problem:
             slopes = [_slope(effect, p.name, p.step, m) for m in self.motions]
             blocks.append(self._column(effect, slopes))
         # an expression of constants has no amplitudes
-        return by_column(np.stack(blocks)) if blocks else np.zeros((len(self.nodes), 3, 0))
+        return by_column(np.stack(blocks)) if blocks else np.zeros((len(self.intervals), 3, 0))
 
     def explained(self, effect: Effect) -> Array:
         """Return the part (K, 3) of the residuals that an effect at its present values explains, to first order."""
@@ -127,7 +127,7 @@ class Problem:
         """Return the change (K, 3) of the residuals by changes (n, 3) of an effect's f on each motion."""
         after = [e for e in self.effects if _follows(e) and not (_follows(effect) and e.name <= effect.name)]
         shown = [followed(after, m, f).T * -m.dt_s for m, f in zip(self.motions, changes, strict=True)]
-        return self.nodes.column(np.concatenate(shown, axis=1).T)
+        return self.intervals.column(np.concatenate(shown, axis=1).T)
 
     def clock_columns(self) -> Array:
         """Return columns (K, 3, 2 R) of offset and rate of R recordings' clocks; a shared clock is the first one's."""
@@ -166,7 +166,7 @@ def pose_problem(
         seen = [_robots(motion, [e for e in effects if _follows(e)]) for motion in seen]
     whole = [_undone(smoother, effects, approach.side) for smoother in smoothers]
     left = [with_recomputed_headings(one) for one in _left(recordings, clocks, smoothers, whole)]
-    nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
+    intervals = [intervals_of(recording, approach.spacing_s) for recording in left]
     if approach.side == "odometry" and effects:
         # speeds of the recorded odometry, accelerations of the corrected one
         again = zip(seen, smoothers, whole, strict=True)
@@ -180,8 +180,8 @@ def pose_problem(
         approach=approach,
         smoothers=smoothers,
         left=tuple(left),
-        nodes=join(nodes, [before_run[i] for i in range(len(recordings))]),
-        run=np.repeat(np.arange(len(nodes)), [len(n) for n in nodes]),
+        intervals=join(intervals, [before_run[i] for i in range(len(recordings))]),
+        run=np.repeat(np.arange(len(intervals)), [len(n) for n in intervals]),
         motions=tuple(seen),
     )
 

@@ -92,10 +92,10 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
         return noise
     white = noise.whitener
     if has_field(problem):
-        q = problem.nodes.covariance(problem.approach.law, noise.coefficients, problem.steps)
-        white = remainder_whitener(problem.nodes, q * noise.weights[:, None, None], noise.truth)
+        q = problem.intervals.covariance(problem.approach.law, noise.coefficients, problem.steps)
+        white = remainder_whitener(problem.intervals, q * noise.weights[:, None, None], noise.truth)
     wider = widened(white, problem, random)
-    return estimated(noise, wider, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
+    return estimated(noise, wider, by_column(np.concatenate((problem.intervals.residual[:, :, None], columns), axis=2)))
 
 
 def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFit:
@@ -105,7 +105,7 @@ def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFi
         return noise
     plain = replace(white, shrunk=None, log_det=white.log_det + float(np.log(white.shrunk.factors).sum()))
     plain = widened(plain, problem, ())
-    return estimated(noise, plain, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
+    return estimated(noise, plain, by_column(np.concatenate((problem.intervals.residual[:, :, None], columns), axis=2)))
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
@@ -194,14 +194,14 @@ def bias_of(motion: Motion) -> Array:
 
 def unit_column(problem: Problem, process: Process) -> Array:
     """Return the contribution (K, 3) of a constant unit gain to the residuals."""
-    return problem.nodes.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
+    return problem.intervals.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
 
 
 def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Root:
     """Return the root of the covariance of a process at scale 1, with `parts` knots per correlation time."""
-    nodes = problem.nodes
+    intervals = problem.intervals
     # separate the runs in time: the process is independent in each
-    time = nodes.end_s + problem.run * (float(nodes.end_s.max()) + 1e4)
+    time = intervals.end_s + problem.run * (float(intervals.end_s.max()) + 1e4)
     tau = process.tau
     gaps = np.diff(time)
     step = max((_WALK_S if tau is None else tau) / parts, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
@@ -212,7 +212,7 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Root
     # interpolate between the two neighbouring knots, both of which exist
     left = np.minimum(np.searchsorted(knots, time, side="right") - 1, len(knots) - 2)
     part = (time - knots[left]) / step
-    unit, rows, left = unit_column(problem, process).ravel(), np.arange(3 * len(nodes)), np.repeat(left, 3)
+    unit, rows, left = unit_column(problem, process).ravel(), np.arange(3 * len(intervals)), np.repeat(left, 3)
     weights = np.concatenate((unit * np.repeat(1.0 - part, 3), unit * np.repeat(part, 3)))
     where = np.tile(rows, 2), np.concatenate((left, left + 1))
     return Root(csr_array((weights, where), shape=(len(rows), len(knots))), root)

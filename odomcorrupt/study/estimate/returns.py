@@ -20,7 +20,7 @@ from odomcorrupt.geometry.se2 import compose, wrap
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
-from odomcorrupt.study.estimate.intervals import intervals, join
+from odomcorrupt.study.estimate.intervals import intervals_between, join
 from odomcorrupt.study.estimate.problem import Problem, undo
 from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.io.clock import Clock
@@ -94,19 +94,19 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
     covariance = np.eye(count)
     for _ in range(_ROUNDS):
         problem = _problem(drives, effects)
-        nodes = problem.nodes
-        first = nodes.residual if first is None else first
+        intervals = problem.intervals
+        first = intervals.residual if first is None else first
         weight = np.linalg.inv(_covariance(problem))
         columns = np.concatenate([problem.columns(e) for e in effects], axis=2)
         normal = np.einsum("kip,kij,kjq->pq", columns, weight, columns)
-        _check(normal, effects, 3 * len(nodes))
+        _check(normal, effects, 3 * len(intervals))
         covariance = np.linalg.inv(normal)
-        theta = covariance @ np.einsum("kip,kij,kj->p", columns, weight, nodes.residual)
+        theta = covariance @ np.einsum("kip,kij,kj->p", columns, weight, intervals.residual)
         effects = _moved(effects, theta)
         if np.abs(theta).max() < _STEP:
             break
     problem = _problem(drives, effects)
-    left, weight = problem.nodes, np.linalg.inv(_covariance(problem))
+    left, weight = problem.intervals, np.linalg.inv(_covariance(problem))
     degrees = 3 * len(left) - count
     misfit = float(np.einsum("ki,kij,kj->", left.residual, weight, left.residual))
     spread = float(np.sqrt(misfit / degrees)) if degrees > 0 else 1.0
@@ -145,7 +145,7 @@ def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Proble
     """Return the ends as a regression problem, with the effects removed from the odometry."""
     smoothers = [MotionSmoother([drive], "odometry") for drive in drives]
     left = [undo(drive, effects, smoother=smoother) for drive, smoother in zip(drives, smoothers, strict=True)]
-    nodes = [intervals(drive, np.array([0, 1])) for drive in left]
+    intervals = [intervals_between(drive, np.array([0, 1])) for drive in left]
     return Problem(
         recordings=tuple(drives),
         effects=effects,
@@ -153,8 +153,8 @@ def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Proble
         approach=Approach(),
         smoothers=tuple(smoothers),
         left=tuple(left),
-        nodes=join(nodes, _starts([len(drive.odometry) - 1 for drive in left])),
-        run=np.arange(float(len(nodes))),
+        intervals=join(intervals, _starts([len(drive.odometry) - 1 for drive in left])),
+        run=np.arange(float(len(intervals))),
         motions=tuple(smoother.recorded for smoother in smoothers),
     )
 
@@ -166,7 +166,7 @@ def _starts(steps: Sequence[int]) -> list[int]:
 
 def _covariance(problem: Problem) -> Array:
     """Return the covariance (d, 3, 3) of each end from placing by hand and usual noise, used up to a common factor."""
-    noise = problem.nodes.covariance(problem.approach.law, _NOISE, problem.steps)
+    noise = problem.intervals.covariance(problem.approach.law, _NOISE, problem.steps)
     whole: Array = noise + np.diag(_PLACED**2)
     return whole
 

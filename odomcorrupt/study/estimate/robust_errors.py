@@ -36,10 +36,10 @@ _LENGTH_S, _FEWEST, _MOST = 15.0, 20, 60
 
 def block_of(problem: Problem) -> NDArray[np.int64]:
     """Return the block index (K,) of each interval: blocks are about 15 s long and never span two runs."""
-    nodes, run = problem.nodes, problem.run
-    total = float(np.sum(nodes.end_s - nodes.start_s))
+    intervals, run = problem.intervals, problem.run
+    total = float(np.sum(intervals.end_s - intervals.start_s))
     length = total / int(np.clip(total / _LENGTH_S, _FEWEST, _MOST))
-    within = np.concatenate([_elapsed(nodes.end_s[run == r], length) for r in np.unique(run)])
+    within = np.concatenate([_elapsed(intervals.end_s[run == r], length) for r in np.unique(run)])
     block: NDArray[np.int64] = np.unique(np.stack((run, within)), axis=1, return_inverse=True)[1].ravel()
     return block
 

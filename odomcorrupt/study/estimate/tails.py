@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import gammaln, kve
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.study.estimate.config import NODE_S
+from odomcorrupt.study.estimate.config import INTERVAL_S
 from odomcorrupt.study.estimate.outliers import during, odd_steps, single_events
 from odomcorrupt.study.estimate.whitener import interval_covariance
 
@@ -41,7 +41,7 @@ _RANGE, _SIZE = 120.0, 1 << 14
 def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     """Return the heavy_tails effect and its log-likelihood gain over normal noise in nats, or None if not supported."""
     if (
-        fit.problem.approach.spacing_s > NODE_S
+        fit.problem.approach.spacing_s > INTERVAL_S
     ):  # a truth with errors of centimetres jumps and drifts: it has heavy tails itself
         return None
     odd_ones = odd_steps(fit)
@@ -56,7 +56,7 @@ def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     # undo the robust weights, which down-weighted the outliers
     odd = fit.noise.innovations.reshape(-1, 3) * np.sqrt(fit.noise.weights)[:, None]
     used = odd[driven][:, channels]
-    draws = max(round(len(fit.problem.nodes.source) / len(fit.problem.nodes)), 1)
+    draws = max(round(len(fit.problem.intervals.source) / len(fit.problem.intervals)), 1)
     nats = np.array([_likelihood(used, inverse_dof, draws) for inverse_dof in _INVERSE_DOFS])
     variance = used.var(axis=0)
     normal = -0.5 * len(used) * float(np.sum(np.log(2.0 * np.pi * variance) + 1.0))
@@ -75,11 +75,11 @@ def _of_odometry(fit: Fit, driven: NDArray[np.bool_]) -> list[int]:
     """
     if not driven.any():
         return []
-    nodes = fit.problem.nodes
-    q = nodes.covariance(fit.problem.approach.law, fit.noise.coefficients, fit.problem.steps)
+    intervals = fit.problem.intervals
+    q = intervals.covariance(fit.problem.approach.law, fit.noise.coefficients, fit.problem.steps)
     own = np.einsum("kii->ki", q)
-    usual = np.median((own / np.einsum("kii->ki", interval_covariance(nodes, q, fit.noise.truth)))[driven], axis=0)
-    speed = np.sqrt(np.mean(own[driven] / (nodes.end_s - nodes.start_s)[driven, None] ** 2, axis=0))
+    usual = np.median((own / np.einsum("kii->ki", interval_covariance(intervals, q, fit.noise.truth)))[driven], axis=0)
+    speed = np.sqrt(np.mean(own[driven] / (intervals.end_s - intervals.start_s)[driven, None] ** 2, axis=0))
     along, yaw = np.sum([(0.0, 0.0), *(effect.remainder for effect in fit.effects)], axis=0)
     explained = speed[[0, 2, 2]] <= (along, yaw, yaw)
     return [c for c in range(3 if fit.problem.headings else 2) if usual[c] > _MOSTLY and not explained[c]]
@@ -90,7 +90,7 @@ def _driven(fit: Fit) -> NDArray[np.bool_]:
 
     A robot at rest has no noise: with a perfect truth, its zeros would make all moving intervals look heavy-tailed.
     """
-    steps = fit.problem.nodes.odometry_step
+    steps = fit.problem.intervals.odometry_step
     travel = np.hypot(steps[:, 0], steps[:, 1]) + _ARM_M * np.abs(steps[:, 2])
     moving = travel > _STILL_M
     driven: NDArray[np.bool_] = travel > _USUAL * np.median(travel[moving]) if moving.any() else moving
@@ -103,7 +103,7 @@ def _beside_effects(fit: Fit) -> NDArray[np.bool_]:
     Heavy tails do not depend on effects. Outliers during a strong lag or slip are a misfit of that effect's form.
     """
     if not fit.effects:
-        return np.ones(len(fit.problem.nodes), dtype=bool)
+        return np.ones(len(fit.problem.intervals), dtype=bool)
     explained = np.sum([fit.problem.explained(effect) for effect in fit.effects], axis=0)
     size = np.linalg.norm(fit.noise.whitener.whiten(explained).reshape(-1, 3), axis=1)
     beside: NDArray[np.bool_] = size <= _STRONG * np.median(size)

@@ -45,7 +45,7 @@ def bias_roots(problem: Problem) -> Array:
 
     Errors of the instrument have one factor for all recordings, errors of the map one for each cell.
     """
-    nodes, runs = problem.nodes, problem.recordings
+    intervals, runs = problem.intervals, problem.recordings
     scale = np.array([r.truth_scale_error for r in runs])[problem.run]
     matched = np.array([float(r.matched) for r in runs])[problem.run]
     along, turn, speed = _smooth_motion(problem)
@@ -53,7 +53,7 @@ def bias_roots(problem: Problem) -> Array:
     scale_of_turns = np.array([r.turn_scale_error for r in runs])[problem.run]
     columns += [_of_turn(np.hypot(TURN_BIAS * matched, scale_of_turns) * turn)]
     columns += [_of_turn(TURN_BIAS * matched * turn * speed)]
-    duration = nodes.end_s - nodes.start_s
+    duration = intervals.end_s - intervals.start_s
     columns += [_of_turn(-np.array([r.turn_bias_error for r in runs])[problem.run] * duration)]
     by_gyro = np.array([float(not r.positioned) for r in runs])[problem.run]
     kind = registry().get("channel_lag")
@@ -61,7 +61,7 @@ def bias_roots(problem: Problem) -> Array:
         lag_s = np.maximum(LAG_BIAS_S * matched, GYRO_LAG_S * by_gyro)
         columns += [lag_s[:, None] * part for part in np.moveaxis(problem.columns(kind()), 2, 0)]
     columns += [_of_turn(-GYRO_WANDER_RADPS * by_gyro * part) for part in _stretches(problem, duration)]
-    cell = np.floor(nodes.truth_xyt[:, :2] / CELL_M).astype(np.int64)
+    cell = np.floor(intervals.truth_xyt[:, :2] / CELL_M).astype(np.int64)
     _, place, count = np.unique(
         np.column_stack((problem.run.astype(np.int64), cell)), axis=0, return_inverse=True, return_counts=True
     )
@@ -88,9 +88,9 @@ def _smooth_motion(problem: Problem) -> tuple[Array, Array, Array]:
     """
     twist = np.concatenate([np.stack((m.v, m.vy, m.omega), axis=1) * m.dt_s[:, None] for m in problem.motions])
     travel = twist * (1.0, 1.0, 0.0)
-    along = -problem.nodes.column(travel)[:, :2]
-    turn = -problem.nodes.column(twist * (0.0, 0.0, 1.0))[:, 2]
-    return along, turn, np.hypot(along[:, 0], along[:, 1]) / (problem.nodes.end_s - problem.nodes.start_s)
+    along = -problem.intervals.column(travel)[:, :2]
+    turn = -problem.intervals.column(twist * (0.0, 0.0, 1.0))[:, 2]
+    return along, turn, np.hypot(along[:, 0], along[:, 1]) / (problem.intervals.end_s - problem.intervals.start_s)
 
 
 def _stretches(problem: Problem, duration: Array) -> list[Array]:
@@ -98,7 +98,7 @@ def _stretches(problem: Problem, duration: Array) -> list[Array]:
     if all(r.positioned for r in problem.recordings):
         return []
     blind = np.array([not r.positioned for r in problem.recordings])[problem.run]
-    stretch = np.floor(problem.nodes.start_s / _WANDER_S).astype(np.int64) + 100_000 * problem.run.astype(np.int64)
+    stretch = np.floor(problem.intervals.start_s / _WANDER_S).astype(np.int64) + 100_000 * problem.run.astype(np.int64)
     return [duration * (stretch == one) for one in np.unique(stretch[blind])[:_MOST_CELLS]]
 
 

@@ -47,27 +47,27 @@ def has_field(problem: Problem) -> bool:
     return any(r.truth_field is not None for r in problem.recordings)
 
 
-def remainder_whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitener:
+def remainder_whitener(intervals: Intervals, q: Array, truth: TruthNoise) -> Whitener:
     """Return the whitener of the residuals with the truth's noise but without its field, which is a random effect.
 
     Parameters
     ----------
-    nodes : K intervals
+    intervals : K intervals
     q : (K, 3, 3)
         Covariance that the odometry's noise puts on each residual, m and rad.
     truth : noise of the truth in the recordings without a field
     """
-    own = nodes.field[:, :2]
+    own = intervals.field[:, :2]
     if not own.any():
-        return whitener(nodes, q, truth)
+        return whitener(intervals, q, truth)
     there = own[:, :1] > 0.0
     sigma = np.where(there, own, (truth.xy_m, truth.yaw_rad))[:, [0, 0, 1]]
     outer = sigma[:, :, None] * sigma[:, None, :]
     scaled = replace(
-        nodes,
-        start_shape=np.where(there[:, :, None], np.eye(3), nodes.start_shape) * outer,
-        end_shape=np.where(there[:, :, None], np.eye(3), nodes.end_shape) * outer,
-        memory=np.where(there[:, 0], 0.0, nodes.memory),
+        intervals,
+        start_shape=np.where(there[:, :, None], np.eye(3), intervals.start_shape) * outer,
+        end_shape=np.where(there[:, :, None], np.eye(3), intervals.end_shape) * outer,
+        memory=np.where(there[:, 0], 0.0, intervals.memory),
     )
     return whitener(scaled, q, TruthNoise(1.0, 1.0, truth.random_walk))
 
@@ -80,9 +80,9 @@ def field_roots(problem: Problem) -> Array:
         if field is None:
             continue
         own = problem.run == r
-        position, heading = _unit_roots(problem.nodes, own, field.length_m)
+        position, heading = _unit_roots(problem.intervals, own, field.length_m)
         parts += [field.xy_m * position, field.yaw_rad * heading]
-    return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.nodes), 3, 0))
+    return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.intervals), 3, 0))
 
 
 def window_roots(recording: Recording, windows: Intervals) -> Array | None:
@@ -106,17 +106,17 @@ def field_of(problem: Problem, q: Array, columns: Array) -> tuple[TruthField, fl
         Free linear parameters.
     """
     found = []
-    every = np.ones(len(problem.nodes), dtype=bool)
+    every = np.ones(len(problem.intervals), dtype=bool)
     start = np.log([0.01, 0.005, 0.02, 0.005])
     for length in LENGTHS_M:
-        roots = _unit_roots(problem.nodes, every, length)
+        roots = _unit_roots(problem.intervals, every, length)
 
         def cost(free: Array, roots: tuple[Array, Array] = roots) -> float:
             # a smooth field and a travel scale are aliased: without a prior its size is unbounded
             odd = (free[2:] - free[:2] - np.log(_USUAL)) / _SPREAD
             # the prior of all errors of a localisation, as for errors along the path, to which the field is compared
             prior = prior_of_errors(np.logaddexp(2.0 * free[:2], 2.0 * free[2:]) / 2.0)
-            return 0.5 * float(odd @ odd) - prior - _log_likelihood(problem.nodes, q, columns, np.exp(free), roots)
+            return 0.5 * float(odd @ odd) - prior - _log_likelihood(problem.intervals, q, columns, np.exp(free), roots)
 
         best = minimize(cost, start, method="L-BFGS-B", bounds=_BOUNDS, options={"eps": 1e-3, "maxiter": _STEPS})
         start = best.x
@@ -125,14 +125,14 @@ def field_of(problem: Problem, q: Array, columns: Array) -> tuple[TruthField, fl
     return max(found, key=lambda one: one[1])
 
 
-def _log_likelihood(nodes: Intervals, q: Array, columns: Array, sizes: Array, roots: tuple[Array, Array]) -> float:
+def _log_likelihood(intervals: Intervals, q: Array, columns: Array, sizes: Array, roots: tuple[Array, Array]) -> float:
     """Return the log likelihood (nats) with independent errors and a field of sizes (4,): m, rad, m, rad."""
     try:
-        white = whitener(replace(nodes, memory=np.zeros(len(nodes))), q, TruthNoise(sizes[0], sizes[1], 0.0))
+        white = whitener(replace(intervals, memory=np.zeros(len(intervals))), q, TruthNoise(sizes[0], sizes[1], 0.0))
     except FitError:
         return -1e12
     design = white.whiten(np.concatenate((sizes[2] * roots[0], sizes[3] * roots[1]), axis=2))
-    both = white.whiten(np.concatenate((nodes.residual[:, :, None], columns), axis=2))
+    both = white.whiten(np.concatenate((intervals.residual[:, :, None], columns), axis=2))
     inner = np.eye(design.shape[1]) + design.T @ design
     carried = design.T @ both
     normal = both.T @ both - carried.T @ np.linalg.solve(inner, carried)
@@ -141,13 +141,15 @@ def _log_likelihood(nodes: Intervals, q: Array, columns: Array, sizes: Array, ro
     return -white.log_det - 0.5 * float(np.linalg.slogdet(inner)[1]) - 0.5 * square
 
 
-def _unit_roots(nodes: Intervals, own: Array, length_m: float) -> tuple[Array, Array]:
+def _unit_roots(intervals: Intervals, own: Array, length_m: float) -> tuple[Array, Array]:
     """Return the residual columns (K, 3, m) of a unit position field and of a unit heading field."""
-    _, end, start = map_axes(replace(nodes, memory=np.zeros(len(nodes))))
-    last = nodes.truth_xyt[:, :2] + np.einsum("kji,kj->ki", _turn(nodes.truth_xyt[:, 2]), nodes.truth_step[:, :2])
-    at_start, at_end = _basis(nodes.truth_xyt[own, :2], last[own], length_m)
+    _, end, start = map_axes(replace(intervals, memory=np.zeros(len(intervals))))
+    last = intervals.truth_xyt[:, :2] + np.einsum(
+        "kji,kj->ki", _turn(intervals.truth_xyt[:, 2]), intervals.truth_step[:, :2]
+    )
+    at_start, at_end = _basis(intervals.truth_xyt[own, :2], last[own], length_m)
     m = at_start.shape[1]
-    roots = np.zeros((2, len(nodes), 3, 2 * m))
+    roots = np.zeros((2, len(intervals), 3, 2 * m))
     for axis, channel in ((0, 0), (1, 0), (2, 1)):
         shift = m if axis == 1 else 0
         column = start[own][:, :, axis, None] * at_start[:, None] - end[own][:, :, axis, None] * at_end[:, None]

@@ -28,7 +28,7 @@ class VarianceComponents:
     that corruption uses.
     """
 
-    def __init__(self, law: Law, nodes: Intervals, steps: Increments) -> None:
+    def __init__(self, law: Law, intervals: Intervals, steps: Increments) -> None:
         def of(*ones: int) -> Coefficients:
             return Coefficients(**{name: float(i in ones) for i, name in enumerate(NAMES)})
 
@@ -44,13 +44,13 @@ class VarianceComponents:
         """Indices of the coefficients that have an effect under this law on this drive."""
         self.unseen = [i for i in range(len(NAMES)) if i not in self.active and rows(i, on=_PROBE).any()]
         """Indices of the coefficients that have an effect under this law, but not on this drive."""
-        self._single = {i: nodes.spread(law, law.rule(of(i), *seen), steps) for i in self.active}
+        self._single = {i: intervals.spread(law, law.rule(of(i), *seen), steps) for i in self.active}
         self._pairs: list[tuple[int, int, Array]] = []
         for i, j in combinations(self.active, 2) if law.degree == 2 else ():
             alone, both = rows(i, on=_PROBE) + rows(j, on=_PROBE), rows(i, j, on=_PROBE)
             # most pairs do not interact, and propagating their noise to the nodes is expensive
             if np.abs(both - alone).max() > 1e-12 * np.abs(both).max():
-                cross = nodes.spread(law, law.rule(of(i, j), *seen), steps) - self._single[i] - self._single[j]
+                cross = intervals.spread(law, law.rule(of(i, j), *seen), steps) - self._single[i] - self._single[j]
                 self._pairs.append((i, j, cross))
 
     def parts(self) -> list[Array]:

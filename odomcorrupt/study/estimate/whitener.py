@@ -136,14 +136,14 @@ class Whitener:
         return float(-self.log_det - 0.5 * innovations @ innovations - 0.5 * n * np.log(2.0 * np.pi))
 
 
-def interval_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
+def interval_covariance(intervals: Intervals, q: Array, truth: TruthNoise) -> Array:
     """Return the marginal covariance (K, 3, 3) of residuals: noise q of the odometry plus the truth's at both ends."""
-    total = q + unseen_piece(nodes)[0]
-    for weight, diagonal in zip(truth_weights(truth), _single_pieces(nodes), strict=True):
+    total = q + unseen_piece(intervals)[0]
+    for weight, diagonal in zip(truth_weights(truth), _single_pieces(intervals), strict=True):
         total += weight * diagonal
-    there = nodes.field[:, 0] > 0.0
+    there = intervals.field[:, 0] > 0.0
     if there.any():
-        total[there] = (q + _with_field(nodes))[there]
+        total[there] = (q + _with_field(intervals))[there]
     total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
     return total
 
@@ -153,25 +153,28 @@ def truth_weights(truth: TruthNoise) -> tuple[float, float, float]:
     return truth.xy_m**2, truth.yaw_rad**2, truth.random_walk**2
 
 
-def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
+def truth_pieces(intervals: Intervals) -> list[tuple[Array, Array]]:
     """Return covariance contributions of unit truth noise: of position, of heading and of the random walk.
 
     Each is a pair: the contribution to the covariance (K, 3, 3) of each residual (or quasi-difference, if errors of the
     truth are correlated) and to that with the previous one (K - 1, 3, 3).
     """
-    if nodes.memory.any():
-        pieces = _correlated_pieces(nodes)
+    if intervals.memory.any():
+        pieces = _correlated_pieces(intervals)
     else:
-        a = _adjoint_of_inverse(nodes.truth_step)
-        pieces = [_at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept) for kept in _KEPT]
-    pieces.append(odometry_piece(nodes, _random_walk(nodes)))
+        a = _adjoint_of_inverse(intervals.truth_step)
+        pieces = [
+            _at_ends(intervals, a, kept @ intervals.start_shape @ kept, kept @ intervals.end_shape @ kept)
+            for kept in _KEPT
+        ]
+    pieces.append(odometry_piece(intervals, _random_walk(intervals)))
     return pieces
 
 
-def odometry_piece(nodes: Intervals, q: Array) -> tuple[Array, Array]:
+def odometry_piece(intervals: Intervals, q: Array) -> tuple[Array, Array]:
     """Return the contribution of independent noise q (K, 3, 3) of each residual, as a pair like `truth_pieces`."""
     below = np.zeros_like(q[1:])
-    rho = rho_of(nodes)
+    rho = rho_of(intervals)
     if rho is None:
         return q, below
     turned = rho[1:] @ q[:-1]
@@ -180,26 +183,26 @@ def odometry_piece(nodes: Intervals, q: Array) -> tuple[Array, Array]:
     return diagonal, -turned
 
 
-def rho_of(nodes: Intervals) -> Array | None:
+def rho_of(intervals: Intervals) -> Array | None:
     """Return rho (K, 3, 3), the factor on the previous residual in a quasi-difference; None if there is none."""
-    if not nodes.memory.any():
+    if not intervals.memory.any():
         return None
-    _, _, b = map_axes(nodes)
+    _, _, b = map_axes(intervals)
     rho = np.zeros_like(b)
-    linked = np.flatnonzero(nodes.linked[1:] & (nodes.memory[:-1] > 0.0)) + 1
-    rho[linked] = nodes.memory[linked - 1, None, None] * (b[linked] @ np.linalg.inv(b[linked - 1]))
+    linked = np.flatnonzero(intervals.linked[1:] & (intervals.memory[:-1] > 0.0)) + 1
+    rho[linked] = intervals.memory[linked - 1, None, None] * (b[linked] @ np.linalg.inv(b[linked - 1]))
     return rho
 
 
-def _correlated_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
+def _correlated_pieces(intervals: Intervals) -> list[tuple[Array, Array]]:
     """Return the contributions of unit correlated truth errors to quasi-differences, for position and heading."""
-    start, end, b = map_axes(nodes)
-    rho = rho_of(nodes)
-    linked = nodes.linked[:, None, None]
+    start, end, b = map_axes(intervals)
+    rho = rho_of(intervals)
+    linked = intervals.linked[:, None, None]
     # the new error at the interval's end, and that of the previous end; the first of a chain has the full variance
     before = b + (0.0 if rho is None else rho @ start)
-    fresh = 1.0 - nodes.memory**2
-    earlier = np.where(nodes.linked, np.concatenate(([1.0], fresh[:-1])), 1.0)
+    fresh = 1.0 - intervals.memory**2
+    earlier = np.where(intervals.linked, np.concatenate(([1.0], fresh[:-1])), 1.0)
     before = np.where(linked, before, b)
     pieces = []
     for kept in _KEPT:
@@ -209,35 +212,38 @@ def _correlated_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
     return pieces
 
 
-def _single_pieces(nodes: Intervals) -> list[Array]:
+def _single_pieces(intervals: Intervals) -> list[Array]:
     """Return the contributions of unit truth noise to the marginal covariance (K, 3, 3) of each residual."""
-    if not nodes.memory.any():
-        a = _adjoint_of_inverse(nodes.truth_step)
-        at_ends = [_at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept) for kept in _KEPT]
-        return [*(diagonal for diagonal, _ in at_ends), _random_walk(nodes)]
-    _, end, b = map_axes(nodes)
-    fresh, one = 1.0 - nodes.memory**2, np.ones(len(nodes))
+    if not intervals.memory.any():
+        a = _adjoint_of_inverse(intervals.truth_step)
+        at_ends = [
+            _at_ends(intervals, a, kept @ intervals.start_shape @ kept, kept @ intervals.end_shape @ kept)
+            for kept in _KEPT
+        ]
+        return [*(diagonal for diagonal, _ in at_ends), _random_walk(intervals)]
+    _, end, b = map_axes(intervals)
+    fresh, one = 1.0 - intervals.memory**2, np.ones(len(intervals))
     pieces = [_congruent(end, kept, fresh) + _congruent(b, kept, one) for kept in _KEPT]
-    return [*pieces, _random_walk(nodes)]
+    return [*pieces, _random_walk(intervals)]
 
 
-def _with_field(nodes: Intervals) -> Array:
+def _with_field(intervals: Intervals) -> Array:
     """Return the contribution of a truth with a spatial field to the marginal covariance (K, 3, 3) of residuals."""
-    start, end, _ = map_axes(nodes)
-    start = _adjoint_of_inverse(nodes.truth_step) @ start
-    own, place = (nodes.field[:, [i, i, i + 1], None] ** 2 * np.eye(3) for i in (0, 2))
-    across = start @ (place * nodes.field[:, 4, None, None]) @ np.swapaxes(end, 1, 2)
+    start, end, _ = map_axes(intervals)
+    start = _adjoint_of_inverse(intervals.truth_step) @ start
+    own, place = (intervals.field[:, [i, i, i + 1], None] ** 2 * np.eye(3) for i in (0, 2))
+    across = start @ (place * intervals.field[:, 4, None, None]) @ np.swapaxes(end, 1, 2)
     ends = (one @ (own + place) @ np.swapaxes(one, 1, 2) for one in (start, end))
     added: Array = sum(ends) - across - np.swapaxes(across, 1, 2)
     return added
 
 
-def map_axes(nodes: Intervals) -> tuple[Array, Array, Array]:
+def map_axes(intervals: Intervals) -> tuple[Array, Array, Array]:
     """Return N at the start and the end of each interval, and B, all (K, 3, 3), see above."""
-    start_rad = nodes.truth_xyt[:, 2]
-    start = np.linalg.cholesky(nodes.start_shape + _TINY) @ _turned(-start_rad)
-    end = np.linalg.cholesky(nodes.end_shape + _TINY) @ _turned(-start_rad - nodes.truth_step[:, 2])
-    b = _adjoint_of_inverse(nodes.truth_step) @ start - nodes.memory[:, None, None] * end
+    start_rad = intervals.truth_xyt[:, 2]
+    start = np.linalg.cholesky(intervals.start_shape + _TINY) @ _turned(-start_rad)
+    end = np.linalg.cholesky(intervals.end_shape + _TINY) @ _turned(-start_rad - intervals.truth_step[:, 2])
+    b = _adjoint_of_inverse(intervals.truth_step) @ start - intervals.memory[:, None, None] * end
     return start, end, b
 
 
@@ -254,9 +260,9 @@ def _congruent(m: Array, kept: Array, weight: Array) -> Array:
     return product
 
 
-def _random_walk(nodes: Intervals) -> Array:
-    walk = np.zeros((len(nodes), 3, 3))
-    walk[:, [0, 1], [0, 1]] = (nodes.random_walk_level**2 * (nodes.end_s - nodes.start_s))[:, None]
+def _random_walk(intervals: Intervals) -> Array:
+    walk = np.zeros((len(intervals), 3, 3))
+    walk[:, [0, 1], [0, 1]] = (intervals.random_walk_level**2 * (intervals.end_s - intervals.start_s))[:, None]
     return walk
 
 
@@ -268,15 +274,15 @@ def _quasi_differences(flat: Array, rho: Array) -> Array:
     return np.asfortranarray(z.reshape(flat.shape))
 
 
-def unseen_piece(nodes: Intervals) -> tuple[Array, Array]:
+def unseen_piece(intervals: Intervals) -> tuple[Array, Array]:
     """Return the contribution of axes that the truth does not measure, as a pair like `truth_pieces`."""
-    return _at_ends(nodes, _adjoint_of_inverse(nodes.truth_step), nodes.start_unseen, nodes.end_unseen)
+    return _at_ends(intervals, _adjoint_of_inverse(intervals.truth_step), intervals.start_unseen, intervals.end_unseen)
 
 
-def _at_ends(nodes: Intervals, a: Array, start: Array, end: Array) -> tuple[Array, Array]:
+def _at_ends(intervals: Intervals, a: Array, start: Array, end: Array) -> tuple[Array, Array]:
     """Return the contribution of truth covariances (K, 3, 3) at both ends of intervals, a pair like `truth_pieces`."""
     ar = a @ start
-    return end + ar @ np.swapaxes(a, 1, 2), -ar[1:] * nodes.linked[1:, None, None]
+    return end + ar @ np.swapaxes(a, 1, 2), -ar[1:] * intervals.linked[1:, None, None]
 
 
 def band_of(diagonal: Array, below: Array | None = None) -> Array:
@@ -292,20 +298,20 @@ def band_of(diagonal: Array, below: Array | None = None) -> Array:
     return band
 
 
-def whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitener:
+def whitener(intervals: Intervals, q: Array, truth: TruthNoise) -> Whitener:
     """Return the whitener of the residuals from the noise of odometry and truth.
 
     Parameters
     ----------
-    nodes : K intervals
+    intervals : K intervals
     q : (K, 3, 3)
         Covariance that the odometry's noise law puts on each residual, m and rad.
     truth : noise of the truth
     """
-    band = band_of(*odometry_piece(nodes, q)) + fixed_band(nodes)
-    for weight, piece in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
+    band = band_of(*odometry_piece(intervals, q)) + fixed_band(intervals)
+    for weight, piece in zip(truth_weights(truth), truth_pieces(intervals), strict=True):
         band += weight * band_of(*piece)
-    return factored(band, rho_of(nodes))
+    return factored(band, rho_of(intervals))
 
 
 def _band_solve(factor: Array, flat: Array, *, transposed: bool = False) -> Array:
@@ -319,10 +325,10 @@ def _band_solve(factor: Array, flat: Array, *, transposed: bool = False) -> Arra
     return white
 
 
-def fixed_band(nodes: Intervals) -> Array:
+def fixed_band(intervals: Intervals) -> Array:
     """Return the constant part of the covariance as a band (6, 3 K): its floor, and axes not measured by the truth."""
-    band = band_of(*unseen_piece(nodes))
-    band[0] += np.tile(FLOOR, len(nodes))
+    band = band_of(*unseen_piece(intervals))
+    band[0] += np.tile(FLOOR, len(intervals))
     return band
 
 
@@ -334,23 +340,23 @@ def factored(band: Array, rho: Array | None = None) -> Whitener:
     return Whitener(factor, float(np.sum(np.log(factor[0]))), rho=rho)
 
 
-def dense_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
+def dense_covariance(intervals: Intervals, q: Array, truth: TruthNoise) -> Array:
     """Return the residuals' covariance as a dense matrix (3 K, 3 K), for small K, as in tests."""
-    diagonal, below = (part.copy() for part in unseen_piece(nodes))
+    diagonal, below = (part.copy() for part in unseen_piece(intervals))
     for weight, piece in zip(
-        (1.0, *truth_weights(truth)), (odometry_piece(nodes, q), *truth_pieces(nodes)), strict=True
+        (1.0, *truth_weights(truth)), (odometry_piece(intervals, q), *truth_pieces(intervals)), strict=True
     ):
         diagonal += weight * piece[0]
         below += weight * piece[1]
     diagonal[:, [0, 1, 2], [0, 1, 2]] += FLOOR
-    k = len(nodes)
+    k = len(intervals)
     full = np.zeros((3 * k, 3 * k))
     for i in range(k):
         full[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = diagonal[i]
     for i in range(k - 1):
         full[3 * i + 3 : 3 * i + 6, 3 * i : 3 * i + 3] = below[i]
         full[3 * i : 3 * i + 3, 3 * i + 3 : 3 * i + 6] = below[i].T
-    rho = rho_of(nodes)
+    rho = rho_of(intervals)
     if rho is not None:
         back = np.linalg.inv(_quasi_differences(np.eye(3 * k), rho))
         full = back @ full @ back.T

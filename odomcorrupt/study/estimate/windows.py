@@ -10,8 +10,8 @@ from scipy.stats import norm
 
 from odomcorrupt.geometry.se2 import between
 from odomcorrupt.model.noise_laws import variances
-from odomcorrupt.study.estimate.intervals import intervals, join
-from odomcorrupt.study.estimate.nodes import pick_nodes
+from odomcorrupt.study.estimate.interval_ends import pick_interval_ends
+from odomcorrupt.study.estimate.intervals import intervals_between, join
 from odomcorrupt.study.estimate.whitener import FLOOR, interval_covariance
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float 
     phase : offset of the first window, as a fraction of a window's length
     """
     ends = _time_ends(recording, length_s, phase)
-    return intervals(recording, ends.picked, ends.kept)
+    return intervals_between(recording, ends.picked, ends.kept)
 
 
 class _Ends(NamedTuple):
@@ -53,7 +53,7 @@ def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
     """
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     known, first_s = recording.truth.known, odo_s[0] + phase * length_s
-    picked = pick_nodes(truth_s, first_s, odo_s[-1], length_s, known)
+    picked = pick_interval_ends(truth_s, first_s, odo_s[-1], length_s, known)
     complete = _complete(truth_s[picked], length_s)
     if 2 * np.count_nonzero(complete) < len(complete):
         usable = np.flatnonzero(known & (truth_s >= first_s) & (truth_s <= odo_s[-1]))
@@ -98,7 +98,7 @@ def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) 
         # a robot that stands, or stops before the first mark, has no window: one end makes none
         marks = at_truth[:1]
     picked = np.unique(inside[np.minimum(np.searchsorted(at_truth, marks), len(inside) - 1)])
-    return intervals(recording, picked)
+    return intervals_between(recording, picked)
 
 
 def rmse(windows: Intervals) -> float:

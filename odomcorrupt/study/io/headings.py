@@ -105,7 +105,7 @@ def _headed(recording: Recording) -> Recording:
     cross = a.sums(np.conj(a.q) * a.p) - count * np.conj(a.mean_q) * mean_p
     spread_p = a.sums(np.abs(a.p) ** 2) - count * np.abs(mean_p) ** 2
     heading = odometry[:, 2] + np.interp(truth_s, truth_s[a.known], np.unwrap(np.angle(cross[a.known])))
-    left_over = np.maximum(spread_p + a.spread_q - 2.0 * np.abs(cross), 0.0)
-    error = float(np.sqrt(np.median(left_over / np.maximum(a.spread_q, 1e-9))))
+    unexplained = np.maximum(spread_p + a.spread_q - 2.0 * np.abs(cross), 0.0)
+    error = float(np.sqrt(np.median(unexplained / np.maximum(a.spread_q, 1e-9))))
     xyt = np.concatenate((truth.xyt[:, :2], heading[:, None]), axis=1)
     return replace(recording, truth=Trajectory(truth.stamps_ns, xyt), heading_error_rad=max(error, 1e-3))

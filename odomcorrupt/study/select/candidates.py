@@ -210,8 +210,10 @@ def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:
     A noise law that grows with the motion allows for hardly any noise there. A creep of 1 mm/s is then significant, and
     any effect that reduces slow motion fits it. Effects that act at rest, such as a gyro bias, are exempt.
     """
-    nodes = fit.problem.nodes
-    rates = np.stack((nodes.distance_m, np.abs(nodes.odometry_step[:, 2]))) / (nodes.end_s - nodes.start_s)
+    intervals = fit.problem.intervals
+    rates = np.stack((intervals.distance_m, np.abs(intervals.odometry_step[:, 2]))) / (
+        intervals.end_s - intervals.start_s
+    )
     still = np.minimum(_STILL, _CREEP * np.quantile(rates, 0.9, axis=1, keepdims=True))
     moving = np.repeat((rates > still).any(axis=0), 3)
     if moving.all():

@@ -110,16 +110,16 @@ def penalised_nats(here: Fit, there: Fit, included: Sequence[Dependence], decisi
     """
     forms = {one.name: one.best.score.penalty for one in included if one.best is not None}
 
-    def price(fit: Fit) -> float:
-        motions, count = fit.problem.motions, len(fit.problem.nodes)
+    def penalties(fit: Fit) -> float:
+        motions, count = fit.problem.motions, len(fit.problem.intervals)
         library = (penalty(LibraryTerm.of(e, motions), count, decisions) for e in fit.effects if e.name not in forms)
         return _clock_penalty(fit) + sum(library) + sum(forms[e.name] for e in fit.effects if e.name in forms)
 
-    return more_nats(here, there) + price(there) - price(here)
+    return more_nats(here, there) + penalties(there) - penalties(here)
 
 
 def _clock_penalty(fit: Fit) -> float:
-    return 0.5 * float(np.log(len(fit.problem.nodes)) * np.sum(fit.free_clocks))
+    return 0.5 * float(np.log(len(fit.problem.intervals)) * np.sum(fit.free_clocks))
 
 
 def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:

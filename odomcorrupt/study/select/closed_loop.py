@@ -85,7 +85,7 @@ def is_gain_of_turns(fit: Fit, columns: Array) -> bool:
 def hardly_turns(fit: Fit) -> bool:
     """Tell whether the turns of a whole drive are too small to estimate a yaw error per turn."""
     white = fit.noise.whitener.whiten(_turn_columns(fit)[:, :, None])
-    return float(np.sum(white**2)) < _LEAST_TURNS * len(fit.problem.nodes)
+    return float(np.sum(white**2)) < _LEAST_TURNS * len(fit.problem.intervals)
 
 
 def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
@@ -124,7 +124,7 @@ def may_be_of_lags(fit: Fit, score: Score) -> bool:
         )
         # per interval: the second derivative of the speed times the interval's length
         bends = np.concatenate([np.gradient(m.acceleration[:, column]) for m in problem.motions])
-        form = problem.nodes.column(bends[:, None] * np.eye(3)[column])[:, :, None]
+        form = problem.intervals.column(bends[:, None] * np.eye(3)[column])[:, :, None]
         other = rest.of(fit.noise.whitener.whiten(form))
         made += 0.5 * late_s**2 * np.abs(np.linalg.lstsq(own, other, rcond=None)[0][:, 0])
     return bool(np.all(np.abs(score.estimate) < made + 2.0 * score.standard_error))
@@ -165,14 +165,14 @@ def least_thresholds(fit: Fit) -> dict[str, float]:
     problem = fit.problem
     if problem.approach.side == "truth":
         return {}
-    nodes = problem.nodes
-    variance = nodes.covariance(problem.approach.law, fit.noise.coefficients, problem.steps)[:, 2, 2]
-    moving = np.hypot(*nodes.odometry_step[:, :2].T) > 0.0
+    intervals = problem.intervals
+    variance = intervals.covariance(problem.approach.law, fit.noise.coefficients, problem.steps)[:, 2, 2]
+    moving = np.hypot(*intervals.odometry_step[:, :2].T) > 0.0
     if not moving.any():
         return {}
-    dt_s = (nodes.end_s - nodes.start_s)[moving]
+    dt_s = (intervals.end_s - intervals.start_s)[moving]
     noise = _NOISE * np.sqrt(variance[moving]) / dt_s
-    speed = np.hypot(*nodes.odometry_step[moving, :2].T) / dt_s
+    speed = np.hypot(*intervals.odometry_step[moving, :2].T) / dt_s
     return {"yaw_rate": float(np.median(noise)), "lateral_acceleration": float(np.median(noise * speed))}
 
 
@@ -189,9 +189,9 @@ def score_of_corrections(fit: Fit, columns_of: Callable[[Sequence[Motion]], Arra
     problem = fit.problem
     if problem.approach.side == "truth":
         return None
-    nodes = problem.nodes
-    noise = nodes.covariance(problem.approach.law, fit.noise.coefficients, problem.steps)[:, :, 2]
-    dt_s = nodes.end_s - nodes.start_s
+    intervals = problem.intervals
+    noise = intervals.covariance(problem.approach.law, fit.noise.coefficients, problem.steps)[:, :, 2]
+    dt_s = intervals.end_s - intervals.start_s
     band = inverse_band(fit.noise.whitener.factor)
     inverse = np.array([[band[abs(i - j), min(i, j) :: 3] for j in range(3)] for i in range(3)])
     pulled = np.einsum("ijk,kj->ki", inverse, noise) / dt_s[:, None] ** 2
@@ -213,5 +213,5 @@ def _turn_columns(fit: Fit) -> Array:
     problem = fit.problem
     turned = np.zeros((sum(len(m) for m in problem.motions), 3))
     turned[:, 2] = np.concatenate([MOVES["omega"](m) * m.dt_s for m in problem.motions])
-    column: Array = problem.nodes.column(turned)
+    column: Array = problem.intervals.column(turned)
     return column

@@ -31,7 +31,7 @@ from odomcorrupt.study.select.remainder import within_remainder
 
 if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import PriorOdds
-    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.select.random_effects import DetectedRandomEffect
     from odomcorrupt.study.select.stepwise import Learned, Step
 
 _SHORT_ARM_M = 0.005
@@ -162,7 +162,7 @@ def held_out_errors(nats: float, error: float) -> float:
     return nats / max(min(error, sqrt(2.0 * nats) if nats > 0.0 else inf), 1e-9)
 
 
-def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
+def noise_evidence(gain: DetectedRandomEffect, learned: Learned) -> Evidence:
     """Return the evidence for a random effect; any dependence resembles a slow random gain, or heavy tails.
 
     The misfit of a lag is large where speeds or steering angles change quickly, and resembles heavy tails. A random
@@ -177,7 +177,7 @@ def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
     return Evidence(own, (own,) if misfit else (), left=left)
 
 
-def may_be_scale_of_truth(gain: RandomCoefficient, learned: Learned) -> bool:
+def may_be_scale_of_truth(gain: DetectedRandomEffect, learned: Learned) -> bool:
     """Return whether a varying gain of travel may be a varying scale of the truth, which has the same residuals."""
     of_travel = gain.effect.name == "gauss_markov" and getattr(gain.effect, "channel", "") == "along"
     return of_travel and any(recording.own_scale for recording in learned.fit.problem.recordings)

@@ -136,7 +136,7 @@ def basis_scores(fit: Fit, decisions: Decisions, design: CoarseDesign | None = N
 
     design : approximate columns, if already computed for this problem
     """
-    count = len(fit.problem.nodes)
+    count = len(fit.problem.intervals)
     search = ShapeSearch(fit, decisions, design)
     worth = sorted(
         (
@@ -175,7 +175,7 @@ def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) ->
         if of_turns and still:
             continue
         best = by_kind.get((regressor, channel))
-        nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(len(fit.problem.nodes)))
+        nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(len(fit.problem.intervals)))
         least = decisions.curve_of_turns_nats if of_turns else decisions.curve_nats
         seen = score.significant(decisions.level) and nats > least
         if best is not None and per == best.term.action.per:
@@ -216,7 +216,7 @@ def _with_others(scores: Sequence[Score], decisions: Decisions) -> BasisScore:
 
 def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
     """Return for every curve its kind (regressor, channel, per), the centres of its hats, and their joint score."""
-    motions, nodes = fit.problem.motions, fit.problem.nodes
+    motions, intervals = fit.problem.motions, fit.problem.intervals
     travel = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in motions])
     turn = np.concatenate([MOVES["omega"](m) * m.dt_s for m in motions])
     amounts = {"m": travel, "rad": turn, "s": np.concatenate([m.dt_s for m in motions])}
@@ -230,7 +230,7 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
             if used.sum() < 2:
                 continue
             for channel in channels:
-                columns = partial(_columns_of, nodes, regressor, used, -amounts[per], channel)
+                columns = partial(_columns_of, intervals, regressor, used, -amounts[per], channel)
                 names.append((name, channel, per))
                 groups.append(columns(motions))
                 centres.append(regressor(motions[0])[1][used])
@@ -239,7 +239,7 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
 
 
 def _columns_of(
-    nodes: Intervals,
+    intervals: Intervals,
     regressor: Callable[[Motion], tuple[Array, Array]],
     used: NDArray[np.bool_],
     amount: Array,
@@ -250,7 +250,7 @@ def _columns_of(
     hats = np.concatenate([regressor(m)[0].T for m in motions], axis=1)[used]
     errors = np.zeros((len(hats), len(amount), 3))
     errors[:, :, CHANNELS.index(channel)] = hats * amount
-    return by_column(np.stack([nodes.column(error) for error in errors]))
+    return by_column(np.stack([intervals.column(error) for error in errors]))
 
 
 def _dependence(

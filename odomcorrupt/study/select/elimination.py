@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.drift_error import Drift
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
-    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 
 _ITERATIONS, _ALIKE = 6, 0.03
 """Largest number of iterations between a random coefficient and the other noise; relative change that ends them."""
@@ -111,8 +111,8 @@ def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> 
 
 
 def eliminate_random(
-    named: list[RandomCoefficient], fit: Fit, decisions: Decisions
-) -> tuple[list[RandomCoefficient], Fit]:
+    named: list[DetectedRandomEffect], fit: Fit, decisions: Decisions
+) -> tuple[list[DetectedRandomEffect], Fit]:
     """Return named random effects and the fit, both without random coefficients that a later term made redundant."""
     if remainders := [e for e in fit.random if is_remainder(fit, e)]:
         named = [one for one in named if one.effect not in remainders]

@@ -112,10 +112,10 @@ def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
     scores = score_columns(fit, [fit.problem.replacement(effect, trial) for trial in trials])
     best = max(range(len(trials)), key=lambda i: scores[i].statistic if scores[i].estimate[0] > 0.0 else 0.0)
     more = len(shapes(trials[best])) - len(shapes(effect))
-    price = 0.5 * more * float(np.log(len(fit.problem.nodes))) + float(np.log(len(trials)))
-    if not (scores[best].significant(decisions.level) and 0.5 * scores[best].statistic > price):
+    penalty_nats = 0.5 * more * float(np.log(len(fit.problem.intervals))) + float(np.log(len(trials)))
+    if not (scores[best].significant(decisions.level) and 0.5 * scores[best].statistic > penalty_nats):
         return fit
-    found = _limited(fit, effect, [trials[best]], price, decisions)
+    found = _limited(fit, effect, [trials[best]], penalty_nats, decisions)
     if found is None:
         return fit
     (effect,) = (e for e in found.effects if e.name == name)
@@ -123,17 +123,19 @@ def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
     if not further:
         return found
     # its limit changes with it, so that it has no single column
-    price = 0.5 * float(np.log(len(fit.problem.nodes))) + float(np.log(len(further)))
-    return _limited(found, effect, further, price, decisions) or found
+    penalty_nats = 0.5 * float(np.log(len(fit.problem.intervals))) + float(np.log(len(further)))
+    return _limited(found, effect, further, penalty_nats, decisions) or found
 
 
-def _limited(fit: Fit, effect: Effect, trials: Sequence[Effect], price: float, decisions: Decisions) -> Fit | None:
-    """Return the fit with the likeliest of trial limits of an effect, refined; None if it gains less than its price."""
+def _limited(
+    fit: Fit, effect: Effect, trials: Sequence[Effect], penalty_nats: float, decisions: Decisions
+) -> Fit | None:
+    """Return the fit with the likeliest trial limit of an effect, refined; None if it gains less than its penalty."""
     tried = [one for one in (_refitted(fit, effect, trial, fit) for trial in trials) if one is not None]
     if not tried:
         return None
     found = _at_maximum(max(tried, key=lambda one: one.log_likelihood), effect.name, decisions, fit)
-    gain = found.log_likelihood - fit.log_likelihood - price
+    gain = found.log_likelihood - fit.log_likelihood - penalty_nats
     if gain <= decisions.reshape_nats or drift_grows(drift(found), drift(fit), decisions):
         return None
     return found.refit()

@@ -92,7 +92,7 @@ def compare_with_basis(
         bare = drop_term(bare, effect)
     columns = np.concatenate([fit.problem.columns(effect) for effect in effects], axis=2)
     (own,) = score_columns(bare, [columns])
-    motions, count = fit.problem.motions, len(fit.problem.nodes)
+    motions, count = fit.problem.motions, len(fit.problem.intervals)
     penalties = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
     nats = 0.5 * own.statistic - penalties
     rest, whiten = project_out(bare), bare.noise.whitener.whiten

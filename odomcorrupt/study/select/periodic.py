@@ -92,12 +92,12 @@ def _distances(track_m: float | None) -> list[tuple[str, Callable[[Motion], Arra
 
 def _scores(fit: Fit, pull: Array, channel: str) -> Array:
     """Return the score (n,) of each step for an error in one channel proportional to its travel."""
-    nodes = fit.problem.nodes
+    intervals = fit.problem.intervals
     moved = np.concatenate([m.v * m.dt_s for m in fit.problem.motions])
     unit = np.zeros((len(moved), 3))
     unit[:, CHANNELS.index(channel)] = -moved
-    interval = np.repeat(np.arange(len(nodes)), np.diff(np.append(nodes.first, len(nodes.source))))
-    scores: Array = np.einsum("in,ni->n", nodes.carried(unit), pull[interval])
+    interval = np.repeat(np.arange(len(intervals)), np.diff(np.append(intervals.first, len(intervals.source))))
+    scores: Array = np.einsum("in,ni->n", intervals.carried(unit), pull[interval])
     return scores
 
 
@@ -106,15 +106,15 @@ def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> l
 
     score : (n,) score of each step, see `_scores`
     """
-    nodes, motions = fit.problem.nodes, fit.problem.motions
+    intervals, motions = fit.problem.intervals, fit.problem.motions
     distance_m = np.concatenate([distance(m) for m in motions])
-    run = np.repeat(np.arange(len(motions)), [len(m) for m in motions])[nodes.source]
+    run = np.repeat(np.arange(len(motions)), [len(m) for m in motions])[intervals.source]
     # zero-padded by four, because peaks fall between the bins of the plain transform
     size = 1 << int(np.ceil(np.log2(4.0 * (np.ptp(distance_m) / _GRID_M + 2.0))))
     power = np.zeros(size // 2 + 1, dtype=np.complex128)
     for r in range(len(motions)):
         mine = run == r
-        place = ((distance_m[nodes.source[mine]] - distance_m.min()) / _GRID_M).astype(np.int64)
+        place = ((distance_m[intervals.source[mine]] - distance_m.min()) / _GRID_M).astype(np.int64)
         power += np.fft.rfft(np.bincount(place, score[mine], size))
     strength = np.abs(power) ** 2
     per_m = np.fft.rfftfreq(size, _GRID_M)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from odomcorrupt.effects.effect import parameters
-from odomcorrupt.study.estimate.config import NODE_S
+from odomcorrupt.study.estimate.config import INTERVAL_S
 from odomcorrupt.study.estimate.drive_type import drive_type_of
 from odomcorrupt.study.estimate.gauss_newton import orthonormal
 from odomcorrupt.study.estimate.heading_source import sees_travel
@@ -56,7 +56,7 @@ _FEW, _BESIDE = 0.05, 2
 
 
 @dataclass(frozen=True, slots=True)
-class RandomCoefficient:
+class DetectedRandomEffect:
     """A detected random effect.
 
     effect : gauss_markov, gyro_bias_walk, slip_burst, heavy_tails or an encoder effect, with its parameters
@@ -71,11 +71,11 @@ _MAP_NATS = 20.0
 """Additional nats required of a varying travel gain if the truth depends on a map, whose distortions vary too."""
 
 
-def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficient]:
+def random_coefficients(fit: Fit, decisions: Decisions) -> list[DetectedRandomEffect]:
     """Return the random coefficients detected in the residual of a fit, in decreasing order of their gains."""
-    log_count = float(np.log(len(fit.problem.nodes)))
+    log_count = float(np.log(len(fit.problem.intervals)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
-    found: dict[tuple[str, str], tuple[RandomCoefficient, float]] = {}
+    found: dict[tuple[str, str], tuple[DetectedRandomEffect, float]] = {}
     evidence = _Evidence(fit)
     drive, blind = drive_type_of(fit.problem.recordings), not sees_travel(fit.problem.recordings)
     for process in processes():
@@ -90,7 +90,7 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
         least = decisions.mean_reverting_nats if process.mean_reverting else decisions.correlated_nats
         if _matched(fit) and getattr(effect, "channel", "") == "along":
             least += _MAP_NATS
-        one = RandomCoefficient(effect, nats - 0.5 * process.numbers * log_count)
+        one = DetectedRandomEffect(effect, nats - 0.5 * process.numbers * log_count)
         key = (effect.name, getattr(effect, "channel", ""))
         if key not in found or one.nats > found[key][0].nats:
             found[key] = one, least
@@ -104,22 +104,22 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
     return sorted(named, key=lambda one: one.nats, reverse=True)
 
 
-def _measured(fit: Fit, one: RandomCoefficient) -> tuple[Fit, RandomCoefficient]:
+def _measured(fit: Fit, one: DetectedRandomEffect) -> tuple[Fit, DetectedRandomEffect]:
     """Return a fit with its noise re-estimated beside a random bias, and the bias with its gain in the refit.
 
     If intervals last seconds, as with poses of a localisation, the fitted noise per step absorbs most of a random walk
     of the bias, and a test beside that noise has little power. For shorter intervals both are returned unchanged.
     """
     (process,) = processes_like(one.effect)
-    if process.unit is not bias_of or fit.problem.approach.spacing_s <= NODE_S:
+    if process.unit is not bias_of or fit.problem.approach.spacing_s <= INTERVAL_S:
         return fit, one
     (usual,) = (p.typical for p in parameters(process.kind) if p.name == process.scale)
     start = process.kind(**{process.scale: max(getattr(one.effect, process.scale), usual), **process.fixed})
     effect = remeasured(fit.refit(random=(*fit.random, start)), start)
     calmer = fit.refit(random=(*fit.random, effect))
     nats = calmer.log_likelihood - fit.log_likelihood
-    nats -= 0.5 * process.numbers * float(np.log(len(fit.problem.nodes)))
-    return (_beside(calmer, effect), RandomCoefficient(effect, nats)) if nats > one.nats else (fit, one)
+    nats -= 0.5 * process.numbers * float(np.log(len(fit.problem.intervals)))
+    return (_beside(calmer, effect), DetectedRandomEffect(effect, nats)) if nats > one.nats else (fit, one)
 
 
 def _beside(fit: Fit, effect: Effect) -> Fit:
@@ -144,7 +144,7 @@ def _in_both_halves(fit: Fit, effect: Effect) -> bool:
     than the penalty, it also holds where such a process would gain that little with a probability of `_LEAST_CHANCE`.
     Events are no random process: if outliers are few, they and their neighbours are left out.
     """
-    count = len(fit.problem.nodes)
+    count = len(fit.problem.intervals)
     outliers = fit.noise.weights > 1.0
     event = np.convolve(outliers, np.ones(2 * _BESIDE + 1), "same") > 0.0
     usual = ~event if outliers.mean() < _FEW else np.ones(count, dtype=bool)
@@ -175,9 +175,9 @@ def _matched(fit: Fit) -> bool:
     return any(r.matched or r.localised for r in fit.problem.recordings)
 
 
-def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:
+def gain_in_refit(one: DetectedRandomEffect, without: Fit, with_it: Fit) -> float:
     """Return the gain of a random coefficient, nats: that of the test or that of the refit, whichever is larger."""
-    refitted = with_it.log_likelihood - without.log_likelihood - float(np.log(len(without.problem.nodes)))
+    refitted = with_it.log_likelihood - without.log_likelihood - float(np.log(len(without.problem.intervals)))
     return max(one.nats, refitted)
 
 
@@ -205,7 +205,7 @@ def remeasured(fit: Fit, effect: Effect) -> Effect:
     return process.kind(**{process.scale: scale, **process.fixed})
 
 
-def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[RandomCoefficient]:
+def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[DetectedRandomEffect]:
     """Return slip bursts if the outliers are slips, or heavy tails if requested and outliers have both signs.
 
     With a gyro as the truth neither is detectable: it measures no travel, and one axis of three.
@@ -214,15 +214,15 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Rand
         return []
     bursts = slip_bursts(fit)
     if bursts is not None:
-        return [RandomCoefficient(bursts, decisions.counted_nats)]
+        return [DetectedRandomEffect(bursts, decisions.counted_nats)]
     # errors of scan matching have heavy tails themselves
     heavy = heavy_tails(fit) if tails and not _matched(fit) else None
-    return [RandomCoefficient(*heavy)] if heavy is not None else []
+    return [DetectedRandomEffect(*heavy)] if heavy is not None else []
 
 
 def beside_bursts(
-    named: list[RandomCoefficient], fit: Fit, decisions: Decisions
-) -> tuple[list[RandomCoefficient], Fit]:
+    named: list[DetectedRandomEffect], fit: Fit, decisions: Decisions
+) -> tuple[list[DetectedRandomEffect], Fit]:
     """Drop random coefficients that are no longer detected once all outliers are set apart: they were the bursts."""
     correlated = {one.effect.name for one in named} & set(CORRELATED_NOISE)
     if not correlated:

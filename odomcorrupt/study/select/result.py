@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.contribution import Contribution
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
-    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +84,7 @@ class Learned:
 
     clocks: Clocks
     rounds: tuple[Step, ...]
-    noise: tuple[RandomCoefficient, ...]
+    noise: tuple[DetectedRandomEffect, ...]
     unknown: tuple[Dependence, ...]
     laws: tuple[Dependence, ...]
     margins: Mapping[str, float]

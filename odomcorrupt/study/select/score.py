@@ -150,7 +150,7 @@ def score_terms(
     columns : (K, 3, p) columns of each term, if already computed
     imitated : as in `score_columns`
     """
-    count = len(fit.problem.nodes)
+    count = len(fit.problem.intervals)
     groups = [term.columns(fit.problem) for term in terms] if columns is None else columns
     scores = score_columns(fit, groups, family=family, imitated=imitated)
     return [

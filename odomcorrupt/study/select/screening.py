@@ -62,7 +62,7 @@ class CoarseDesign:
 
     def __init__(self, problem: Problem, least: Mapping[str, float] | None = None) -> None:
         self._least = least
-        self._nodes, self._motions = problem.nodes, problem.motions
+        self._intervals, self._motions = problem.intervals, problem.motions
         self._placed = shared_frame(problem.recordings) is not None
         self._means: dict[tuple[str, frozenset[str], str], Array] = {}
         self._units: dict[Action, list[tuple[str, Array]]] = {}
@@ -105,7 +105,7 @@ class CoarseDesign:
             track_m = self._motions[0].track_m
             moved = [(m.dt_s, action.rates(v, track_m)) for m, v in zip(self._motions, self._whole, strict=True)]
             self._units[action] = [
-                (view, self._nodes.column(np.concatenate([dt_s[:, None] * rates[i][1] for dt_s, rates in moved])))
+                (view, self._intervals.column(np.concatenate([dt_s[:, None] * rates[i][1] for dt_s, rates in moved])))
                 for i, (view, _) in enumerate(moved[0][1])
             ]
         return self._units[action]
@@ -120,7 +120,7 @@ class CoarseDesign:
 
     def means(self, functions: Sequence[BasisFunction], view: str, move: str) -> Array:
         """Return the means (K, P) of functions over the intervals, weighted by the motion of each sample."""
-        seen, count = self._seen[view], len(self._nodes)
+        seen, count = self._seen[view], len(self._intervals)
         weight = np.abs(MOVES[move](seen)).reshape(count, -1) + 1e-9
         weight = weight / weight.sum(axis=1, keepdims=True)
         parts = [part for function in functions for part in function.parts]
@@ -135,16 +135,16 @@ class CoarseDesign:
         for p in amplitudes(term.start):
             acting = replace(term.start, **{p.name: p.identity + p.step})  # type: ignore[type-var]  # effects are dataclasses
             try:
-                rate = error_of(acting, self._thinned).reshape(len(self._nodes), 3 * _SAMPLES) @ _MEAN
+                rate = error_of(acting, self._thinned).reshape(len(self._intervals), 3 * _SAMPLES) @ _MEAN
             except EffectError:  # the effect acts on single wheels, and the track is unknown
-                rate = np.zeros((len(self._nodes), 3))
+                rate = np.zeros((len(self._intervals), 3))
             rate *= -1.0 / p.step
             columns.append(sum(held * rate[:, [i]] for i, held in enumerate(self._held)))
         return by_column(np.stack(columns))
 
     @cached_property
     def _thinned(self) -> Motion:
-        return _thinned(self._nodes, self._motions)
+        return _thinned(self._intervals, self._motions)
 
     @cached_property
     def _seen(self) -> dict[str, Motion]:
@@ -158,14 +158,14 @@ class CoarseDesign:
     def _held(self) -> list[Array]:
         """Changes (K, 3) of the residuals by a constant rate of one in each channel."""
         dt_s = np.concatenate([m.dt_s for m in self._motions])
-        return [self._nodes.column(dt_s[:, None] * unit) for unit in np.eye(3)]
+        return [self._intervals.column(dt_s[:, None] * unit) for unit in np.eye(3)]
 
 
-def _thinned(nodes: Intervals, motions: Sequence[Motion]) -> Motion:
+def _thinned(intervals: Intervals, motions: Sequence[Motion]) -> Motion:
     """Return `_SAMPLES` evenly spread increments of each of the K intervals, as one motion."""
-    last = np.append(nodes.first[1:], len(nodes.source)) - 1
-    steps = np.linspace(nodes.first, last, _SAMPLES).round().astype(np.int64).T.ravel()
-    chosen = nodes.source[steps]
+    last = np.append(intervals.first[1:], len(intervals.source)) - 1
+    steps = np.linspace(intervals.first, last, _SAMPLES).round().astype(np.int64).T.ravel()
+    chosen = intervals.source[steps]
     first = motions[0]
     names = [f.name for f in fields(first) if isinstance(getattr(first, f.name), np.ndarray)]
     arrays: dict[str, Any] = {n: np.concatenate([getattr(m, n) for m in motions])[chosen] for n in names}

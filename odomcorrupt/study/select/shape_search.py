@@ -113,15 +113,15 @@ class ShapeSearch:
         """
         if len(family) == 1 and not choices(family[0].start):
             return family[0]
-        price = self._decisions.unusual_shape_nats
+        penalty_nats = self._decisions.unusual_shape_nats
         usual = self._highest(family)
         unusual = [self._highest(others) for others in zip(*(t.with_words(("heading",)) for t in family), strict=True)]
-        most, best = max([usual, *((nats - price, other) for nats, other in unusual)], key=itemgetter(0))
+        most, best = max([usual, *((nats - penalty_nats, other) for nats, other in unusual)], key=itemgetter(0))
         if most <= _LARGE_NATS:
             return best
         words = [word for word in choices(best.start) if word != "heading"]
         for others in (best.with_words(words), best.related()):
-            paid = self.gain(best) - most + price
+            paid = self.gain(best) - most + penalty_nats
             refined = [self._refined(other) for other in others]
             net = [(nats - paid - self._more_charged(other, best), other) for nats, other in refined]
             most, best = max([(most, best), *net], key=itemgetter(0))
@@ -132,7 +132,7 @@ class ShapeSearch:
 
         Without it noise of the truth at the edge of a disc is enough for a rectangle, whose edges are then continued.
         """
-        count = len(self._fit.problem.nodes)
+        count = len(self._fit.problem.intervals)
         return penalty(term, count, self._decisions) - penalty(than, count, self._decisions)
 
     def located(self, family: Sequence[LibraryTerm]) -> Located:
@@ -142,12 +142,12 @@ class ShapeSearch:
         """
         if not any(len(term.shape) for term in family) or (len(family) == 1 and not choices(family[0].start)):
             return Located(self.best(family), exact=True)
-        price = self._decisions.unusual_shape_nats
+        penalty_nats = self._decisions.unusual_shape_nats
         usual = self._nearly(family)
         unusual = [self._nearly(others) for others in zip(*(t.with_words(("heading",)) for t in family), strict=True)]
-        most, best = max([usual, *((nats - price, other) for nats, other in unusual)], key=itemgetter(0))
+        most, best = max([usual, *((nats - penalty_nats, other) for nats, other in unusual)], key=itemgetter(0))
         words = [word for word in choices(best.start) if word != "heading"]
-        others = [(self.gain(other) - price, other) for other in best.with_words(words)]
+        others = [(self.gain(other) - penalty_nats, other) for other in best.with_words(words)]
         return Located(max([(most, best), *others], key=itemgetter(0))[1], exact=False)
 
     def promising(self) -> list[Screened]:

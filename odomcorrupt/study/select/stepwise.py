@@ -53,7 +53,7 @@ from odomcorrupt.study.select.model_comparison import (
     with_final_rivals,
 )
 from odomcorrupt.study.select.random_effects import (
-    RandomCoefficient,
+    DetectedRandomEffect,
     beside_bursts,
     explained_by,
     gain_in_refit,
@@ -116,7 +116,7 @@ def learn(
         approach=approach,
         random=[e for e in start if e.name in CORRELATED_NOISE],
     )
-    noise = [RandomCoefficient(e, decisions.counted_nats) for e in encoders]
+    noise = [DetectedRandomEffect(e, decisions.counted_nats) for e in encoders]
     given = {e.name for e in start}
     found = _Selection(fitted, noise, given, clocks, decisions, work).run()
     late_nats = sum(one.nats for one in (*found.included, *found.open) if one.follows_acceleration)
@@ -158,7 +158,7 @@ class _Selection:
     """
 
     fit: Fit
-    noise: list[RandomCoefficient]
+    noise: list[DetectedRandomEffect]
     given: set[str]
     clocks: Clocks
     decisions: Decisions
@@ -258,7 +258,7 @@ class _Selection:
         step = Step(before=before, candidates=tried, added=added, dependence=dependence, alternative_nats=near)
         self.steps.append(step)
 
-    def _correlated(self, gain: float) -> RandomCoefficient | None:
+    def _correlated(self, gain: float) -> DetectedRandomEffect | None:
         """Return the random coefficient with a clearly larger gain than the best effect, if another one is allowed."""
         if len(self.fit.random) >= self.decisions.max_correlated or is_pulled(self.fit):
             return None
@@ -302,7 +302,7 @@ class _Selection:
         self.compared = {e.name: compare_with_basis(self.fit, [e], self.decisions, design) for e in self._selected()}
         self.compared_at = self.fit
 
-    def _include_correlated(self, one: RandomCoefficient, explained: float) -> bool:
+    def _include_correlated(self, one: DetectedRandomEffect, explained: float) -> bool:
         """Include a random coefficient if it gains clearly more than `explained` nats; return whether it did."""
         calmer = self.fit.refit(random=(*self.fit.random, one.effect))
         if not gain_in_refit(one, self.fit, calmer) > explained + self.decisions.alternative_nats:

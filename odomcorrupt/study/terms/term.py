@@ -269,7 +269,7 @@ class BasisTerm:
             rates = self.action.rates(seen, motion.track_m)
             for error, part in zip(errors, self.function.parts, strict=True):
                 error.append(np.asarray(sum((part(seen[v]) * motion.dt_s)[:, None] * rate for v, rate in rates)))
-        return np.stack([problem.nodes.column(np.concatenate(error)) for error in errors]).transpose(1, 2, 0)
+        return np.stack([problem.intervals.column(np.concatenate(error)) for error in errors]).transpose(1, 2, 0)
 
     def effect(self, coefficients: Sequence[float]) -> UserEffect:
         """Return the expression as an effect with these coefficients."""

@@ -99,7 +99,7 @@ def uncertainty_of(
             change = (positions or windows).spread(law, Variances(*parts), steps)
             relative = np.linalg.solve(errors.covariance, change[:, :count, :count] / 2.0)
             scales.append(float(np.trace(relative, axis1=1, axis2=2).mean() / count))
-    columns = _effect_errors(model, replace(problem, nodes=windows), inflate)[:, :count]
+    columns = _effect_errors(model, replace(problem, intervals=windows), inflate)[:, :count]
     solved = np.linalg.solve(errors.covariance, columns)
     gram = np.einsum("nci,ncj->ij", columns, solved) / (len(errors) * count)
     return ParameterUncertainty(np.array(scales), gram, _truth_spread(model, windows, errors, problem))
@@ -118,7 +118,7 @@ def _truth_spread(model: MotionModel, windows: Intervals, errors: WindowErrors, 
 
 def _effect_errors(model: MotionModel, problem: Problem, inflate: float) -> Array:
     """Return the errors (n, 3, q) at the windows' ends for one standard error of each parameter of the effects."""
-    columns = [np.zeros((len(problem.nodes), 3, 0))]
+    columns = [np.zeros((len(problem.intervals), 3, 0))]
     for effect in problem.effects:
         own = problem.columns(effect)
         errors = [model.standard_errors.get(f"{effect.name}.{p.name}", 0.0) for p in amplitudes(effect)]

@@ -264,14 +264,14 @@ def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approa
     """Return the model with its parameters estimated on these recordings only and the same set of effects."""
     effects = (*model.effects, *model.setup.effects)
     recordings = [restore_lost(recording, effects) for recording in recordings]
-    again = fit(recordings, effects, approach=replace(approach, law_name=model.noise.law_name))
+    refitted = fit(recordings, effects, approach=replace(approach, law_name=model.noise.law_name))
     random = [e for e in model.effects if e.kind == "noise"]
     count = len(model.effects) - len(random)
     return replace(
         model,
-        noise=replace(model.noise, coefficients=again.noise.coefficients),
-        effects=(*again.effects[:count], *random),
-        setup=replace(model.setup, effects=again.effects[count:], truth=again.noise.truth),
+        noise=replace(model.noise, coefficients=refitted.noise.coefficients),
+        effects=(*refitted.effects[:count], *random),
+        setup=replace(model.setup, effects=refitted.effects[count:], truth=refitted.noise.truth),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.study.estimate.nodes import LEAST_NODES, count_nodes
+from odomcorrupt.study.estimate.interval_ends import LEAST_INTERVALS, count_intervals
 from odomcorrupt.study.io.clock import clock_leaders
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def split_of(recordings: Sequence[Recording], fitted: Collection[str], spacing_s
             word = "second" if pieces.first else "first"
             notes.append(
                 f"{run[0].name}: too short to be fitted on one half and judged on the other: its {word} half has no "
-                f"{LEAST_NODES} stretches of {spacing_s:g} s with both odometry and truth"
+                f"{LEAST_INTERVALS} stretches of {spacing_s:g} s with both odometry and truth"
             )
     if not kept:
         notes[-1] += (
@@ -134,11 +134,11 @@ def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) 
         truth = recording.truth
         at = int(np.searchsorted(truth.stamps_ns, middle.stamp_ns))
         for side, word, rows in zip(sides, ("first", "second"), (slice(at), slice(at, None)), strict=True):
-            if len(truth.stamps_ns[rows]) > LEAST_NODES:
+            if len(truth.stamps_ns[rows]) > LEAST_INTERVALS:
                 known = truth.covariance[rows] if truth.covariance is not None else None
                 part = Trajectory(truth.stamps_ns[rows], truth.xyt[rows], known, truth.relative)
                 side.append(replace(recording, name=f"{recording.name}, {word} half", truth=part))
-    first, second = (tuple(r for r in side if count_nodes(r, spacing_s) >= LEAST_NODES) for side in sides)
+    first, second = (tuple(r for r in side if count_intervals(r, spacing_s) >= LEAST_INTERVALS) for side in sides)
     return Pieces(names, first, second)
 
 

@@ -24,7 +24,7 @@ MOVING = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NodeMotion:
+class IntervalMotion:
     """Motion over each of K intervals, (K,) each.
 
     t_s : time of its end since the recording's origin, seconds
@@ -46,9 +46,9 @@ class NodeMotion:
     distance: Array
 
 
-def node_motion(problem: Problem) -> NodeMotion:
+def interval_motion(problem: Problem) -> IntervalMotion:
     """Return the motion over every interval, from the smoothed motion of the regressors."""
-    nodes, motions = problem.nodes, problem.motions
+    intervals, motions = problem.intervals, problem.motions
     dt = np.concatenate([m.dt_s for m in motions])
     columns = [dt] + [
         np.concatenate(part) * dt
@@ -59,13 +59,13 @@ def node_motion(problem: Problem) -> NodeMotion:
             [m.a for m in motions],
         )
     ]
-    weighted = np.stack(columns, axis=1)[nodes.source] * nodes.share[:, None]
-    seconds, metres, v, omega, a = np.add.reduceat(weighted, nodes.first, axis=0).T
+    weighted = np.stack(columns, axis=1)[intervals.source] * intervals.share[:, None]
+    seconds, metres, v, omega, a = np.add.reduceat(weighted, intervals.first, axis=0).T
     per = 1.0 / np.maximum(seconds, 1e-9)
     distance = np.concatenate([np.cumsum(metres[problem.run == r]) for r in np.unique(problem.run)])
-    x, y, heading = nodes.truth_xyt.T
-    return NodeMotion(
-        t_s=nodes.end_s,
+    x, y, heading = intervals.truth_xyt.T
+    return IntervalMotion(
+        t_s=intervals.end_s,
         metres=metres,
         seconds=seconds,
         v=v * per,
@@ -89,7 +89,7 @@ def unit_columns(problem: Problem, *, per_second: bool = False) -> Array:
     for c in range(3):
         error = np.zeros((len(weight), 3))
         error[:, c] = weight
-        columns.append(problem.nodes.column(error))
+        columns.append(problem.intervals.column(error))
     return np.stack(columns, axis=2)
 
 

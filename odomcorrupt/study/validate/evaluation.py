@@ -24,7 +24,7 @@ from odomcorrupt.study.validate.calibration import Horizon, ParameterUncertainty
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.effects.effect import Effect, Gain, Motion
+    from odomcorrupt.effects.effect import Effect, Motion, RandomCoefficient
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.config import Approach
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.position_windows import PositionWindows
     from odomcorrupt.study.io.recording import Recording
 
-_MIN_NATS_PER_NODE = 0.3
+_MIN_NATS_PER_INTERVAL = 0.3
 """A recording's truth gets its own noise if that explains this much more per interval; noise half as large again does
 so if it is most of the residual."""
 _MAX_NOISE_RATIO, _ROBUST_ROUNDS = 5.0, 6
@@ -51,8 +51,8 @@ class Evaluation:
     truth : noise of the truth, as it affects the ends of windows
     q : (K, 3, 3) covariance of the residuals from the model's noise
     innovations : (3 K,) whitened residuals
-    node_nats : (K,) log likelihood of each interval given the preceding ones
-    node_metres : (K,) travel of the raw odometry, the same for all models
+    interval_nats : (K,) log likelihood of each interval given the preceding ones
+    interval_metres : (K,) travel of the raw odometry, the same for all models
     refitted : whether the model was refitted on the other half of the drive
     """
 
@@ -64,8 +64,8 @@ class Evaluation:
     whitener: Whitener
     q: Array
     innovations: Array
-    node_nats: Array
-    node_metres: Array
+    interval_nats: Array
+    interval_metres: Array
     refitted: bool
 
     @property
@@ -76,7 +76,7 @@ class Evaluation:
     @property
     def covariance(self) -> Array:
         """Predicted marginal covariance (K, 3, 3) of each residual."""
-        return interval_covariance(self.problem.nodes, self.q, self.truth)
+        return interval_covariance(self.problem.intervals, self.q, self.truth)
 
     @property
     def sized_nats(self) -> Array:
@@ -86,13 +86,13 @@ class Evaluation:
         """
         square = self.innovations.reshape(-1, 3)[:, self.recording.axes] ** 2
         size = np.maximum(square.mean(axis=0), _LEAST_SQUARE)
-        nats: Array = self.node_nats + 0.5 * np.sum(square * (1.0 - 1.0 / size) - np.log(size), axis=1)
+        nats: Array = self.interval_nats + 0.5 * np.sum(square * (1.0 - 1.0 / size) - np.log(size), axis=1)
         return nats
 
     def chains(self) -> list[Array]:
         """Return the innovations as uninterrupted chains (m, c), with c the axes measured by the truth."""
         rows = self.innovations.reshape(-1, 3)[:, self.recording.axes]
-        return np.split(rows, np.flatnonzero(~self.problem.nodes.linked)[1:])
+        return np.split(rows, np.flatnonzero(~self.problem.intervals.linked)[1:])
 
     def windows(self, distance_m: float) -> tuple[WindowErrors, ParameterUncertainty] | None:
         """Return errors after a path length with the model's uncertainty of them; None without measured positions."""
@@ -131,21 +131,21 @@ def evaluate_stretch(
     model = model.in_frame(recording.frame)
     effects = (*model.effects, *model.setup.effects)
     problem = pose_problem([recording], effects, approach=approach)
-    nodes = problem.nodes
-    q = nodes.covariance(model.noise.law, model.noise.coefficients, problem.steps)
+    intervals = problem.intervals
+    q = intervals.covariance(model.noise.law, model.noise.coefficients, problem.steps)
     headed = recording.headed
-    truth = model.setup.truth or _truth_noise(nodes, q, recording)
+    truth = model.setup.truth or _truth_noise(intervals, q, recording)
     if model.setup.truth is not None and not refitted:
-        truth = _own_truth(nodes, q, truth, recording)
-    band = remainder_whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+        truth = _own_truth(intervals, q, truth, recording)
+    band = remainder_whitener(intervals, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
     random = [effect for effect in model.effects if effect.name in CORRELATED_NOISE]
     white = widened(band, problem, random)
-    innovations = white.whiten(nodes.residual)
+    innovations = white.whiten(intervals.residual)
     own = np.log(white.factor[0]) + 0.5 * innovations**2 + 0.5 * np.log(2.0 * np.pi)
     # A random coefficient acts over the whole run: spread its contribution over all intervals.
     own += (white.log_det - band.log_det) / own.size
     left = problem.left[0]
-    raw = pose_problem([recording], approach=approach, before=problem).nodes
+    raw = pose_problem([recording], approach=approach, before=problem).intervals
     return Evaluation(
         recording=recording,
         left=left,
@@ -153,10 +153,10 @@ def evaluate_stretch(
         truth=truth if headed else replace(truth, yaw_rad=float(left.heading_error_rad or 0.0)),
         problem=problem,
         whitener=white,
-        q=q + random_covariance(_random_effects(model), nodes, problem.motions[0]),
+        q=q + random_covariance(_random_effects(model), intervals, problem.motions[0]),
         innovations=innovations,
-        node_nats=-own.reshape(-1, 3).sum(axis=1),
-        node_metres=raw.distance_m,
+        interval_nats=-own.reshape(-1, 3).sum(axis=1),
+        interval_metres=raw.distance_m,
         refitted=refitted,
     )
 
@@ -177,22 +177,22 @@ def _random_effects(model: MotionModel) -> list[Effect]:
     return [effect for effect in model.effects if effect.kind == "noise" and not effect.restorable]
 
 
-def _own_truth(nodes: Intervals, q: Array, stated: TruthNoise, recording: Recording) -> TruthNoise:
+def _own_truth(intervals: Intervals, q: Array, stated: TruthNoise, recording: Recording) -> TruthNoise:
     """Return the noise of a recording's truth if it clearly differs from the noise stated in the model.
 
     Noise of a truth is no property of the robot: a model may be fitted to motion capture and evaluated on AMCL. It must
     not absorb the robot's errors either. It is therefore estimated without the few outlying intervals, and bounded by
     the noise that the truth's own samples show.
     """
-    own, usual = _robust_truth(nodes, q, recording)
+    own, usual = _robust_truth(intervals, q, recording)
     most = _max_noise(recording, stated)
     own = TruthNoise(*(min(one, bound) for one, bound in zip(_numbers(own), _numbers(most), strict=True)))
 
     def nats(truth: TruthNoise) -> float:
-        white = whitener(nodes, usual, truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD))
-        return white.log_likelihood(white.whiten(nodes.residual))
+        white = whitener(intervals, usual, truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+        return white.log_likelihood(white.whiten(intervals.residual))
 
-    return own if nats(own) - nats(stated) > _MIN_NATS_PER_NODE * len(nodes) else stated
+    return own if nats(own) - nats(stated) > _MIN_NATS_PER_INTERVAL * len(intervals) else stated
 
 
 def _max_noise(recording: Recording, stated: TruthNoise) -> TruthNoise:
@@ -213,45 +213,45 @@ def _numbers(truth: TruthNoise) -> tuple[float, float, float]:
     return truth.xy_m, truth.yaw_rad, truth.random_walk
 
 
-def _truth_noise(nodes: Intervals, q: Array, recording: Recording) -> TruthNoise:
+def _truth_noise(intervals: Intervals, q: Array, recording: Recording) -> TruthNoise:
     """Return the truth's noise for a model file that states none."""
-    return _robust_truth(nodes, q, recording)[0]
+    return _robust_truth(intervals, q, recording)[0]
 
 
-def _robust_truth(nodes: Intervals, q: Array, recording: Recording) -> tuple[TruthNoise, Array]:
+def _robust_truth(intervals: Intervals, q: Array, recording: Recording) -> tuple[TruthNoise, Array]:
     """Return the maximum-likelihood noise of the truth, and the odometry's covariances (K, 3, 3) used with it.
 
     Outlying intervals get wider covariances, as in a fit, because a slip of some degrees is no noise of the truth. The
     starting values come from medians, which slips do not affect.
     """
-    spread = (1.4826 * np.median(np.abs(nodes.residual), axis=0)) ** 2
+    spread = (1.4826 * np.median(np.abs(intervals.residual), axis=0)) ** 2
     both = np.maximum(spread - np.median(np.einsum("kii->ki", q), axis=0), 0.1 * spread) / 2.0
     low, high = np.log(2e-5), 0.0
     start = np.clip([*np.log([max(both[0], both[1], 1e-12), max(both[2], 1e-12)]) / 2.0, np.log(1e-4)], low, high)
     truth, usual = _unpacked(start, headed=recording.headed), q
     for _ in range(_ROBUST_ROUNDS):
         try:
-            white = whitener(nodes, usual, truth)
+            white = whitener(intervals, usual, truth)
         except FitError:
             break
-        square = np.sum(white.whiten(nodes.residual).reshape(-1, 3) ** 2, axis=1)
+        square = np.sum(white.whiten(intervals.residual).reshape(-1, 3) ** 2, axis=1)
         worse = outliers(square)
         if not worse.any():
             break
-        own = np.eye(3) * FLOOR + interval_covariance(nodes, usual, truth)
+        own = np.eye(3) * FLOOR + interval_covariance(intervals, usual, truth)
         usual = usual + np.where(worse, np.maximum(square / 3.0 - 1.0, 0.0), 0.0)[:, None, None] * own
-    return _most_likely_truth(nodes, usual, start, headed=recording.headed), usual
+    return _most_likely_truth(intervals, usual, start, headed=recording.headed), usual
 
 
-def _most_likely_truth(nodes: Intervals, q: Array, start: Array, *, headed: bool) -> TruthNoise:
+def _most_likely_truth(intervals: Intervals, q: Array, start: Array, *, headed: bool) -> TruthNoise:
     """Return the maximum-likelihood noise of the truth, given the odometry's covariances (K, 3, 3)."""
 
     def cost(free: Array) -> float:
         try:
-            white = whitener(nodes, q, _unpacked(free, headed=headed))
+            white = whitener(intervals, q, _unpacked(free, headed=headed))
         except FitError:
             return 1e12
-        return -white.log_likelihood(white.whiten(nodes.residual))
+        return -white.log_likelihood(white.whiten(intervals.residual))
 
     bounds = [(np.log(2e-5), 0.0), (np.log(2e-5), 0.0), (np.log(1e-6), np.log(0.3))]
     found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"eps": 1e-4, "maxiter": 40}).x
@@ -276,7 +276,7 @@ def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Moti
     return total
 
 
-def _of_gain(gain: Gain, windows: Intervals, motion: Motion) -> Array:
+def _of_gain(gain: RandomCoefficient, windows: Intervals, motion: Motion) -> Array:
     moved = windows.carried(gain.f * motion.dt_s[:, None])
     keep = gain.keep[windows.source] ** windows.share
     variance = _variances(gain)[windows.source]
@@ -295,7 +295,7 @@ def _of_gain(gain: Gain, windows: Intervals, motion: Motion) -> Array:
     return np.ascontiguousarray(np.moveaxis(np.add.reduceat(outer, windows.first, axis=2), 2, 0))
 
 
-def _variances(gain: Gain) -> Array:
+def _variances(gain: RandomCoefficient) -> Array:
     """Return the variance (n,) of the gain in each interval."""
     variance, found = gain.start, []
     for keep, kick in zip(gain.keep.tolist(), gain.kick.tolist(), strict=True):
@@ -304,7 +304,7 @@ def _variances(gain: Gain) -> Array:
     return np.array(found)
 
 
-_Summed = Literal["node_nats", "sized_nats", "node_metres"]
+_Summed = Literal["interval_nats", "sized_nats", "interval_metres"]
 
 BLOCK_S = 15.0
 """Errors of a robot are correlated over seconds; blocks of this length, seconds, are nearly independent."""
@@ -324,7 +324,7 @@ class LogScore:
 def log_score_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> LogScore:
     """Return the nats per metre of evaluated pieces, and their paired difference from those of the first model."""
     own, base = _blocks(pieces, pieces), _blocks(first, pieces)
-    metres = _blocks(pieces, pieces, "node_metres")
+    metres = _blocks(pieces, pieces, "interval_metres")
     ratio, error = _ratio(own, metres)
     gain, gain_error = _ratio(own - base, metres)
     return LogScore(ratio, error, gain, gain_error, len(metres))
@@ -335,16 +335,16 @@ def block_differences(pieces: Sequence[Evaluation], others: Sequence[Evaluation]
 
     sized : whether to rescale the noise to each recording, see `Evaluation.sized_nats`
     """
-    what: _Summed = "sized_nats" if sized else "node_nats"
+    what: _Summed = "sized_nats" if sized else "interval_nats"
     difference: Array = _blocks(pieces, pieces, what) - _blocks(others, pieces, what)
     return difference
 
 
-def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], what: _Summed = "node_nats") -> Array:
+def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], what: _Summed = "interval_nats") -> Array:
     """Return sums (b,) of log likelihood or metres over blocks of time."""
     sums = []
     for piece, like in zip(pieces, cut_by, strict=True):
-        end_s = like.problem.nodes.end_s
+        end_s = like.problem.intervals.end_s
         block = ((end_s - end_s[0]) / BLOCK_S).astype(np.int64)
         sums.append(np.bincount(block, getattr(piece, what)))
     joined: Array = np.concatenate(sums)

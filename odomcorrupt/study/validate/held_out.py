@@ -168,13 +168,13 @@ def _least_confident(
     """
     evidence = {step.added: evidence_of(step, learned) for step in learned.steps if step.added is not None}
     evidence |= {gain.effect.name: noise_evidence(gain, learned) for gain in learned.noise}
-    sure = [
+    certain = [
         (confidence(evidence[one.name], learned.decisions.prior), parts, one)
         for parts, one in found
         if one.name in evidence
     ]
     hardly = learned.decisions.least_confidence
-    dropped = [each for each in sure if each[0] < (_EVEN if each[2].doubtful else 0.0 if each[2].needed else hardly)]
+    dropped = [each for each in certain if each[0] < (_EVEN if each[2].doubtful else 0.0 if each[2].needed else hardly)]
     least, parts, one = min(dropped, key=lambda each: each[0], default=(1.0, (), None))
     if one is None:
         return None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy.stats import chi2, norm
 
-from odomcorrupt.study.validate.error_rates import CHANNELS, MOVING, node_motion, unit_columns
+from odomcorrupt.study.validate.error_rates import CHANNELS, MOVING, interval_motion, unit_columns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.estimate.whitener import Whitener
     from odomcorrupt.study.validate.calibration import Horizon
-    from odomcorrupt.study.validate.error_rates import NodeMotion
+    from odomcorrupt.study.validate.error_rates import IntervalMotion
 
 _SHARES = (4, 8, 16)
 """Divisors of a run's duration for stretches of time, and of the width of the place for radii of discs."""
@@ -52,7 +52,7 @@ class Pattern:
     place: tuple[float, float, float] | None = None
 
 
-def all_patterns(motion: NodeMotion) -> list[Pattern]:
+def all_patterns(motion: IntervalMotion) -> list[Pattern]:
     """Return the parts of a drive that contain enough of it."""
     total = float(motion.metres.sum())
     wanted = [*_kinds_of_motion(motion), *_stretches(motion), *_discs(motion)]
@@ -64,7 +64,7 @@ def all_patterns(motion: NodeMotion) -> list[Pattern]:
     return kept
 
 
-def _kinds_of_motion(m: NodeMotion) -> list[Pattern]:
+def _kinds_of_motion(m: IntervalMotion) -> list[Pattern]:
     speed = np.abs(m.v)
     moving = speed > MOVING
     curvature = np.where(moving, m.omega / np.where(moving, m.v, 1.0), 0.0)
@@ -107,7 +107,7 @@ def _pattern(
     return Pattern(kind, where, mask.astype(np.float64), "m", float(metres[mask].sum()), span_s, place)
 
 
-def _stretches(m: NodeMotion) -> list[Pattern]:
+def _stretches(m: IntervalMotion) -> list[Pattern]:
     start, end = float(m.t_s[0] - m.seconds[0]), float(m.t_s[-1])
     found = []
     for share in _SHARES:
@@ -120,7 +120,7 @@ def _stretches(m: NodeMotion) -> list[Pattern]:
     return found
 
 
-def _discs(m: NodeMotion) -> list[Pattern]:
+def _discs(m: IntervalMotion) -> list[Pattern]:
     width = float(max(np.ptp(m.x), np.ptp(m.y)))
     found = []
     for share in _SHARES:
@@ -187,7 +187,7 @@ def failures(
     innovations : (3 K,) standardised
     name : name of the recording
     """
-    motion = node_motion(problem)
+    motion = interval_motion(problem)
     patterns = all_patterns(motion)
     units = {"m": unit_columns(problem), "s": unit_columns(problem, per_second=True)}
     tries = [(pattern, c) for pattern in patterns for c in range(3 if headed else 2)]
@@ -245,22 +245,22 @@ def sudden_failures(
     square = np.sum(innovations.reshape(-1, 3)[:, :count] ** 2, axis=1)
     log_p = chi2.logsf(square, count) + np.log(len(square))
     deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    nodes = problem.nodes
+    intervals = problem.intervals
     found = []
     for k in np.argsort(square)[::-1][:_MAX_SUDDEN]:
         if log_p[k] > np.log(LEVEL):
             break
-        ratio = (np.abs(nodes.residual[k]) / deviation[k])[:count]
+        ratio = (np.abs(intervals.residual[k]) / deviation[k])[:count]
         c = int(np.argmax(ratio))
-        start, end = float(nodes.start_s[k]), float(nodes.end_s[k])
-        x, y, _ = map(float, nodes.truth_xyt[k])
+        start, end = float(intervals.start_s[k]), float(intervals.end_s[k])
+        x, y, _ = map(float, intervals.truth_xyt[k])
         found.append(
             Failure(
                 kind="moment",
                 channel=CHANNELS[c],
                 where=f"within {end - start:.2g} s at {start:.1f} s",
                 per="",
-                measured=float(nodes.residual[k, c]),
+                measured=float(intervals.residual[k, c]),
                 expected=2.0 * float(deviation[k, c]),
                 amount=1.0,
                 log_p=float(log_p[k]),

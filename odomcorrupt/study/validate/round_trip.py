@@ -253,8 +253,10 @@ def _correctable(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tup
         return model, []
     errors = f"leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, the fit {fitted_m * 1e3:.1f} mm"
     plain_m = _corrected_error([e for e in model.effects if e not in reading], model, drives)
-    # A small remaining gain is specific to these data and does not transfer.
+    # A small remaining gain is specific to these data and does not transfer, unless it is small because odometry that
+    # drifts meets places too early or too late: corruption follows the true path and needs these effects.
     little = left_m**2 > _MIN_GAIN * fitted_m**2 + (1.0 - _MIN_GAIN) * plain_m**2
+    little &= left_m > plain_m or not all(effect.reads_places for effect in reading)
     if little or left_m > _MAX_RATIO * fitted_m:
         means = [_mean_of(model, law, drives) for law in reading if isinstance(law, UserEffect)]
         others = [*(m for m in means if m is not None), *(_without(model, effect) for effect in reversed(reading))]
@@ -266,6 +268,8 @@ def _correctable(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tup
             return other, [f"{change}, which leaves {min(errors_m) * 1e3:.1f} mm: `correct` with it {errors}", *more]
     names = " and ".join(effect.name for effect in reading)
     why = "reads accelerations or places, and from one pose to the next these are rougher than the fit's smooth ones"
+    if all(effect.reads_places for effect in reading):
+        why = "acts at places, which odometry that drifts meets too early or too late; corruption follows the true path"
     return model, [f"`correct` with this model {errors}: {names} {why}"]
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.estimate.intervals import TURN_M, Intervals, intervals
+from odomcorrupt.study.estimate.intervals import TURN_M, Intervals, intervals_between
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 GAP_S = 3.0
 """Multiple of the node spacing above which an interval is a gap in the truth and is not used."""
-LEAST_NODES = 20
+LEAST_INTERVALS = 20
 """Minimum number of intervals for a fit."""
 
 
-def pick_nodes(
+def pick_interval_ends(
     truth_s: Array,
     first_s: float,
     last_s: float,
@@ -51,7 +51,7 @@ def pick_nodes(
     return picked
 
 
-def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
+def intervals_of(recording: Recording, spacing_s: float) -> Intervals:
     """Return the intervals between truth samples `spacing_s` apart, with the odometry between them.
 
     Raises
@@ -61,21 +61,21 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
     """
     truth_s = recording.truth.seconds_since(recording.origin_ns)
     try:
-        picked = _nodes_of(recording, truth_s, spacing_s)
+        picked = _ends_of(recording, truth_s, spacing_s)
     except RecordingError as error:
         raise RecordingError(f"{recording.name}: {error}") from error
     start, end = truth_s[picked[:-1]], truth_s[picked[1:]]
     beside = [(end <= step.start_s) | (start >= step.end_s) for step in recording.pose_steps]
     kept = np.flatnonzero(np.all([end - start < GAP_S * spacing_s, *beside], axis=0))
-    if len(kept) < LEAST_NODES:
+    if len(kept) < LEAST_INTERVALS:
         raise RecordingError(
             f"{recording.name}: only {len(kept)} stretches of {spacing_s:g} s have both odometry and truth; "
-            f"{LEAST_NODES} are needed: record longer, or check both clocks"
+            f"{LEAST_INTERVALS} are needed: record longer, or check both clocks"
         )
-    return intervals(recording, picked, kept)
+    return intervals_between(recording, picked, kept)
 
 
-def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray[np.int64]:
+def _ends_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray[np.int64]:
     """Return indices of the nodes, `spacing_s` apart; for a localisation, the path usually driven in that time apart.
 
     Errors of a localisation depend on its view and stay the same while the robot stands or creeps. The path length is
@@ -84,18 +84,18 @@ def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray
     """
     ends, first = recording.odometry_s[[0, -1]], int(np.searchsorted(truth_s[:-1], 0.0))
     if not recording.localised:
-        return pick_nodes(truth_s, float(ends[0]), float(ends[1]), spacing_s, anchor_s=float(truth_s[first]))
+        return pick_interval_ends(truth_s, float(ends[0]), float(ends[1]), spacing_s, anchor_s=float(truth_s[first]))
     steps = np.diff(np.nan_to_num(recording.truth.xyt), axis=0)
     gone = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) + TURN_M * np.abs(steps[:, 2]))))
     pace = gone * (float(truth_s[-1] - truth_s[0]) / max(float(gone[-1]), 1e-9))
     usable = (truth_s >= ends[0]) & (truth_s <= ends[1])
-    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, usable, float(pace[first]))
+    return pick_interval_ends(pace, 0.0, float(pace[-1]), spacing_s, usable, float(pace[first]))
 
 
-def count_nodes(recording: Recording, spacing_s: float) -> int:
-    """Return the number of intervals that `lay_nodes` would find."""
+def count_intervals(recording: Recording, spacing_s: float) -> int:
+    """Return the number of intervals that `intervals_of` would find."""
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     if np.count_nonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])) < 2:
         return 0
-    between_them = np.diff(truth_s[_nodes_of(recording, truth_s, spacing_s)])
+    between_them = np.diff(truth_s[_ends_of(recording, truth_s, spacing_s)])
     return int(np.count_nonzero(between_them < GAP_S * spacing_s))
