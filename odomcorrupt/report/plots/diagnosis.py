@@ -91,6 +91,7 @@ def _label(candidate: Candidate, nats: float, step: Step) -> str:
 _MOST_CURVES = 3
 _UNITS = {
     "speed": ("speed (m/s)", 1.0),
+    "sideways_speed": ("sideways speed (m/s)", 1.0),
     "yaw_rate": ("yaw rate (deg/s)", float(np.degrees(1.0))),
     "acceleration": ("acceleration (m/s²)", 1.0),
     "lateral_acceleration": ("lateral acceleration (m/s²)", 1.0),

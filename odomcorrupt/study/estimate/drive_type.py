@@ -25,13 +25,14 @@ from odomcorrupt.study.estimate.heading_source import (
     is_nameable,
     sees_travel,
 )
+from odomcorrupt.study.estimate.regressors import drives_sideways
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
@@ -148,6 +149,11 @@ def _has_stop(slow: Array) -> bool:
         if (turns := side > 0.0).any():
             there |= turns & (side * _STOP >= np.quantile(side[turns], _STOP_QUANTILE))
     return bool(there.any() and there.mean() >= _STOP_SHARE and seconds[there].sum() >= _SLOW_S)
+
+
+def is_holonomic(recordings: Sequence[Recording], motions: Sequence[Motion]) -> bool:
+    """Tell whether a robot can drive sideways, and did; vy of another comes from turns of a point off its axle."""
+    return drives_sideways(motions) and drive_type_of(recordings).name == "omni"
 
 
 def mountings(recordings: Sequence[Recording]) -> tuple[str, ...]:

@@ -156,24 +156,29 @@ def of_pulls(fit: Fit, effect: Effect) -> bool:
 
 
 def least_thresholds(fit: Fit) -> dict[str, float]:
-    """Return the least thresholds of the yaw rate, rad/s, and of the lateral acceleration, m/s^2, that can be tested.
+    """Return the least thresholds of the yaw rate, lateral acceleration and sideways speed (SI units) to be tested.
 
     A controller that holds the true heading turns the robot by the noise, with the opposite sign. The odometry's yaw
     rate on a straight is then the error itself, and a threshold below `_NOISE` standard deviations of it selects the
-    intervals with a large error, whatever its cause. Regressors from the truth contain hardly any of this noise.
+    intervals with a large error, whatever its cause. So does a sideways speed, if the true line is held. Regressors
+    from the truth contain hardly any of this noise.
     """
     problem = fit.problem
     if problem.approach.side == "truth":
         return {}
     intervals = problem.intervals
-    variance = intervals.covariance(problem.approach.law, fit.noise.coefficients, problem.steps)[:, 2, 2]
+    covariance = intervals.covariance(problem.approach.law, fit.noise.coefficients, problem.steps)
     moving = np.hypot(*intervals.odometry_step[:, :2].T) > 0.0
     if not moving.any():
         return {}
     dt_s = (intervals.end_s - intervals.start_s)[moving]
-    noise = _NOISE * np.sqrt(variance[moving]) / dt_s
+    across, noise = (_NOISE * np.sqrt(covariance[moving, i, i]) / dt_s for i in (1, 2))
     speed = np.hypot(*intervals.odometry_step[moving, :2].T) / dt_s
-    return {"yaw_rate": float(np.median(noise)), "lateral_acceleration": float(np.median(noise * speed))}
+    return {
+        "yaw_rate": float(np.median(noise)),
+        "lateral_acceleration": float(np.median(noise * speed)),
+        "sideways_speed": float(np.median(across)),
+    }
 
 
 def score_of_corrections(fit: Fit, columns_of: Callable[[Sequence[Motion]], Array]) -> Array | None:

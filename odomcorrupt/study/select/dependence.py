@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.expression import CHANNELS
+from odomcorrupt.study.estimate.drive_type import is_holonomic
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.closed_loop import hardly_turns, may_be_steering, score_of_corrections
@@ -222,7 +223,10 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
     amounts = {"m": travel, "rad": turn, "s": np.concatenate([m.dt_s for m in motions])}
     names, groups, centres = [], [], []
     imitated: list[Array | None] = []
-    regressors = curve_regressors(motions, placed=shared_frame(fit.problem.recordings) is not None)
+    recordings = fit.problem.recordings
+    regressors = curve_regressors(
+        motions, placed=shared_frame(recordings) is not None, sideways=is_holonomic(recordings, motions)
+    )
     for name, regressor in regressors.items():
         hats = np.concatenate([regressor(m)[0].T for m in motions], axis=1)
         for per, channels in (("m", CHANNELS), ("rad", ("yaw",)), ("s", ("yaw",))):
@@ -286,7 +290,8 @@ def _dependence(
 def _line(name: str, channel: str, per: str, where: Array, score: ColumnScore) -> str:
     """Return a simple effect with about the shape of the curve, as an expression with its numbers filled in."""
     curve, weight = score.estimate, 1.0 / np.maximum(score.standard_error, 1e-12) ** 2
-    move = "abs(v)" if per == "m" else "omega"
+    travel = "hypot(v, vy)" if name == "sideways_speed" else "abs(v)"
+    move = travel if per == "m" else "omega"
     if name == "heading":
         terms = ("cos(theta)", "sin(theta)", "cos(2 * theta)", "sin(2 * theta)")
         text = " + ".join(f"{k:.3g} * {terms[int(i)]}" for i, k in zip(where, curve, strict=True))
@@ -302,6 +307,7 @@ def _line(name: str, channel: str, per: str, where: Array, score: ColumnScore) -
         "lateral_acceleration": "abs(v * omega)",
         "yaw_acceleration": "alpha",
         "time": "t",
+        "sideways_speed": "vy",
     }
     slope, offset = np.polyfit(where, curve, 1, w=np.sqrt(weight))
     return f"{channel} += {move} * ({offset:.3g} + {slope:.3g} * {variable.get(name, name)})"

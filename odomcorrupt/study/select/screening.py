@@ -16,6 +16,7 @@ import numpy as np
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError
+from odomcorrupt.study.estimate.drive_type import is_holonomic
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.terms.basis import basis_functions
@@ -64,18 +65,19 @@ class CoarseDesign:
         self._least = least
         self._intervals, self._motions = problem.intervals, problem.motions
         self._placed = shared_frame(problem.recordings) is not None
+        self._sideways = is_holonomic(problem.recordings, problem.motions)
         self._means: dict[tuple[str, frozenset[str], str], Array] = {}
         self._units: dict[Action, list[tuple[str, Array]]] = {}
 
     @cached_property
     def functions(self) -> list[BasisFunction]:
         """All basis functions that are tried on this drive."""
-        return basis_functions(self._motions, placed=self._placed, least=self._least)
+        return basis_functions(self._motions, placed=self._placed, sideways=self._sideways, least=self._least)
 
     @property
     def actions(self) -> list[Action]:
         """All actions that these motions allow and that are tried with any basis function."""
-        return [action for action in actions_on(self._motions) if self.reaching(action)]
+        return [a for a in actions_on(self._motions, sideways=self._sideways) if self.reaching(a)]
 
     def reaching(self, action: Action) -> list[BasisFunction]:
         """Return the basis functions that are tried with an action."""
@@ -112,7 +114,7 @@ class CoarseDesign:
 
     def means_of_all(self, view: str, action: Action) -> Array:
         """Return the means (K, P) of all basis functions that are tried with an action."""
-        move = "omega" if action.move == "omega" else "v"
+        move = {"omega": "omega", "vy": "vy", "abs(vy)": "vy"}.get(action.move, "v")
         key = (view, action.reaches, move)
         if key not in self._means:
             self._means[key] = self.means(self.reaching(action), view, move)

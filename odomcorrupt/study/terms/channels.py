@@ -21,8 +21,14 @@ MOVES: dict[str, Callable[[Motion], Array]] = {
     "abs(v)": lambda m: np.abs(m.v),
     "omega": lambda m: m.omega,
     "1": lambda m: np.ones(len(m)),
+    "vy": lambda m: m.vy,
+    "abs(vy)": lambda m: np.abs(m.vy),
 }
 """Factors of motion that multiply an error; 1 for an error that grows with time."""
+_SIDEWAYS = ("vy", "abs(vy)")
+"""Factors of a robot that drives sideways."""
+_OF_YAW = ("omega", "1")
+"""Factors that only errors of the heading have."""
 _BODY, _RIGHT, _LEFT = "body", "right", "left"
 _GROUND, _TOWARD = "ground", 6
 """Target of errors along a direction in the world, and the number of directions, over half a turn, that are tried."""
@@ -54,12 +60,16 @@ class Action:
     def reaches(self) -> frozenset[str]:
         """Classes of the target: "body", "floor", "one" wheel, "both", "bias", "ground", "twist" or "heading".
 
+        "sideways" is an error per sideways travel; "sideways gain" one that no library effect has in constant ratio.
         "bias" is a heading error over time; "heading" is a yaw error per travel, which an error of a compass may cause.
         "floor" is what wheels that slip on a patch can cause. They do not push a robot to one of its sides, both
         forwards and in reverse: where it seems so, the headings of the truth are wrong.
         """
         if self.move == "1":
             return frozenset({"bias"})
+        if self.move in _SIDEWAYS:
+            known = (self.target, self.move) in (("across", "vy"), ("yaw", "vy"))  # sideways_scale, sideways_turn
+            return frozenset({"sideways"} if known else {"sideways", "sideways gain"})
         if self.by_wheel:
             return frozenset({"both" if self.target == "wheels" else "one"})
         if self.target in (_GROUND, _TWIST):
@@ -114,21 +124,25 @@ class Action:
         return [part for part in sides if self.target in ("wheels", part[0])]
 
 
-def every_action() -> list[Action]:
-    """Return every action that basis functions are tried with."""
-    body = [Action(c, m) for c in CHANNELS for m in MOVES if c == "yaw" or m in ("v", "abs(v)")]
+def every_action(*, sideways: bool = False) -> list[Action]:
+    """Return every action that basis functions are tried with, for a robot that drives sideways or not."""
+    moves = [m for m in MOVES if sideways or m not in _SIDEWAYS]
+    body = [Action(c, m) for c in CHANNELS for m in moves if c == "yaw" or m not in _OF_YAW]
     wheels = [Action("wheels", "v"), Action("wheels", "v", "gyro"), Action("left", "v"), Action("right", "v")]
     return [*body, *wheels, *(Action(_GROUND, "abs(v)", toward=np.pi * i / _TOWARD) for i in range(_TOWARD))]
 
 
-def actions_on(motions: Sequence[Motion]) -> list[Action]:
+def actions_on(motions: Sequence[Motion], *, sideways: bool = False) -> list[Action]:
     """Return the actions that are possible on these motions: those on single wheels need a track.
 
     Without a track, equal errors of both wheels over time (wear, load) are tried on the twist instead.
+
+    sideways : whether the robot drives sideways
     """
+    actions = every_action(sideways=sideways)
     if all(m.track_m is not None for m in motions):
-        return every_action()
-    return [*(action for action in every_action() if not action.by_wheel), Action(_TWIST, "v")]
+        return actions
+    return [*(action for action in actions if not action.by_wheel), Action(_TWIST, "v")]
 
 
 View = dict[str, "Motion"]

@@ -20,6 +20,7 @@ _HATS = {  # number of hats of each regressor
     "yaw_acceleration": 6,
     "time": 8,
     "distance": 8,
+    "sideways_speed": 6,
 }
 _GRID = 4  # grid lines of the floor along each axis
 _FINEST = 0.05
@@ -27,11 +28,12 @@ _FINEST = 0.05
 
 
 def curve_regressors(
-    motions: Sequence[Motion], *, placed: bool = True
+    motions: Sequence[Motion], *, placed: bool = True, sideways: bool = False
 ) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
     """Return for each regressor a function from a motion to the hats (n, m) and their centres.
 
     placed : whether the motions are in one frame, so that heading and position are regressors
+    sideways : whether the robot drives sideways, so that this speed is a regressor
     """
     of: dict[str, Callable[[Motion], Array]] = {
         "speed": lambda m: m.v,
@@ -42,6 +44,8 @@ def curve_regressors(
         "time": lambda m: m.t_s,
         "distance": lambda m: m.distance,
     }
+    if sideways:
+        of["sideways_speed"] = lambda m: m.vy
     regressors: dict[str, Callable[[Motion], tuple[Array, Array]]] = {}
     for name, value in of.items():
         moving = np.concatenate([value(m)[np.hypot(m.v, m.vy) > 0.02] for m in motions])

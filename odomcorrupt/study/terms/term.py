@@ -7,6 +7,7 @@ Library effects and basis functions of one regressor are both terms, with one pr
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol, Self, TypeVar
@@ -28,8 +29,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound="Term")
 
-_KINDS = (len(VALUES) + 2) * len(every_action())
-"""Number of kinds of basis functions: regressors, including place and heading, times actions."""
+_KINDS = (len(VALUES) + 1) * len(every_action())
+"""Number of kinds of basis functions: regressors, including place and heading, times actions. A robot that drives
+sideways has 13 kinds more, but not the 36 of two wheels with a track."""
 _SIMPLEST = 2.0
 """Factor on the size of a family: half of its prior probability goes to its simplest member."""
 _STEP = 0.4
@@ -281,7 +283,7 @@ class BasisTerm:
         """Return the expression with its coefficients filled in, for the user to edit."""
         text = self.function.text
         for name, value in zip(COEFFICIENTS, coefficients, strict=False):
-            text = text.replace(f"{name} *", f"{float(value):.4g} *")
+            text = re.sub(rf"\b{name}\b", f"{float(value):.4g}", text)
         return self.action.written(text)
 
     def share(self, coefficients: Sequence[float], motions: Sequence[Motion]) -> float:

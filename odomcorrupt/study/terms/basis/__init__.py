@@ -1,8 +1,8 @@
 """Basis functions of one regressor, for errors that no library effect explains.
 
-An error rate is a motion (travel, its absolute value, or turn) times a basis function of one regressor, such as speed,
-place or time. Its target, a channel of the body or the wheels, is a separate choice. Thresholds, places and moments are
-families with shape parameters; the penalty accounts for the size of the family.
+An error rate is a motion (travel or sideways travel, its absolute value, or turn) times a basis function of one
+regressor, such as speed, place or time. Its target, a channel of the body or the wheels, is a separate choice.
+Thresholds, places and moments are families with shape parameters; the penalty accounts for the size of the family.
 """
 
 from __future__ import annotations
@@ -23,15 +23,20 @@ __all__ = ["COEFFICIENTS", "VALUES", "BasisFunction", "basis_functions"]
 
 
 def basis_functions(
-    motions: Sequence[Motion], *, placed: bool = True, least: Mapping[str, float] | None = None
+    motions: Sequence[Motion],
+    *,
+    placed: bool = True,
+    sideways: bool = False,
+    least: Mapping[str, float] | None = None,
 ) -> list[BasisFunction]:
     """Return every basis function to be tried on these motions.
 
     placed : whether the motions are in one frame, so that functions of heading and place are possible
+    sideways : whether the robot drives sideways, so that functions of that speed are possible
     least : least threshold of regressors by name, in their units; others have none
     """
     return [
         *((*functions_of_heading(), *functions_of_place(motions)) if placed else ()),
         *functions_of_time(motions),
-        *functions_of_motion(motions, least or {}),
+        *functions_of_motion(motions, least or {}, sideways=sideways),
     ]

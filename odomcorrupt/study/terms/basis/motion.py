@@ -26,7 +26,12 @@ VALUES: dict[str, tuple[str, Of]] = {
     "yaw_acceleration": ("alpha * sign(omega)", lambda m: m.alpha * np.sign(m.omega)),
     "time": ("t", lambda m: m.t_s),
     "distance": ("distance", lambda m: m.distance),
+    "sideways_speed": ("abs(vy)", lambda m: np.abs(m.vy)),
 }
+_SIDEWAYS = "sideways_speed"
+"""Regressor of robots that drive sideways; no other robot has it."""
+_SPEEDS = ("speed", "yaw_rate", _SIDEWAYS)
+"""Regressors with thresholds that lie between rest and the speeds that are usual."""
 _SIGNED = ("acceleration", "yaw_acceleration", "time")
 """Regressors for which values below a threshold are as likely to have an error as values above."""
 _OF_WHEELS = ("speed", "acceleration", "time")
@@ -39,7 +44,7 @@ _LEAST_S, _LEAST_SLIP_S, _WITHIN = 2.0, 6.0, 0.9
 """Minimum time, s, beyond a threshold of a speed or in reverse; beyond one of an acceleration, because a few slips of
 some tenths of a second would fill less; and the largest threshold of a speed, as a fraction of the speed exceeded for
 the first of these: above a cruising speed is only odometry noise, which is also part of the error."""
-_HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")  # regressors with hinges
+_HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration", _SIDEWAYS)  # regressors with hinges
 _STILL = 0.02
 """Rates below which a robot is at rest, m/s and rad/s."""
 _ANY: Mapping[str, float] = MappingProxyType({})
@@ -48,9 +53,13 @@ _CUTS, _TAIL = np.linspace(0.05, 0.95, 19), 0.05 * 2.0 ** (-0.5 * np.arange(1.0,
 """Quantiles at which thresholds are tried, and further ones as fractions of the data beyond: hard braking is rare."""
 
 
-def functions_of_motion(motions: Sequence[Motion], least: Mapping[str, float] = _ANY) -> Iterator[BasisFunction]:
+def functions_of_motion(
+    motions: Sequence[Motion], least: Mapping[str, float] = _ANY, *, sideways: bool = False
+) -> Iterator[BasisFunction]:
     """Yield every function of the motion to be tried on these motions; see `basis_functions`."""
     for regressor, (text, value) in VALUES.items():
+        if regressor == _SIDEWAYS and not sideways:
+            continue
         yield BasisFunction(regressor, f"k * {text}", (value,), reaches=_reaches(regressor, "one"))
         if regressor != "distance":  # nearly the same as a threshold of time
             yield from _thresholds(regressor, motions, least.get(regressor, 0.0))
@@ -59,7 +68,9 @@ def functions_of_motion(motions: Sequence[Motion], least: Mapping[str, float] = 
     yield from _either_signs(motions)
     yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # g-sensitive gyro
     yield from _saturations(motions)
-    yield from _one_way(motions)
+    yield from _one_way(motions, sideways=sideways)
+    if sideways:
+        yield BasisFunction(_SIDEWAYS, "k", (lambda m: np.ones(len(m)),), reaches=("sideways gain",))
     yield from _at_rest()
 
 
@@ -71,6 +82,7 @@ def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
         *both,
         *(wheels if regressor in _OF_WHEELS else ()),
         *(("bias",) if regressor in _OF_A_BIAS else ()),
+        *(("sideways",) if regressor == _SIDEWAYS else ()),
     )
 
 
@@ -120,12 +132,14 @@ def _either_sign(trials: int, shape: tuple[float, ...], steps: tuple[float, ...]
 def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
     """Return quantiles of a regressor while the robot moved; for a speed also the limit of rest."""
     value = VALUES[regressor][1]
-    seen = np.concatenate([value(m)[(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL)] for m in motions])
-    least_s = _LEAST_S if regressor in ("speed", "yaw_rate") else _LEAST_SLIP_S
+    of_speed = regressor in _SPEEDS
+    moves = [(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL) | (of_speed & (value(m) > _STILL)) for m in motions]
+    seen = np.concatenate([value(m)[moving] for m, moving in zip(motions, moves, strict=True)])
+    least_s = _LEAST_S if of_speed else _LEAST_SLIP_S
     rare = _TAIL[_least_part(motions, least_s) < _TAIL] if regressor != "time" else _TAIL[:0]
     levels = np.concatenate((rare if regressor in _SIGNED else rare[:0], _CUTS, 1.0 - rare))
     cuts = np.quantile(seen, np.sort(levels)) if len(seen) else np.zeros(0)
-    return np.unique(np.append(cuts, _STILL) if regressor in ("speed", "yaw_rate") else cuts)
+    return np.unique(np.append(cuts, _STILL) if of_speed else cuts)
 
 
 def _threshold(
@@ -172,7 +186,7 @@ def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> flo
 
     Infinity for other regressors: an acceleration, for example, is near zero most of the time.
     """
-    if regressor not in ("speed", "yaw_rate"):
+    if regressor not in _SPEEDS:
         return float("inf")
     seen = np.concatenate([sign * VALUES[regressor][1](m) for m in motions])
     return _WITHIN * max(float(np.quantile(seen, 1.0 - _least_part(motions))), 0.0) if len(seen) else 0.0
@@ -223,14 +237,17 @@ def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...],
     )
 
 
-def _one_way(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield errors in reverse only, in turns to the right only, and of one wheel that scrubs in turns to one side.
+def _one_way(motions: Sequence[Motion], *, sideways: bool) -> Iterator[BasisFunction]:
+    """Yield errors in reverse only, to the right only, and of one wheel that scrubs in turns to one side.
 
     Reverse is tested only if the robot drove in reverse: a wheel also runs backwards in turns on the spot.
     """
+    tested: list[tuple[str, str, Of]] = [("speed", "v", lambda m: m.v)]
+    if sideways:
+        tested.append((_SIDEWAYS, "vy", lambda m: m.vy))
     kinds: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega)]
-    if np.concatenate([m.v < -_STILL for m in motions]).mean() > _least_part(motions):
-        kinds.append(("speed", "v", lambda m: m.v))
+    least = _least_part(motions)
+    kinds += [one for one in tested if np.concatenate([one[2](m) < -_STILL for m in motions]).mean() > least]
     for regressor, name, value in kinds:
         text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
         yield BasisFunction(regressor, text, (_below(value, -_STILL),), reaches=_reaches(regressor, "one", "both"))
