@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import Any
 
 from odomcorrupt.study.estimate.clocks import Clocks
 from odomcorrupt.study.io.clock import Clock
@@ -11,10 +12,22 @@ from odomcorrupt.study.select import stepwise
 from odomcorrupt.study.select.decisions import DECISIONS
 
 
+@dataclass(frozen=True)
+class Tested:
+    """A candidate that is known by its name alone."""
+
+    name: str
+    fit: Any
+    refused: str
+    gain: float = 20.0
+    score: None = None
+
+
 def model(*names):
     effects = tuple(SimpleNamespace(name=name) for name in names)
     fit = SimpleNamespace(effects=effects, random=(), free_clocks=((False, False),))
     fit.refit = lambda *_, **__: fit
+    fit.for_reports = lambda: fit
     return fit
 
 
@@ -29,9 +42,7 @@ def search(monkeypatch, following, decisions=DECISIONS):
 
     def candidates(fit, _, circular):
         name, then = following[tuple(e.name for e in fit.effects)]
-        return [
-            SimpleNamespace(name=name, fit=then, gain=20.0, score=None, refused="circular" if name in circular else "")
-        ]
+        return [Tested(name, then, "circular" if name in circular else "")]
 
     monkeypatch.setattr(stepwise, "library_candidates", candidates)
     monkeypatch.setattr(stepwise, "with_shape_refined", lambda fit, score, _: (fit, score))
