@@ -13,7 +13,7 @@ from odomcorrupt.study.select.decisions import DECISIONS
 
 
 @dataclass(frozen=True)
-class Tested:
+class Scored:
     """A candidate that is known by its name alone."""
 
     name: str
@@ -42,7 +42,7 @@ def search(monkeypatch, following, decisions=DECISIONS):
 
     def candidates(fit, _, circular):
         name, then = following[tuple(e.name for e in fit.effects)]
-        return [Tested(name, then, "circular" if name in circular else "")]
+        return [Scored(name, then, "circular" if name in circular else "")]
 
     monkeypatch.setattr(stepwise, "library_candidates", candidates)
     monkeypatch.setattr(stepwise, "with_shape_refined", lambda fit, score, _: (fit, score))
