@@ -38,7 +38,7 @@ def test_lines_of_less_weight_are_left_out_first_and_those_of_the_largest_never(
         *(Line("spare", "s", weight=SPARE),) * 9,
     ]
     assert Summary(tuple(few)).text().count("e e") == 30  # nothing but spare lines makes room
-    tight = [Line("V", "v " * 120), few[1], Line("usual", "u"), command_line(["command"] * 28)]
+    tight = [Line("V", "v " * 100), few[1], Line("usual", "u"), command_line(["command"] * 20)]
     assert len(Summary(tuple(tight)).text().splitlines()) == MOST_LINES
     long = [Line("V", "v " * 200), Line("errors", "e", weight=ALWAYS)]
     assert Summary(tuple(long)).text().splitlines()[-1].split() == ["errors", "e"]
