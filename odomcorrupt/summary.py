@@ -23,12 +23,22 @@ _COLOURS = {"good": "\x1b[32m", "warning": "\x1b[33m", "bad": "\x1b[31m", "comma
 _RESET = "\x1b[0m"
 
 
+ALWAYS, FIRST, USUAL, SPARE = 3, 2, 1, 0
+"""Weights of lines: those of less weight are left out first, and those of weight ALWAYS never."""
+
+
 class Line(NamedTuple):
-    """A label and its text; the label may be empty below another one."""
+    """A label and its text; the label may be empty below another one.
+
+    weight : see `ALWAYS`; lines of equal weight are left out from the end
+    short : text in place of one for which there is no room, "" for none
+    """
 
     label: str
     text: str
     tone: Tone = "plain"
+    weight: int = USUAL
+    short: str = ""
 
 
 class Summary(NamedTuple):
@@ -51,10 +61,9 @@ class Summary(NamedTuple):
         colour : whether labels have the ANSI colour of their tone
         """
         indent = max((len(line.label) for line in self._shown), default=0) + 2
-        blocks = [(line, _folded(line.tone, visible(line.text), max(width - indent, 24))) for line in self._shown]
         findings: list[str] = []
         commands: list[str] = []
-        for line, parts in _within(blocks, self.most):
+        for line, parts in _within(self._shown, max(width - indent, 24), self.most):
             rows = commands if line.tone == "command" else findings
             for number, part in enumerate(parts):
                 label = f"{line.label if not number else '':<{indent}}"
@@ -104,22 +113,42 @@ def _folded(tone: Tone, text: str, width: int) -> list[str]:
     return [*(f"{part} \\" for part in parts[:-1]), parts[-1]]
 
 
-def _within(blocks: Sequence[tuple[Line, list[str]]], most: int) -> list[tuple[Line, list[str]]]:
-    """Keep the lines that fit into a number: the first line, the command at the end, and the others in order."""
+_Block = tuple[Line, list[str]]
+
+
+def _within(lines: Sequence[Line], width: int, most: int) -> list[_Block]:
+    """Return the lines that fit into a number of rows, folded: the first line, the command, others by their weight."""
+    blocks = [(line, _folded(line.tone, visible(line.text), width)) for line in lines]
     if sum(len(parts) for _, parts in blocks) <= most:
-        return list(blocks)
+        return blocks
     commands = [block for block in blocks if block[0].tone == "command"]
     others = [block for block in blocks if block[0].tone != "command"]
     room = most - sum(len(parts) for _, parts in commands) - 1
-    kept = []
-    for line, parts in others:
-        if len(parts) > room:
-            break
-        kept.append((line, parts))
-        room -= len(parts)
+    shorter = [(line, _folded(line.tone, visible(line.short or line.text), width)) for line, _ in others]
+    # a text is only shortened where the rows do not suffice, or another line that is not spare gets a place
+    kept = max((_heaviest(blocks, room) for blocks in (others, shorter)), key=lambda kept: _worth(kept, room))
     left = len(others) - len(kept)
+    if not left:
+        return [*kept, *commands]
     more = Line("", f"{left} more {'line' if left == 1 else 'lines'}: -v shows all")
     return [*kept, (more, [more.text]), *commands]
+
+
+def _worth(blocks: Sequence[_Block], room: int) -> tuple[bool, int]:
+    """Return whether blocks fit into this number of rows, and the number of those that are not spare."""
+    return sum(len(parts) for _, parts in blocks) <= room, sum(line.weight > SPARE for line, _ in blocks)
+
+
+def _heaviest(blocks: Sequence[_Block], room: int) -> list[_Block]:
+    """Return the first block and those of the largest weight that fit into this number of rows, in their order."""
+    kept = []
+    for i in sorted(range(len(blocks)), key=lambda i: (i > 0, -blocks[i][0].weight)):
+        line, parts = blocks[i]
+        if i and line.weight < ALWAYS and len(parts) > room:
+            break
+        kept.append(i)
+        room -= len(parts)
+    return [blocks[i] for i in sorted(kept)]
 
 
 def command_line(words: Sequence[object] | str) -> Line:

@@ -30,6 +30,7 @@ _NEAR_M = 0.2
 _PLAIN_OFFSET_S = 1e-3
 """Learned clock offset below which a correction is not suggested, seconds: a millimetre at 1 m/s."""
 _RANDOM = "its random course was not recorded"
+_OF_TRUTH = {"lever_arm": "the truth's tracked point", "mount_yaw": "how the truth is turned"}
 _AT_REST = "is read where the robot stands for 0.6 s or more, interpolated between rests, and held after the last one"
 
 
@@ -42,13 +43,20 @@ def brief(corrected: Corrected, target: str) -> Summary:
     target : the output; "-" is a pipe
     """
     drift, taken = corrected.run.drift, _taken_out(corrected)
+    of_truth = ", ".join(
+        f"{effect.name} ({_OF_TRUTH.get(effect.name, 'of the recordings')})"
+        for effect in corrected.model.setup.effects
+        if effect.acts and effect.name in _aside(corrected)
+    )
     if taken:
+        taken += f"; not {of_truth}" if of_truth else ""
         lines = [
             Line("CORRECTED", f"the end pose moves by {size_words(drift.end_drawn_m, drift.end_drawn_rad)}", "good"),
             Line("taken out", taken),
         ]
     else:
         lines = [Line("UNCHANGED", "the model has no effect that can be taken out: the bag was copied", "warning")]
+        lines += [Line("set-up", f"{of_truth}: no part of the odometry, so not taken out")] if of_truth else []
     lines += [Line("clock", sentence, "warning") for sentence in _clock_left(corrected)]
     if corrected.unplaced:
         names = ", ".join(effect.name for effect in corrected.unplaced)
@@ -93,8 +101,7 @@ def correction_summary(corrected: Corrected) -> str:
             f"{corrected.run.frames.odom}; if it is not, give the start of this drive in it with --start X,Y,THETA."
         )
     parts += _remains(corrected) + _misplaced(corrected)
-    given = {effect.name for effect in corrected.effects.undone}
-    aside = [effect.name for effect in corrected.model.setup.effects if effect.name not in given]
+    aside = _aside(corrected)
     clocked = any(effect.clock for effect in corrected.effects.undone)
     aside += ["clocks"] * (bool(corrected.model.setup.clocks) and not clocked)
     if aside:
@@ -103,6 +110,12 @@ def correction_summary(corrected: Corrected) -> str:
             "to take one of them out, too, give it with --effect."
         )
     return " ".join(parts + _oddities(corrected.run))
+
+
+def _aside(corrected: Corrected) -> list[str]:
+    """Return the names of the set-up's effects, which are not taken out unless they are given."""
+    given = {effect.name for effect in corrected.effects.undone}
+    return [effect.name for effect in corrected.model.setup.effects if effect.name not in given]
 
 
 def _taken_out(corrected: Corrected) -> str:

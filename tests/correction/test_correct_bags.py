@@ -75,6 +75,19 @@ def test_covariances_stay_where_the_model_has_no_noise(trio):
     assert np.array_equal(was.pose_covariance, right.pose_covariance)
 
 
+@pytest.mark.parametrize(("effect", "said"), [("", "set-up lever_arm ("), ("wheel_scale", "; not lever_arm (")])
+def test_a_lever_arm_is_said_to_be_no_part_of_the_odometry(tmp_path, effect, said, capsys):
+    arm = '[[setup.effect]]\nname = "lever_arm"\nx = 0.25\ny = 0.0\n'
+    own = f'[[effect]]\nname = "{effect}"\ne = 0.02\n' if effect else ""
+    (tmp_path / "robot.toml").write_text(f"{NOISE}\n{own}[setup]\n{arm}")
+    source, target, model = FIXTURES / "office.mcap", tmp_path / "right.mcap", tmp_path / "robot.toml"
+    words = ["correct", str(source), str(target), "--model", str(model), "--force"]
+    assert run(words) == 0
+    assert f"{said}the truth's tracked point)" in " ".join(capsys.readouterr().err.split())
+    assert run([*words, "--effect", "lever_arm:x=0.25"]) == 0
+    assert "tracked point" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("choice", ["model", "keep"])
 def test_covariances_are_the_noise_that_remains_or_stay(tmp_path, choice, capsys):
     (tmp_path / "robot.toml").write_text(f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n')

@@ -19,7 +19,7 @@ from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
-from odomcorrupt.report.text.brief import _contact_words, _found_lines
+from odomcorrupt.report.text.brief import _contact_words, _found_lines, findings_brief
 from odomcorrupt.report.text.comparison import comparison_text, rejection, within
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.diagnosis import NOTHING, fit_text, found_text, laws_table, shares_text
@@ -149,6 +149,64 @@ def test_the_headline_says_which_dependences_are_not_in_the_model(rich):
     }
     assert "not in the model" not in said["speed"]
     assert said["time"].endswith("(not in the model; another drive decides, --validate OTHER)")
+
+
+def test_a_validated_drive_is_not_asked_for_but_what_it_showed_is_said(rich):
+    over_time = unknown("yaw", "time", per="s")
+    why = "the other drive does not support it: -1 +- 25 nats"
+    learned = replace(rich, unknown=(over_time,), laws=(), left_out={over_time.name: why})
+    lines, _ = _found_lines(learned, rich.fit, set(), held_out="recordings")
+    assert sum(line.text.endswith(f"(not in the model; {why})") for line in lines) == 1
+    assert not any("--validate" in line.text for line in lines)
+
+
+def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich, sequence):
+    first = sequence.judgements[0]
+    rejected = replace(sequence, judgements=(first, replace(first, name="with all")))
+    following = (
+        f"odomcorrupt compare {'/data/recordings/' * 5}judge --truth /vrpn/robot/pose {'/data/models/' * 5}robot.toml"
+    )
+    text = findings_brief(rich, ADVICE, rejected, notes=("a", "b"), following=following).text().splitlines()
+    labels = [row.split()[0] for row in text]
+    assert "errors" in labels
+    assert "rejected" in labels
+    assert len(text) <= 8
+
+
+def test_a_name_below_even_odds_follows_dependences_and_noise_with_perhaps(rich, sequence, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.report.text.brief.step_confidence", lambda *_: 0.27)
+    known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
+    lines = findings_brief(known, NONE, sequence).lines
+    assert lines[0].text.startswith("the yaw error depends on speed")
+    assert lines[0].label == "MISSING"
+    (doubtful,) = (line for line in lines if line.text.startswith("unequal_wheels"))
+    assert doubtful.label == "perhaps"
+    reported = findings_brief(replace(known, laws=()), NONE, sequence).lines
+    assert (reported[0].label, reported[0].text) == ("UNKNOWN", f"{lines[0].text} (not in the model)")
+    alone = findings_brief(replace(rich, unknown=(), laws=(), noise=()), NONE, sequence).lines
+    assert alone[0].label == "PERHAPS"
+    assert alone[0].text.startswith("unequal_wheels")
+
+
+def test_names_and_dependences_of_the_model_are_in_order_of_their_evidence(rich):
+    (gain,) = (step.candidates[0].gain for step in rich.steps if step.added)
+    for nats, last in ((gain - 1.0, True), (gain + 1.0, False)):
+        one = replace(UNKNOWNS[0], nats=nats)
+        lines, _ = _found_lines(replace(rich, unknown=(one,), laws=(one,), noise=()), rich.fit, set())
+        # what the final model leaves unexplained would otherwise make the name doubtful
+        shown = [line.text for line in lines if not line.label]
+        assert shown[-1].startswith("the yaw error") == (last or len(shown) == 1)
+
+
+def test_only_a_sign_that_is_as_significant_in_the_final_model_contradicts_physics(searched):
+    first = searched.rounds[0]
+    forbidden = replace(first.candidates[0], refused="of a sign that it cannot have")
+    against = replace(searched, fit=first.before, contradictions=(forbidden,), noise=(), unknown=(), laws=())
+    assert "the data contradict physics: unequal_wheels" in found_text(against, NONE)
+    # the final model explains it
+    assert "contradict" not in found_text(replace(against, fit=searched.fit), NONE)
+    # a dependence only approximates an unknown cause, and its misfit may have any sign
+    assert "contradict" not in found_text(replace(against, unknown=UNKNOWNS[:1]), NONE)
 
 
 def test_what_explains_about_as_much_as_a_name_is_said_beside_it(rich):

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from odomcorrupt.summary import MOST_LINES, Line, Summary, command_line, wrapped
+from odomcorrupt.summary import ALWAYS, FIRST, MOST_LINES, SPARE, Line, Summary, command_line, wrapped
 
 
 @pytest.mark.parametrize(("count", "width", "words"), [*product((1, 7, 12), (40, 80), (3, 60))])
@@ -23,6 +23,25 @@ def test_it_fits_whatever_is_in_it(count, width, words):
 def test_what_is_left_out_is_counted():
     lines = [Line(str(i), "finding") for i in range(20)]
     assert Summary(tuple(lines)).text().splitlines()[-1].strip() == "13 more lines: -v shows all"
+
+
+def test_lines_of_less_weight_are_left_out_first_and_those_of_the_largest_never():
+    lines = [
+        Line("V", "v"), Line("doubtful", "d", weight=SPARE), *(Line("usual", "u") for _ in range(6)),
+        Line("rejected", "r", weight=FIRST), Line("errors", "e " * 60, weight=ALWAYS, short="e"),
+    ]  # fmt: skip
+    shown = [row.split()[0] for row in Summary(tuple(lines)).text().splitlines()]
+    assert shown == ["V", *["usual"] * 4, "rejected", "errors", "3"]
+    few = [
+        Line("V", "v"),
+        Line("errors", "e " * 60, weight=ALWAYS, short="e"),
+        *(Line("spare", "s", weight=SPARE),) * 9,
+    ]
+    assert Summary(tuple(few)).text().count("e e") == 30  # nothing but spare lines makes room
+    tight = [Line("V", "v " * 100), few[1], Line("usual", "u"), command_line(["command"] * 20)]
+    assert len(Summary(tuple(tight)).text().splitlines()) == MOST_LINES
+    long = [Line("V", "v " * 200), Line("errors", "e", weight=ALWAYS)]
+    assert Summary(tuple(long)).text().splitlines()[-1].split() == ["errors", "e"]
 
 
 def test_a_long_command_can_be_pasted():

@@ -51,7 +51,7 @@ def inward(seed, k=-0.05):
 @pytest.mark.slow
 def test_a_sign_that_physics_forbids_is_an_alarm_about_the_data_and_no_name():
     learned = learn([inward(3)])
-    assert [one.name for one in learned.contradictions] == ["side_slip"]
+    assert [one.name for one in learned.contradicted] == ["side_slip"]
     assert learned.added == ()
     assert learned.unknown == ()
 

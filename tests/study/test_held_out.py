@@ -28,7 +28,7 @@ from odomcorrupt.study.select.stepwise import Learned, Step, learn
 from odomcorrupt.study.validate import held_out
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.evaluation import Evaluation
-from odomcorrupt.study.validate.held_out import drop_unsupported_parts
+from odomcorrupt.study.validate.held_out import HeldOut, drop_unsupported_parts
 
 QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
 
@@ -111,6 +111,15 @@ def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_
     assert "this one drive" in said[0].remark
     same = with_truth(drive(6, scale=1.03), 7)
     assert drop_unsupported_parts(learned, [replace(same, name="same")])[0].fit.effects
+
+
+def test_another_drive_that_was_given_is_not_asked_for_but_said_to_support_nothing():
+    test = HeldOut("left_over_time", -1.2, 25.0, (0.05, 0.05), 0.0, failure="", needed=False, doubtful=False)
+    said = [held_out._needs_support(test, others).remark for others in ([], [None], [None] * 2)]
+    assert said[0].endswith("a second one would show whether it happens again")
+    assert said[1].endswith("the other drive does not support it: -1 +- 25 nats")
+    assert said[2].endswith("the other drives do not support it: -1 +- 25 nats")
+    assert "halves" not in held_out._needed(test, [None]).failure
 
 
 def test_the_mean_of_a_law_over_time_is_dropped_where_the_halves_do_not_support_it():

@@ -19,6 +19,7 @@ from odomcorrupt.report.text.comparison import (
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
 from odomcorrupt.report.text.numbers import (
+    EVEN_ODDS,
     SIGNIFICANT,
     clocks_found,
     confidence_words,
@@ -33,7 +34,7 @@ from odomcorrupt.report.text.numbers import (
 from odomcorrupt.study.estimate.drive_type import DriveType, readings_of
 from odomcorrupt.study.select.confidence import may_be_scale_of_truth
 from odomcorrupt.study.validate.compare import agreement_of
-from odomcorrupt.summary import Line, Summary, Tone, command_line
+from odomcorrupt.summary import ALWAYS, FIRST, SPARE, USUAL, Line, Summary, Tone, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned
-    from odomcorrupt.study.validate.compare import Comparison
+    from odomcorrupt.study.validate.compare import Comparison, JudgedOn
     from odomcorrupt.study.validate.predictive_check import Reproduction
 
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
@@ -55,6 +56,10 @@ _LEAST_TURNED_RAD, _LEAST_APART_M = radians(0.1), 0.005
 """Least yaw and displacement of the truth's tracked point that are reported; mountings are rarely measured better."""
 _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
 _TONES: dict[str, Tone] = {"better": "good", "mixed": "warning", "worse": "bad", "same": "plain"}
+_PERHAPS = "perhaps"
+"""Label of names below even odds."""
+_Rank = tuple[int, int, float]
+"""Place of a finding: kind, whether it is not in the model, negative evidence in nats."""
 _SHOWN_MODELS = 4
 """Largest number of models with a line each in a comparison."""
 
@@ -90,8 +95,10 @@ def findings_brief(
     following : suggested next command, "" for none
     """
     undecided = {name for choice in advice.choices for name in choice.names}
-    lines, negligible = _found_lines(search, fit or search.fit, undecided)
-    verdict, tone = _verdict(search, comparison)
+    lines, negligible = _found_lines(search, fit or search.fit, undecided, held_out=comparison.judged_on)
+    verdict, tone = _verdict(search, comparison, lines)
+    # errors and warnings follow the effects and dependences with evidence, and precede noise and clocks
+    at = max(next((i for i, line in enumerate(lines) if line.label), len(lines)), 1)
     mounted = _mounting_words(search, fit or search.fit)
     apart = ", and ".join([*_clock_words(search), *([mounted] if mounted else [])])
     none = "nothing that matters is missing" if negligible else "no known effect explains more than chance"
@@ -99,7 +106,8 @@ def findings_brief(
     named = verdict != "COMPLETE" and bool(lines)
     if named and mounted:
         lines.append(Line("set-up", mounted))
-    first = ": ".join(filter(None, (lines[0].label, lines[0].text))) if named else none
+    label = lines[0].label if named and lines[0].label != _PERHAPS else ""
+    first = ": ".join(filter(None, (label, lines[0].text))) if named else none
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: what the fit left out as outliers"
     lines = [Line(verdict, first, tone), *lines[named:]]
@@ -110,45 +118,52 @@ def findings_brief(
         agreement = agreement_of(comparison)
         said = f"{measures_words(comparison)} ({held})"
         said += "; effects are chosen by likelihood" if agreement.verdict == "mixed" else ""
-        lines.insert(max(len(search.matters), 1), Line("errors", said, _TONES[agreement.verdict]))
+        short = f"{measures_words(comparison, most=1)} ({held})"
+        lines.insert(at, Line("errors", said, _TONES[agreement.verdict], ALWAYS, short))
     elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
         change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
-        lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected"))
+        lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected", weight=ALWAYS))
     # the identity of an effect is more important than its gain
-    at = max(len(search.matters), 1)
     lines[at:at] = [*_open_lines(search, advice), *_limit_lines(advice), *_drive_lines(search)]
     if written is not None and (absent := _absent(search, written)):
         said = f"without {' and '.join(absent)}, which cannot be applied as found (-v states why)"
-        lines.insert(at, Line("model", said, "warning"))
+        lines.insert(at, Line("model", said, "warning", FIRST))
     last = comparison.judgements[-1]
     if last.verdict.fails:
         misfit = last.verdict.misfit
         why = "the model's noise is too large" if misfit < 1.0 else "the model is still rejected"
         said = f"{why}: errors are {misfit:.2g} times the predicted ones"
-        lines.insert(at, Line("rejected", said, "warning"))
+        lines.insert(at, Line("rejected", said, "warning", FIRST))
     drifts = reproduction_sentence(reproduction) if reproduction is not None else ""
     named = any(gain.effect.name == "slip_burst" for gain in search.noise)
     if drifts and named:
-        # noise that causes most of the error precedes effects of less weight
-        lines[1:] = sorted(lines[1:], key=lambda line: line.label != "noise")
-        at = 1
+        # noise that causes most of the error is more important than effects that cause less
+        lines = [line._replace(weight=FIRST) if line.label == "noise" else line for line in lines]
     if reproduction is not None and drifts and not (reproduction.holds and named):
         # before all but the names: a simulation with this model would drift far too little or far too much
-        lines.insert(at, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
-    lines[1:1] = [Line("data", alert, "warning") for alert in alerts]
+        lines.insert(at, Line("outliers" if reproduction.holds else "drift", drifts, "warning", FIRST))
+    lines[at:at] = [Line("data", alert, "warning", FIRST) for alert in alerts]
     if notes := tuple(dict.fromkeys(notes)):
-        lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
+        said = notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them"
+        lines.append(Line("notes", said, "warning", SPARE))
     return Summary((*lines, command_line(following)))
 
 
-def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
+def _verdict(search: Learned, comparison: Comparison, lines: Sequence[Line]) -> tuple[str, Tone]:
+    """Return the first word of a summary and its tone.
+
+    lines : the findings as of `_found_lines`
+    """
+    if not (search.lacking or search.noise or search.unexplained):
+        return "COMPLETE", "good"
+    if lines and lines[0].weight == SPARE:
+        return _PERHAPS.upper(), "warning"
     if search.unexplained and not search.laws:
         # an effect was identified, but a dependence beside it remains unexplained
-        return "PROBABLY" if search.lacking else "UNKNOWN", "warning"
-    if search.lacking or search.noise or search.unexplained:
-        mixed = len(comparison.judgements) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
-        return "MISSING", "warning" if mixed else "good"
-    return "COMPLETE", "good"
+        named = any(s.added in search.lacking and step_confidence(s, search) >= EVEN_ODDS for s in search.steps)
+        return "PROBABLY" if named else "UNKNOWN", "warning"
+    mixed = len(comparison.judgements) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
+    return "MISSING", "warning" if mixed else "good"
 
 
 def _clock_words(search: Learned) -> list[str]:
@@ -192,16 +207,22 @@ def _mounting_words(search: Learned, fit: Fit) -> str:
     return ", and ".join(filter(None, said))
 
 
-def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[Line], list[Line]]:
-    """Return a line for each effect, dependence, noise and clock found, effects first; and a line of negligible ones.
+def _found_lines(
+    search: Learned, fit: Fit, undecided: set[str], *, held_out: JudgedOn = "halves"
+) -> tuple[list[Line], list[Line]]:
+    """Return a line for each effect, dependence, noise and clock found; and a line of negligible ones.
 
-    Negligible findings share one line, because they require no action.
+    Effects and dependences of the model come first, in order of their evidence; then dependences that are not in the
+    model, noise, names below even odds, and the set-up. Negligible findings share one line, because they require no
+    action.
 
     undecided : names in the line of undecided alternatives
+    held_out : data of the evaluation
     """
     own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(fit)}
     drive = search.drive_type
-    lines: list[Line] = []
+    ranked: list[tuple[_Rank, Line]] = []
+    ranks: dict[str, _Rank] = {}
     small: list[str] = []
     for step in search.steps:
         if step.added is not None and step.added in own:
@@ -211,42 +232,51 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
                 small.append(said)
                 continue
             rivals = [name for name in step.alternatives if name not in {*readings_of(effect, drive), *undecided}]
-            said += f"  {confidence_words(step_confidence(step, search))}"
-            label = "set-up" if step.added in search.of_setup else ""
+            probability = step_confidence(step, search)
+            said += f"  {confidence_words(probability)}"
             said += f", or {', '.join(rivals)}" if rivals else ""
-            lines.append(Line(label, said + _contact_words(effect, search)))
-    # missing effects of the robot come first
-    lines.sort(key=lambda line: bool(line.label))
+            doubtful = probability < EVEN_ODDS
+            label = "set-up" if step.added in search.of_setup else _PERHAPS if doubtful else ""
+            rank = ranks[step.added] = (("", "noise", _PERHAPS, "set-up").index(label), 0, -step.candidates[0].gain)
+            ranked.append(
+                (rank, Line(label, said + _contact_words(effect, search), weight=SPARE if doubtful else USUAL))
+            )
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
         if unknown in search.unexplained or unknown.instead_of:
             other = f"or, instead of {unknown.instead_of}, " if unknown.instead_of else ""
-            lines.append(Line("", f"{other}{dependence(unknown)}: {expression}{_left_out(unknown, search)}"))
+            said = f"{other}{dependence(unknown)}: {expression}{_left_out(unknown, search, held_out)}"
+            rank = ranks.get(unknown.instead_of, (0, unknown not in search.laws, -unknown.nats))
+            ranked.append((rank, Line("", said, weight=SPARE if rank[0] else USUAL)))
         else:
             small.append(expression)
     for gain in search.noise:
-        said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}"
-        said += f"  {confidence_words(noise_confidence(gain, search))}"
+        probability = noise_confidence(gain, search)
+        said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}  {confidence_words(probability)}"
         said += ", or the scale of the truth varies" if may_be_scale_of_truth(gain, search) else ""
-        lines.append(Line("noise", said))
+        doubtful = probability < EVEN_ODDS
+        ranked.append(((1 + doubtful, 0, 0.0), Line("noise", said, weight=SPARE if doubtful else USUAL)))
+    lines = [line for _, line in sorted(ranked, key=lambda one: one[0])]
     lines += _clock_lines(search.clocks, search.fit)
     lines += [
         Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): did the robot change?", "warning")
         for one in search.disagreements
     ]
-    lines += [Line("data", contradiction(one), "warning") for one in search.contradictions]
+    lines += [Line("data", contradiction(one), "warning") for one in search.contradicted]
     said = f"{', '.join(small)}: in the model, but moves nothing that matters"
-    return lines, [Line("negligible", said)] if small else []
+    return lines, [Line("negligible", said, weight=SPARE)] if small else []
 
 
-def _left_out(unknown: Dependence, search: Learned) -> str:
-    """Return that a dependence is reported only, not in the model; "" if it is, or may replace an effect."""
+def _left_out(unknown: Dependence, search: Learned, held_out: JudgedOn) -> str:
+    """Return that a dependence is reported only, not in the model, and what another drive showed; "" if it is in it."""
     if unknown in search.laws or unknown.instead_of:
         return ""
-    other = "; another drive decides, --validate OTHER" if unknown.regressor == "time" else ""
+    other = "another drive decides, --validate OTHER" if unknown.regressor == "time" else ""
+    if held_out == "recordings":
+        other = search.left_out.get(unknown.name, "")
     mean = search.mean_of(unknown)
     said = "not in the model" if mean is None else f"the model has its mean, {mean:.4g}"
-    return f" ({said}{other})"
+    return f" ({'; '.join(filter(None, (said, other)))})"
 
 
 def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
@@ -296,7 +326,7 @@ def _open_lines(search: Learned, advice: Advice) -> list[Line]:
     """Return the alternatives that the data cannot separate and the drive to do so, if there are any that matter."""
     matters = tuple(choice for choice in advice.choices if not search.is_negligible(choice.names[0]))
     said = inseparable_sentence(replace(advice, choices=matters), lambda name: readings_of(name, search.drive_type))
-    return [Line("open", said, "warning")] if said else []
+    return [Line("open", said, "warning", SPARE)] if said else []
 
 
 def _limit_lines(advice: Advice) -> list[Line]:

@@ -138,8 +138,8 @@ def _signed(value: float) -> str:
     return f"{value:+.0f}" if abs(value) >= 100.0 else f"{value:+.3g}"
 
 
-def measures_words(comparison: Comparison) -> str:
-    """Return every measure of the first and the last model, and whether they agree."""
+def measures_words(comparison: Comparison, *, most: int | None = None) -> str:
+    """Return every measure of the first and the last model, or the first ones, and whether all of them agree."""
     agreement = agreement_of(comparison)
     words = [
         f"{one.name} {_signed(one.after - one.before)} nats/m"
@@ -147,8 +147,9 @@ def measures_words(comparison: Comparison) -> str:
         else f"{one.name} {size('along', one.before)} -> {size('along', one.after)}"
         for one in agreement.measures
     ]
-    ending = {"mixed": ": they disagree", "worse": ": it is worse", "same": ": no change"}.get(agreement.verdict, "")
-    return ", ".join(words) + ending
+    mixed = ": they disagree" if most is None else ", other measures disagree"
+    ending = {"mixed": mixed, "worse": ": it is worse", "same": ": no change"}.get(agreement.verdict, "")
+    return ", ".join(words[:most]) + ending
 
 
 def _trajectory_lines(comparison: Comparison) -> list[str]:

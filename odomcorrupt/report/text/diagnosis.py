@@ -75,7 +75,7 @@ def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None 
             "hard at two speeds, with turns on the spot between"
         )
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
-    lines += [contradiction(one) for one in learned.contradictions]
+    lines += [contradiction(one) for one in learned.contradicted]
     if small := [name for name in learned.added if learned.is_negligible(name)]:
         lines.append(f"negligible, though significant: {', '.join(_moved_words(name, learned) for name in small)}")
     if evaluated is not None and evaluated.verdict.fails:

@@ -10,6 +10,7 @@ import numpy as np
 from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
 from odomcorrupt.study.estimate.windows import WINDOW_S
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
+from odomcorrupt.study.select.score import score_terms
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -76,6 +77,7 @@ class Learned:
     decisions : the thresholds of the selection
     hides_losses : whether ticks are too coarse to show lost increments, which then look like a larger wheel
     held_out : gain of each part of the model on held-out data, nats, and its standard error
+    left_out : why parts that were found failed on held-out data and are not in the model, by name
     contributions : displacement of the odometry by each systematic part, if it was computed
     first_clocks : clocks estimated before all else; None if lost increments were restored before that
     drifts_too_far : whether the model drifts clearly more than the recordings, if it was tested
@@ -95,6 +97,7 @@ class Learned:
     decisions: Decisions = DECISIONS
     hides_losses: bool = False
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
     contributions: Mapping[str, Contribution] = field(default_factory=dict)
     first_clocks: Clocks | None = None
     drifts_too_far: bool = False
@@ -139,6 +142,21 @@ class Learned:
         """Return the mean that is in the model in place of a dependence on the time of a single drive, if it is."""
         own = (effect for effect in self.fit.effects if effect.name in self.means)
         return next((float(effect.k) for effect in own if effect.name == f"mean_of_{one.name}"), None)  # type: ignore[attr-defined]
+
+    @property
+    def contradicted(self) -> tuple[Candidate, ...]:
+        """Contradictions that are as significant in the final model, unless that has an unexplained dependence.
+
+        A dependence only approximates an unlisted cause, and the misfit of an approximation may have any sign.
+        """
+        if self.unexplained or not self.contradictions:
+            return ()
+        scores = score_terms(self.fit, [one.score.term for one in self.contradictions], self.decisions)
+        return tuple(
+            one
+            for one, now in zip(self.contradictions, scores, strict=True)
+            if now.robust_nats > self.decisions.replacement_nats and now.estimate @ one.score.estimate > 0.0
+        )
 
     @property
     def left_nats(self) -> float:

@@ -101,8 +101,8 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
         # Also test all parts jointly: each may compensate another's error while all of them are worse than none.
         together = tuple(part for (part,) in parts if placed or not part.reads_places)
         found = _test(fitted, [*parts, *([together] if len(together) > 1 else [])], others, clocks)
-        found = [(own, _needs_support(one, supported=bool(others)) if one.name in timed else one) for own, one in found]
-        found = [(own, _needed(one) if one.name in means else one) for own, one in found]
+        found = [(own, _needs_support(one, others) if one.name in timed else one) for own, one in found]
+        found = [(own, _needed(one, others) if one.name in means else one) for own, one in found]
         worst = max((one for one in found if one[1].failure), key=lambda one: -one[1].nats, default=None)
         if worst is None:
             each = [(own, one) for own, one in found if len(own) == 1]
@@ -129,25 +129,34 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     # a dependence that was selected instead of a dropped effect names no effect any more
     unknown = tuple(one if one.instead_of in {"", *kept} else replace(one, instead_of="") for one in learned.unknown)
     learned = replace(learned, laws=laws, noise=noise, unknown=unknown, means=tuple(m for m in means if m in kept))
-    return replace(learned, fit=fitted, error_m=ten_second_error(fitted)), tuple(said)
+    left_out = {one.name: one.failure for one in said if one.failure}
+    return replace(learned, fit=fitted, error_m=ten_second_error(fitted), left_out=left_out), tuple(said)
 
 
 def _runs(fitted: Fit) -> set[int]:
     return set(clock_leaders(fitted.problem.recordings))
 
 
-def _needs_support(one: HeldOut, *, supported: bool) -> HeldOut:
+def _needs_support(one: HeldOut, others: Sequence[Recording]) -> HeldOut:
     """Return the test of a dependence on the time of one recording, dropped unless another recording supports it."""
-    if one.failure or (supported and one.nats > _SIGNIFICANT * one.error):
+    if one.failure or (others and one.nats > _SIGNIFICANT * one.error):
         return one
+    if others:
+        return replace(one, failure=_unsupported(one, others))
     return replace(
         one, failure="it says when this one drive went wrong; a second one would show whether it happens again"
     )
 
 
-def _needed(one: HeldOut) -> HeldOut:
+def _needed(one: HeldOut, others: Sequence[Recording]) -> HeldOut:
     """Return the test of a mean, dropped unless it is needed."""
-    return one if one.failure or one.needed else replace(one, failure="the halves of the drive do not support it")
+    return one if one.failure or one.needed else replace(one, failure=_unsupported(one, others))
+
+
+def _unsupported(one: HeldOut, others: Sequence[Recording]) -> str:
+    """Return that the held-out data do not support a part, with its gain of log likelihood there."""
+    data = "other drive does" if len(others) == 1 else "other drives do" if others else "halves of the drive do"
+    return f"the {data} not support it: {one.nats:+.0f} +- {one.error:.0f} nats"
 
 
 def _mean_of(part: Effect) -> Effect | None:
