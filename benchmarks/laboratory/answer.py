@@ -57,6 +57,9 @@ def errors_of(truth: dict[str, Any], cause: str, found: dict[str, Any]) -> dict[
         return None
     if cause == "eccentric_wheel":
         truth = {KEPT_AS.get(key, key): value for key, value in truth.items()}
+    if cause == "magnetic_heading":  # amplitude and direction of the field, in `hard_iron` its two components
+        field = truth["amplitude"] * np.exp(1j * truth["direction"])
+        truth = {"m": float(field.real), "k": -float(field.imag)}
     values, errors = found[name]["values"], found[name]["errors"]
     if cause == "slope":
         sought = truth["creep"] * np.exp(1j * truth["direction"])
