@@ -70,8 +70,8 @@ def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGr
     if noise.step is not None and len(steps):
         grown = _within_steps(noise, noise.step, steps, growth)
     k = noise.coefficients
-    if k.white_v or k.white_omega:
-        v, turn = grown.variances, (k.white_omega * dt_s) ** 2 / 2.0
+    if k.white_v or k.white_omega or k.rot_time:
+        v, turn = grown.variances, ((k.white_omega * dt_s) ** 2 + k.rot_time**2 * dt_s) / 2.0
         v = Variances(v.rot1 + turn, v.trans + (k.white_v * dt_s) ** 2, v.across, v.rot2 + turn)
         grown = GrownVariances(v, grown.growth)
     return grown

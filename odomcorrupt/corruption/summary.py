@@ -179,6 +179,7 @@ def model_brief(model: MotionModel, origin: str) -> str:
     words = f"{noise.law_name}, alpha {' '.join(f'{value:.3g}' for value in alphas)}" if any(alphas) else "no alphas"
     if noise.coefficients.white_v or noise.coefficients.white_omega:
         words += f", twist noise {noise.coefficients.white_v:.3g} {noise.coefficients.white_omega:.3g}"
+    words += f", angle random walk {noise.coefficients.rot_time:.3g}" if noise.coefficients.rot_time else ""
     words += f", once per {noise.step}" if noise.step is not None else ""
     words += f" ({origin})" if origin else ""
     return ", ".join([words, *(effect_words(effect) for effect in model.effects if acts(effect))])

@@ -69,7 +69,7 @@ def message_noise(noise: Noise, drive: Steady) -> MessageNoise:
     else:
         v = variances(noise.law, noise.coefficients, Increments(np.array([moved]), np.zeros(1), np.array([turned])))
     k = noise.coefficients
-    white = (k.white_omega * dt_s) ** 2
+    white = (k.white_omega * dt_s) ** 2 + k.rot_time**2 * dt_s
     return MessageNoise(
         heading=share * float(v.rot1[0] + v.rot2[0]) + white,
         late=share * float(v.rot2[0]) + white / 2.0,
@@ -139,7 +139,7 @@ def amcl_alphas(
     per_a2 = update_min_a * drive.rate_hz / drive.yaw_rate / update_min_a**2
     k = noise.coefficients
     stepwise = noise.law.per_step and noise.step is None
-    depends_on = drive if stepwise or k.white_v or k.white_omega else None
+    depends_on = drive if stepwise or k.white_v or k.white_omega or k.rot_time else None
     if noise.law.along_travel:
         return AmclAlphas(
             turning.heading * per_a2, straight.heading * per_d2, straight.along * per_d2, turning.along * per_a2,

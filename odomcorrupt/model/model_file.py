@@ -36,6 +36,7 @@ _COEFFICIENTS = {
     "end_rot": "of the law velocity",
     "white_v": "m/s",
     "white_omega": "rad/s",
+    "rot_time": "rad per sqrt(s)",
 }
 _REQUIRED = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
 _TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "random_walk"}

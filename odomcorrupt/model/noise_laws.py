@@ -37,6 +37,8 @@ _VELOCITY = ("trans_trans", "trans_rot", "rot_trans", "rot_rot", "end_trans", "e
 class Coefficients:
     """Alpha1..4, and coefficients of some laws only.
 
+    rot_time : rad/sqrt(s), angle random walk of a gyro, with any law: noise of the heading that grows with time, also
+        at rest, at any message rate (IEEE Std 952-1997, annex C)
     across_trans : sideways noise: for `diffusion` per sqrt(m), 0 unless a fit found it; alpha5 of `omni`
     end_trans, end_rot : alpha5 and alpha6 of `velocity`, for the turn at the end of a step
     white_v, white_omega : m/s and rad/s, standard deviations of white noise on every twist, with any law; it acts
@@ -52,6 +54,7 @@ class Coefficients:
     end_rot: float = 0.0
     white_v: float = 0.0
     white_omega: float = 0.0
+    rot_time: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
@@ -200,8 +203,8 @@ def variances(law: Law, k: Coefficients, steps: Increments) -> Variances:
     """Return the variances of noise on n increments, with the law applied to each increment as one step.
 
     `diffusion` uses only |dtheta| and the length of the travel, not its bearing, so a parked robot with 10 um of jitter
-    does not spin. Laws with `split` divide the turn at the bearing, see `rot_trans_rot`. White noise on twists, which
-    depends on time, is not included.
+    does not spin. Laws with `split` divide the turn at the bearing, see `rot_trans_rot`. White noise on twists and the
+    angle random walk, which depend on time, are not included.
     """
     return law.rule(k, *magnitudes(law, steps))
 

@@ -63,7 +63,7 @@ def convert(noise: Noise, law: Law, step: Step | None) -> Noise:
         raise ModelError(f"law {law.name}: its coefficients depend on the step; name it, as in --to-step 0.25m,0.2rad")
     wanted = drift_of(noise)
     nothing = Coefficients(0.0, 0.0, 0.0, 0.0)
-    found = {}
+    found = {"rot_time": noise.coefficients.rot_time}  # the same with any law
     for field in dataclasses.fields(Drift):
         value = getattr(wanted, field.name)
         if not value:

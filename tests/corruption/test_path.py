@@ -260,3 +260,16 @@ def test_white_noise_on_twists_is_the_rob521_projects():
         assert errors[:, 2].std() == pytest.approx(0.04 * 0.1 * math.sqrt(100), rel=0.06)
         assert errors[:, 0].std() == pytest.approx(0.2 * 0.1 * math.sqrt(100), rel=0.06)
     assert errors[:, 1].std() < 0.01
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 50.0])
+@pytest.mark.parametrize("law", ["diffusion", "quadratic"])
+def test_the_angle_random_walk_of_a_gyro_grows_with_time_at_any_rate_and_at_rest(law, rate_hz):
+    n = round(8.0 * rate_hz) + 1
+    t, poses = stamps(n, rate_hz), np.column_stack((np.linspace(0.0, 4.0, n), np.zeros(n), np.zeros(n)))
+    chosen = model(law, Coefficients(0, 0, 0, 0, rot_time=0.01))
+    for drive in (poses, poses * 0.0):
+        assert last_errors(chosen, (t, drive), 800)[:, 2].std() == pytest.approx(0.01 * math.sqrt(8.0), rel=0.08)
+        samples = NoisyPath(chosen, 5, 0).feed(t, drive)
+        place = (samples.clean_xyt[-1:, :2] + samples.error_xyt[-1:, :2] - samples.origin_xy).T
+        assert pose_covariance(samples.sums[:, -1:], place)[0, 2, 2] == pytest.approx(0.01**2 * 8.0, rel=1e-5)

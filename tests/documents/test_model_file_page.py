@@ -42,4 +42,4 @@ def test_an_origin_that_is_no_place_is_refused(origin, complaint):
 
 def test_every_coefficient_of_the_example_is_in_the_table():
     table = set(re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE))
-    assert table == set(re.findall(r"^(\w+_(?:rot|trans)) = ", EXAMPLE, re.MULTILINE))
+    assert table == set(re.findall(r"^(\w+_(?:rot|trans|time)) = ", EXAMPLE, re.MULTILINE))

@@ -48,7 +48,10 @@ def test_a_walking_bias_is_measured_and_white_noise_stays_what_it_was():
     clean, noisy, (found,) = _learned(302, "gyro_bias_walk", {"density": 6e-4}, yaw_from="gyro")
     assert found.name == "gyro_bias_walk"
     assert found.density == pytest.approx(6e-4, rel=0.3)
-    assert noisy.rot_trans < 2.0 * max(clean.rot_trans, clean.rot_rot)
+    assert clean.rot_time == pytest.approx(2e-4, rel=0.2)
+    # as above, what the bias moves between knots looks white
+    assert noisy.rot_time < 3.0 * clean.rot_time
+    assert max(noisy.rot_trans, noisy.rot_rot) <= 2.0 * max(clean.rot_trans, clean.rot_rot)
 
 
 def test_bursts_do_not_widen_the_noise_of_every_step_and_do_not_turn_a_gyro():

@@ -262,6 +262,9 @@ def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
     return "\n".join(lines)
 
 
+_CAUSES = {"trans": "metre", "rot": "radian", "time": "second"}
+
+
 def _interval_line(result: RobotFit, interval: Interval) -> str:
     name, value = interval.name, interval.value
     scale, unit = (degrees(1.0), "deg") if name.startswith("rot_") else (1e3, "mm")
@@ -270,7 +273,7 @@ def _interval_line(result: RobotFit, interval: Interval) -> str:
         return f"  {name:<13}{'-':<10} {ends:<22}  not identifiable from this drive"
     human = "as the law has it"
     if result.fit.problem.approach.law_name == "diffusion":
-        human = f"= {value * scale:.3g} {unit} after one {'metre' if name.endswith('_trans') else 'radian'}"
+        human = f"= {value * scale:.3g} {unit} after one {_CAUSES[name.partition('_')[2]]}"
     return f"  {name:<13}{value:<10.4g} {ends:<22}  {human}"
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.model.noise_laws import law_named
+from odomcorrupt.study.estimate.heading_source import sees_travel, turns_at_rest
 from odomcorrupt.study.estimate.interval_ends import pick_interval_ends
 from odomcorrupt.study.estimate.intervals import TURN_M, intervals_between
 from odomcorrupt.study.estimate.regressors import choose_side, truth_noise
@@ -43,11 +44,14 @@ class Approach:
     side : source of the regressors, odometry or truth, see `regressors`
     spacing_s : spacing of the nodes, seconds
     law_name : name of the noise law
+    gyro_noise : whether the angle random walk of a gyro is fitted: the odometry's heading changes at rest, and the
+        truth is no gyro, whose own noise it might be
     """
 
     side: Side = "odometry"
     spacing_s: float = INTERVAL_S
     law_name: str = "diffusion"
+    gyro_noise: bool = False
 
     @property
     def law(self) -> Law:
@@ -67,7 +71,12 @@ def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion"
     usual_s = [float(np.median(np.diff(r.truth.stamps_ns))) * 1e-9 for r in recordings if r.truth.relative]
     spacing_s = max([spacing_s, *usual_s])
     sides = {choose_side(r, spacing_s) for r in recordings}
-    return Approach("truth" if "truth" in sides else "odometry", spacing_s, law_named(law_name).name)
+    return Approach(
+        "truth" if "truth" in sides else "odometry",
+        spacing_s,
+        law_named(law_name).name,
+        gyro_noise=sees_travel(recordings) and any(map(turns_at_rest, recordings)),
+    )
 
 
 _SPACINGS_S = (1.0, 2.0, 4.0, 8.0)

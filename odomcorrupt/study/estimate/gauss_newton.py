@@ -172,7 +172,7 @@ def fit(
         if weights is not None and of is not None:
             weights = _carried(weights, of, problem)
         columns = design_matrix(problem, free)
-        components = VarianceComponents(approach.law, problem.intervals, problem.steps)
+        components = VarianceComponents(approach.law, problem.intervals, problem.steps, gyro_noise=approach.gyro_noise)
         begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
         free_too = (
             np.concatenate((columns, bias_roots(problem)[:, :, :SHARED]), axis=2) if has_bias(problem) else columns

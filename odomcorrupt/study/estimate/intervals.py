@@ -46,6 +46,7 @@ class Intervals:
     linked : (K,) whether the interval starts at the end node of the previous one, and so shares its truth error
     first : (K,) index of each interval's first step
     source, share : (n,) index of the odometry increment that contains a step, and the step's fraction of it
+    seconds : (n,) duration of each step
     axis : (n, 2) forward axis of the step's middle, in the frame of the interval's end
     lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
     start_shape, end_shape : (K, 3, 3) covariance of the truth at both ends, in the pose's axes, relative to that of a
@@ -69,6 +70,7 @@ class Intervals:
     first: NDArray[np.int64]
     source: NDArray[np.int64]
     share: Array
+    seconds: Array
     axis: Array
     lever: Array
     lever0: Array
@@ -116,27 +118,39 @@ class Intervals:
 
     def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
         """Return the residuals' covariance (K, 3, 3) due to a noise law on the odometry's increments."""
-        return self.spread(law, variances(law, k, steps), steps)
+        total = self.spread(law, variances(law, k, steps), steps)
+        return total + k.rot_time**2 * self.over_time(law) if k.rot_time else total
+
+    def over_time(self, law: Law) -> Array:
+        """Return the residuals' covariance (K, 3, 3) due to an angle random walk of 1 rad/sqrt(s)."""
+        total = np.zeros((3, 3, len(self)))
+        for lever in (self.lever if law.arc else self.lever0, self.lever1):
+            self._add_outer(total, self.seconds / 2.0, -lever[:, 1], lever[:, 0], turns=True)
+        return np.ascontiguousarray(np.moveaxis(total, 2, 0))
 
     def spread(self, law: Law, v: Variances, steps: Increments) -> Array:
         """Return the residuals' covariance (K, 3, 3) due to given variances of the increments' rot1, trans and rot2."""
         total = np.zeros((3, 3, len(self)))
         # a turn spread over the step moves its end as much as a turn at the step's middle
-        for weight, lever in ((v.rot1, self.lever if law.arc else self.lever0), (v.rot2, self.lever1)):
-            if weight.any():
-                self._add_outer(total, weight, -lever[:, 1], lever[:, 0], turns=True)
+        for variance, lever in ((v.rot1, self.lever if law.arc else self.lever0), (v.rot2, self.lever1)):
+            if variance.any():
+                self._add_outer(total, self._of_steps(variance), -lever[:, 1], lever[:, 0], turns=True)
         axis = self.axis
         if law.along_travel:
             axis = rotate(axis, np.arctan2(steps.dl_m, steps.ds_m)[self.source])
         if v.trans.any():
-            self._add_outer(total, v.trans, axis[:, 0], axis[:, 1])
+            self._add_outer(total, self._of_steps(v.trans), axis[:, 0], axis[:, 1])
         if v.across.any():
-            self._add_outer(total, v.across, -axis[:, 1], axis[:, 0])
+            self._add_outer(total, self._of_steps(v.across), -axis[:, 1], axis[:, 0])
         return np.ascontiguousarray(np.moveaxis(total, 2, 0))
 
-    def _add_outer(self, total: Array, weight: Array, x: Array, y: Array, *, turns: bool = False) -> None:
-        """Add to `total` (3, 3, K) the covariance of noise of variance (n0,) on each increment along (x, y, turns)."""
-        w = weight[self.source] * self.share
+    def _of_steps(self, variance: Array) -> Array:
+        """Return the variance (n,) of each step from those (n0,) of the odometry's increments."""
+        of_steps: Array = variance[self.source] * self.share
+        return of_steps
+
+    def _add_outer(self, total: Array, w: Array, x: Array, y: Array, *, turns: bool = False) -> None:
+        """Add to `total` (3, 3, K) the covariance of noise of variance (n,) on each step along (x, y, turns)."""
         wx, wy = w * x, w * y
         products = {(0, 0): wx * x, (0, 1): wx * y, (1, 1): wy * y}
         if turns:
@@ -172,7 +186,8 @@ def intervals_between(
     k = position[interval[used]]
     end_xyt = all_xyt[at_node[kept + 1]]
     source = np.clip(cut.source[used], 0, len(odo_s) - 2)
-    share = (all_s[used + 1] - all_s[used]) / (odo_s[source + 1] - odo_s[source])
+    seconds = all_s[used + 1] - all_s[used]
+    share = seconds / (odo_s[source + 1] - odo_s[source])
     start, end = all_xyt[used], all_xyt[used + 1]
     heading = end_xyt[k, 2]
     c, s = np.cos(end_xyt[:, 2])[k], np.sin(end_xyt[:, 2])[k]
@@ -206,6 +221,7 @@ def intervals_between(
         first=first,
         source=source,
         share=share,
+        seconds=seconds,
         axis=np.stack((np.cos(middle), np.sin(middle)), axis=1),
         lever=(lever0 + lever1) / 2.0,
         lever0=lever0,

@@ -300,7 +300,7 @@ class NoiseLikelihood:
         return self._sum(shares) + self._floor
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
-        """Return coefficients (7,) and truth noise; a coefficient at its lower bound is exactly zero."""
+        """Return coefficients (8,) and truth noise; a coefficient at its lower bound is exactly zero."""
         active = self._components.active
         coefficients = np.zeros(len(NAMES))
         log_k = free[: len(active)]

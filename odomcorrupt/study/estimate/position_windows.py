@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.model.noise_laws import variances
 from odomcorrupt.study.estimate.intervals import cut_at
 from odomcorrupt.study.io.headings import alignment
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import TruthNoise
-    from odomcorrupt.model.noise_laws import Law, Variances
+    from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
 
@@ -65,6 +66,14 @@ class PositionWindows(NamedTuple):
     axis: Array
     end_rad: Array
     level: float
+
+    def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
+        """Return the covariance (n, 3, 3) of the errors due to a noise law on the increments; yaw left 0."""
+        total = self.spread(law, variances(law, k, steps), steps)
+        if not k.rot_time:
+            return total
+        found = [(w.turn * self.seconds[w.steps, None]).T @ w.turn for w in self.windows]
+        return total + k.rot_time**2 * self._at_ends(found)
 
     def spread(self, law: Law, v: Variances, steps: Increments) -> Array:
         """Return the covariance (n, 3, 3) of the errors due to variances of the odometry's increments; yaw left 0."""

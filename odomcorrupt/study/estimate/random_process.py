@@ -30,8 +30,9 @@ CORRELATED_NOISE = ("gauss_markov", "gyro_bias_walk")
 _TAUS_S = (2.0, 5.0, 15.0, 40.0)
 _LADDER_S, _STEP = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0), 1.7
 """Grid of correlation times, s, on which one is refined, and the largest ratio of a neighbour to the present value."""
-_QUICKEST_S = 3.0
-"""Shortest correlation time of a bias, s; a shorter one is hardly separable from noise of each step."""
+_QUICKEST_S = 5.0
+"""Shortest correlation time of a bias, s: ten intervals. That of a gyro is tens of seconds or more (the minimum of its
+Allan deviation, Woodman 2007); a shorter one is hardly separable from noise of each step."""
 _MOST_KNOTS = 400
 _COARSELY, FINELY = 2.0, 8.0
 """Knots per correlation time: few suffice to detect a process, more show how rough it is."""

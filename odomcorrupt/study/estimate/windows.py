@@ -9,7 +9,6 @@ import numpy as np
 from scipy.stats import norm
 
 from odomcorrupt.geometry.se2 import between
-from odomcorrupt.model.noise_laws import variances
 from odomcorrupt.study.estimate.interval_ends import pick_interval_ends
 from odomcorrupt.study.estimate.intervals import intervals_between, join
 from odomcorrupt.study.estimate.whitener import FLOOR, interval_covariance
@@ -231,8 +230,7 @@ def window_errors(
     """
     count = 3 if headed else 2
     if positions is not None:
-        law = noise.law
-        total = positions.spread(law, variances(law, noise.coefficients, steps), steps) + positions.of_truth(truth)
+        total = positions.covariance(noise.law, noise.coefficients, steps) + positions.of_truth(truth)
         total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
     else:
         total = interval_covariance(windows, windows.covariance(noise.law, noise.coefficients, steps), truth)

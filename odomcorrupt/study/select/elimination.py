@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 
-_ITERATIONS, _ALIKE = 6, 0.03
-"""Largest number of iterations between a random coefficient and the other noise; relative change that ends them."""
+_ITERATIONS, _ALIKE, _SETTLED_NATS = 6, 0.03, 0.5
+"""Largest number of iterations between a random coefficient and the other noise; they end if the coefficient changes by
+less than the second value, and the log likelihood rises by less than the third, nats."""
 
 
 def drop_term(fit: Fit, effect: Effect) -> Fit:
@@ -130,10 +131,11 @@ def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:
     """Return a fit and its random coefficient after alternating re-estimation of both until convergence."""
     for _ in range(_ITERATIONS):
         new = remeasured(fit, effect)
-        if all(np.isclose(getattr(new, p.name), getattr(effect, p.name), rtol=_ALIKE) for p in parameters(new)):
+        alike = all(np.isclose(getattr(new, p.name), getattr(effect, p.name), rtol=_ALIKE) for p in parameters(new))
+        calmer = fit.refit(random=[new if e is effect else e for e in fit.random])
+        if alike and calmer.log_likelihood < fit.log_likelihood + _SETTLED_NATS:
             break
-        random = [new if e is effect else e for e in fit.random]
-        fit, effect = fit.refit(random=random), new
+        fit, effect = calmer, new
     return fit, effect
 
 

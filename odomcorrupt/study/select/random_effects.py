@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import eigh
 
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.estimate.config import INTERVAL_S
 from odomcorrupt.study.estimate.drive_type import drive_type_of
@@ -107,17 +108,22 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[DetectedRandomEf
 def _measured(fit: Fit, one: DetectedRandomEffect) -> tuple[Fit, DetectedRandomEffect]:
     """Return a fit with its noise re-estimated beside a random bias, and the bias with its gain in the refit.
 
-    If intervals last seconds, as with poses of a localisation, the fitted noise per step absorbs most of a random walk
-    of the bias, and a test beside that noise has little power. For shorter intervals both are returned unchanged.
+    If intervals last seconds, as with poses of a localisation, or if the angle random walk of a gyro is fitted, the
+    fitted noise absorbs most of a random walk of the bias, and a test beside that noise has little power. Otherwise
+    both are returned unchanged.
     """
     (process,) = processes_like(one.effect)
-    if process.unit is not bias_of or fit.problem.approach.spacing_s <= INTERVAL_S:
+    approach = fit.problem.approach
+    if process.unit is not bias_of or not (approach.gyro_noise or approach.spacing_s > INTERVAL_S):
         return fit, one
     (usual,) = (p.typical for p in parameters(process.kind) if p.name == process.scale)
     start = process.kind(**{process.scale: max(getattr(one.effect, process.scale), usual), **process.fixed})
     effect = remeasured(fit.refit(random=(*fit.random, start)), start)
     calmer = fit.refit(random=(*fit.random, effect))
-    nats = calmer.log_likelihood - fit.log_likelihood
+    # the mean of a bias is no part of the process
+    mean = registry()["gyro_bias"]()
+    steady = fit if any(e.name == mean.name for e in fit.effects) else fit.refit((*fit.effects, mean))
+    nats = calmer.log_likelihood - max(fit.log_likelihood, steady.log_likelihood)
     nats -= 0.5 * process.numbers * float(np.log(len(fit.problem.intervals)))
     return (_beside(calmer, effect), DetectedRandomEffect(effect, nats)) if nats > one.nats else (fit, one)
 

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.model.noise_laws import Variances, magnitudes
 from odomcorrupt.study.estimate.windows import WindowErrors
 
 if TYPE_CHECKING:
@@ -88,15 +87,14 @@ def uncertainty_of(
     count = errors.error.shape[1]
     k, law = model.noise.coefficients, model.noise.law
     steps = problem.steps
-    moved = magnitudes(law, steps)
     scales = []
     for name in k.__slots__:
         error = inflate * model.standard_errors.get(name, 0.0)
         if error > 0.0:
             bounds = getattr(k, name) + error, max(getattr(k, name) - error, 0.0)
-            more, less = (law.rule(replace(k, **{name: value}), *moved) for value in bounds)
-            parts = (getattr(more, part) - getattr(less, part) for part in Variances._fields)
-            change = (positions or windows).spread(law, Variances(*parts), steps)
+            own = (positions or windows).covariance
+            more, less = (own(law, replace(k, **{name: value}), steps) for value in bounds)
+            change = more - less
             relative = np.linalg.solve(errors.covariance, change[:, :count, :count] / 2.0)
             scales.append(float(np.trace(relative, axis1=1, axis2=2).mean() / count))
     columns = _effect_errors(model, replace(problem, intervals=windows), inflate)[:, :count]
