@@ -84,12 +84,13 @@ def move_between(start_xyt: Array, end_xyt: Array, *, arc: bool = False) -> Move
 
 
 def move_variances(noise: Noise, move: Move) -> Variances:
-    """Return the variances of the noise on a motion, (1,) each, as used in corruption."""
+    """Return the variances of the noise on a motion, (1,) each, as used in corruption.
+
+    A motion has no duration: the angle random walk of a gyro, which grows with time, is not included.
+    """
     k = noise.coefficients
-    if k.white_v or k.white_omega or k.rot_time:
-        raise ModelError(
-            "white noise on twists and rot_time grow with time, and one motion has none; draw along a bag instead"
-        )
+    if k.white_v or k.white_omega:
+        raise ModelError("white noise on twists grows with time, and one motion has none; draw along a bag instead")
     return noise_variances(noise, move.steps, np.zeros(1), StepGrowth()).variances
 
 

@@ -202,3 +202,10 @@ def test_figures_of_a_60_degree_arc_are_those_of_its_arc_and_not_of_its_chord():
     variances = move_variances(Noise("velocity", law_named("velocity").coefficients(alphas)), move)
     drawn = move_sampled(move, variances, 400_000, np.random.default_rng(5))[:, :2].var(axis=0)
     np.testing.assert_allclose(drawn, arc, rtol=0.01)
+
+
+def test_a_gyro_noise_that_grows_with_time_is_no_part_of_one_motion():
+    still = Noise("diffusion", Coefficients(0.05, 0.02, 0.05, 0.01))
+    gyro = replace(still, coefficients=replace(still.coefficients, rot_time=1e-3))
+    move = move_between(np.zeros(3), np.array([1.0, 0.2, 0.3]))
+    assert move_variances(gyro, move) == move_variances(still, move)
