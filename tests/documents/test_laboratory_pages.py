@@ -18,7 +18,7 @@ RUNS = BENCHMARKS / "laboratory" / "results"
     [
         (
             "hidden_effects.py",
-            ["summary", RUNS / "thirteenth.jsonl", "--before", RUNS / "twelfth.jsonl", "--page"],
+            ["summary", RUNS / "fifteenth.jsonl", "--before", RUNS / "thirteenth.jsonl", "--page"],
             "hidden_effects.md",
         ),
         ("ordinary.py", ["page", BENCHMARKS / "ordinary" / "results" / "ninth.jsonl", "-o"], "ordinary.md"),
