@@ -21,7 +21,7 @@ RUNS = BENCHMARKS / "laboratory" / "results"
             ["summary", RUNS / "fifteenth.jsonl", "--before", RUNS / "thirteenth.jsonl", "--page"],
             "hidden_effects.md",
         ),
-        ("ordinary.py", ["page", BENCHMARKS / "ordinary" / "results" / "ninth.jsonl", "-o"], "ordinary.md"),
+        ("ordinary.py", ["page", BENCHMARKS / "ordinary" / "results" / "tenth.jsonl", "-o"], "ordinary.md"),
     ],
 )
 def test_the_page_is_what_its_script_writes(script, words, page, tmp_path, monkeypatch):
