@@ -70,7 +70,7 @@ def _brief_page(kind: type[Effect]) -> Summary:
     lines += [Line(p.name, f"{p.meaning}; typically {p.typical:g} {p.unit}".rstrip()) for p in own]
     lines += [Line(word, " or ".join(options)) for word, options in choices(kind).items()]
     if kind.aliased_with is not None:
-        lines.append(Line("twin", f"{kind.aliased_with}: no recording of poses tells them apart"))
+        lines.append(Line("alias", f"{kind.aliased_with}: no recording of poses tells them apart"))
     if kind.about is not None:
         lines += [Line("adds", kind.about.equation), Line("source", kind.about.source)]
     return Summary((*lines, command_line(_example(kind))))
@@ -133,7 +133,7 @@ def _page(kind: type[Effect]) -> str:
         lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
         lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
     if kind.aliased_with is not None:
-        lines.append(f"twin           {kind.aliased_with}: the same motion; no recording of poses can separate them")
+        lines.append(f"alias          {kind.aliased_with}: the same motion; no recording of poses can separate them")
     return "\n".join([*lines, "", _example(kind)])
 
 

@@ -38,7 +38,7 @@ def test_a_twin_of_the_set_up_comes_with_the_words_that_accept_it(monkeypatch):
     """`correct` passes the set-up by, so a robot that turns elsewhere is mended only as icr_shift."""
     hint = twin_hint("lever_arm", {"x": 0.0735, "y": 0.01}, monkeypatch)
     assert "move the marker" in hint
-    assert hint.endswith("mends it only as icr_shift: give `correct` --effect icr_shift:x=0.0735")
+    assert hint.endswith("removes it only as icr_shift: give `correct` --effect icr_shift:x=0.0735")
 
 
 def test_twins_that_are_both_the_robots_need_no_such_words(monkeypatch):

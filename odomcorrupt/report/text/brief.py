@@ -19,7 +19,6 @@ from odomcorrupt.report.text.comparison import (
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
 from odomcorrupt.report.text.numbers import (
-    EVEN_ODDS,
     SIGNIFICANT,
     clocks_found,
     confidence_words,
@@ -32,7 +31,7 @@ from odomcorrupt.report.text.numbers import (
     step_confidence,
 )
 from odomcorrupt.study.estimate.drive_type import DriveType, readings_of
-from odomcorrupt.study.select.confidence import may_be_scale_of_truth
+from odomcorrupt.study.select.confidence import EVEN_ODDS, may_be_scale_of_truth
 from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.summary import ALWAYS, FIRST, SPARE, USUAL, Line, Summary, Tone, command_line
 

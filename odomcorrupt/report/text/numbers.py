@@ -135,10 +135,6 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
                 yield ClockFound(name, i, float(value), float(error), probability)
 
 
-EVEN_ODDS = 0.5
-"""Confidence below which a name is reported with "perhaps", after findings with evidence."""
-
-
 def step_confidence(step: Step, learned: Learned) -> float:
     """Return the confidence in the name of the effect added by a step."""
     return confidence(evidence_of(step, learned))

@@ -91,7 +91,7 @@ def _correction_hint(drives: Drives, twin: type[Effect]) -> str:
         return ""
     values = ",".join(f"{p.name}={getattr(own, p.name):.4g}" for p in amplitudes(twin))
     return (
-        f"if it is the robot and not where the truth is taken, a correction mends it only as {twin.name}: "
+        f"if it is the robot and not where the truth is taken, a correction removes it only as {twin.name}: "
         f"give `correct` --effect {twin.name}:{values}"
     )
 

@@ -3,8 +3,8 @@
 A steered robot turns only while it travels, with a smallest radius that does not depend on speed. When it drives
 slowly, its steering is often at a stop: at least a fifth of slow driving has the largest curvature of its side. The two
 sides differ if the steering's zero is off. A differential drive has no such stop, even if its planner never turns it on
-the spot. Many effects of the two types are the same
-function of the motion (steering offset and unequal wheels); the drive type then decides the name.
+the spot. Many effects of the two types are the same function of the motion (steering offset and unequal wheels); the
+drive type then decides the name.
 """
 
 from __future__ import annotations

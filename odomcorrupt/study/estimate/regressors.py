@@ -321,13 +321,13 @@ def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Sh
     bound = _CLIP * np.median(np.abs(own), axis=0)
     kept = np.abs(own) <= bound
     own, differs = np.where(kept, own, 0.0), np.where(kept, other - own, 0.0)
-    least = _CLIP * np.array([np.median(np.abs(d[k])) for d, k in zip(differs.T, kept.T, strict=True)])
-    differs = np.clip(differs, -least, least)
+    limit = _CLIP * np.array([np.median(np.abs(d[k])) for d, k in zip(differs.T, kept.T, strict=True)])
+    differs = np.clip(differs, -limit, limit)
     count = kept.sum(axis=0)
     whole = np.maximum((own**2).sum(axis=0), 1e-30)
     alone, of_truth = -own * differs / 6.0, (own + differs) * differs / 6.0
     white = np.where(kept, _white(seen.truth, grid, recording.origin_ns)[chosen] / 6.0, 0.0)
-    white = np.minimum(white, least**2 / 6.0).sum(axis=0) / count
+    white = np.minimum(white, limit**2 / 6.0).sum(axis=0) / count
     coloured = np.maximum(of_truth.sum(axis=0) / count - white, 0.0)
     return _Shared(
         part=1.0 - 6.0 * alone.sum(axis=0) / whole,

@@ -48,6 +48,8 @@ _DECAYING = ("hard_iron",)
 """Effects whose heading errors decay by themselves, as those of a filter with external poses do."""
 _MISFIT_DISPLACEMENT = 0.03
 """Fraction of the largest effect's displacement in 10 s up to which another effect may be a misfit of its model."""
+EVEN_ODDS = 0.5
+"""Confidence below which a name is doubtful: reported with "perhaps", and dropped if held-out data contradict it."""
 HELD_OUT_ERRORS = 2.0
 """Standard errors by which the true held-out gain may exceed its estimate."""
 

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound="Term")
 
-_KINDS = (len(VALUES) + 1) * len(every_action())
-"""Number of kinds of basis functions: regressors, including place and heading, times actions. A robot that drives
-sideways has 13 kinds more, but not the 36 of two wheels with a track."""
+_KINDS = (len(VALUES.keys() - {"sideways_speed"}) + 2) * len(every_action())
+"""Number of kinds of basis functions: regressors, place and heading, times actions. A robot that drives sideways has 13
+kinds more, but not the 36 of two wheels with a track."""
 _SIMPLEST = 2.0
 """Factor on the size of a family: half of its prior probability goes to its simplest member."""
 _STEP = 0.4

@@ -29,7 +29,7 @@ from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned, clock_leaders
 from odomcorrupt.study.io.recording import shared_frame
-from odomcorrupt.study.select.confidence import confidence, evidence_of, noise_evidence
+from odomcorrupt.study.select.confidence import EVEN_ODDS, confidence, evidence_of, noise_evidence
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.cross_validation import split_of
 from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
@@ -51,8 +51,8 @@ _WORSE = {"factor": 1.02, "plain": 1.15, "errors": _SIGNIFICANT}
 """Thresholds at which a 10 s error counts as larger, see `Drift.worse_than`."""
 _FRACTION = re.compile(r"(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* ")
 """Beginning of a dependence that is a fraction of a motion."""
-_EVEN, _DOUBTFUL = 0.5, 1.05
-"""Confidence below which a part with which the 10 s error is this much larger is dropped (judgement: 2 to 10 %)."""
+_DOUBTFUL = 1.05
+"""Ratio of 10 s errors with and without a doubtful part from which it is dropped (judgement: 2 to 10 %)."""
 _MIN_BLOCKS = 6
 """Fewest blocks of 15 s for a significance test of the likelihood."""
 
@@ -183,7 +183,9 @@ def _least_confident(
         if one.name in evidence
     ]
     hardly = learned.decisions.least_confidence
-    dropped = [each for each in certain if each[0] < (_EVEN if each[2].doubtful else 0.0 if each[2].needed else hardly)]
+    dropped = [
+        each for each in certain if each[0] < (EVEN_ODDS if each[2].doubtful else 0.0 if each[2].needed else hardly)
+    ]
     least, parts, one = min(dropped, key=lambda each: each[0], default=(1.0, (), None))
     if one is None:
         return None
