@@ -375,6 +375,13 @@ def test_candidates_that_were_refused_are_drawn_with_their_reason(rich):
     assert b"it says nothing" in rendered(draw_candidates(replace(rich, rounds=(look,))), "svg")
 
 
+def test_a_step_that_included_a_dependence_is_drawn_with_its_title(rich):
+    step = replace(rich.rounds[0], added=None, dependence=UNKNOWNS[0])
+    picture = rendered(draw_candidates(replace(rich, rounds=(step,))), "svg")
+    assert f"added {UNKNOWNS[0].title}".encode() in picture
+    assert b"nothing more to add" not in picture
+
+
 def test_the_fall_of_the_error_is_reported_for_ladders_alone(sequence):
     text = shares_text(sequence.judgements)
     assert text.startswith("held-out position error (RMS):\n  + unequal_wheels")

@@ -68,7 +68,7 @@ def _bars(axes: Axes, title: str, step: Step) -> None:
     axes.invert_yaxis()
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("evidence (nats)")
-    outcome = f"added {step.added}" if step.added else "nothing more to add"
+    outcome = f"added {step.name}" if step.name else "nothing more to add"
     axes.set_title(f"{title}: {outcome}")
 
 
