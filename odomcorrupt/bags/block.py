@@ -226,8 +226,8 @@ def require_all(name: str, reader: BagReader, written: int, added: int) -> None:
     """
     if written != reader.count + added:
         raise BagError(
-            f"{name}: {reader.count} messages were read and {added} added, but {written} written; nothing is kept: "
-            "this is a fault of odomcorrupt, please report it"
+            f"{name}: {reader.count} messages were read and {added} added, but {written} written; the output "
+            "is discarded: this is a bug in odomcorrupt, please report it"
         )
 
 

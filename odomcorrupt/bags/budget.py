@@ -49,7 +49,7 @@ def size_of(text: str) -> int:
     found = _SIZE.fullmatch(text.strip())
     size = int(float(found[1]) * _UNITS[found[2][0].upper()]) if found else 0
     if not size:
-        raise ValueError(f"{text!r} is no size; write one such as 4GiB or 500MB")
+        raise ValueError(f"{text!r} is not a size; write one such as 4GiB or 500MB")
     return size
 
 
@@ -98,8 +98,8 @@ class Budget:
             )
         if size > self.left:
             raise BagError(
-                f"{what}: says it unpacks to {size} bytes; with it {self._unpacked + size} would come out of "
-                f"{self._packed}, which no recording packs so small; {_advice(self._unpacked + size)}"
+                f"{what}: states that it unpacks to {size} bytes; the bag would unpack to {self._unpacked + size} "
+                f"bytes from {self._packed}, a ratio that no recording has; {_advice(self._unpacked + size)}"
             )
 
     def take(self, size: int, what: str) -> None:
@@ -107,8 +107,8 @@ class Budget:
         self._unpacked += size
         if self.left <= 0:
             raise BagError(
-                f"{what}: with it {self._unpacked} bytes have come out of {self._packed}, which no recording packs so "
-                f"small; {_advice(self._unpacked + 1)}"
+                f"{what}: up to here {self._packed} bytes have unpacked to {self._unpacked}, a ratio that no recording "
+                f"has; {_advice(self._unpacked + 1)}"
             )
 
     @property

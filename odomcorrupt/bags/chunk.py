@@ -176,7 +176,7 @@ def record_blocks(
         try:
             buffer = place(wanted)
         except MemoryError as error:
-            raise BagError(f"{what}: there is no memory for a record of {wanted} bytes in it") from error
+            raise BagError(f"{what}: not enough memory for a record of {wanted} bytes") from error
         filled = rest.size
         buffer[:filled] = rest
         while filled < wanted and (piece or (piece := memoryview(next(pieces, b"")))):

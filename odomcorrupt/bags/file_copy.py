@@ -96,7 +96,8 @@ class FileCopy:
         """Raise BagError if the source was replaced or written to since it was read."""
         if FileState.of(self._source) != self._state:
             raise BagError(
-                f"{self._name}: was written to while it was read; no output is kept, run again once it is complete"
+                f"{self._name}: changed while it was read; the output is discarded, run again once the recording is "
+                "complete"
             )
 
     def _run(self) -> None:

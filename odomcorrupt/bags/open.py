@@ -71,7 +71,7 @@ def open_reader(
         return _reader(path, Source.of_file(path), recover=recover, threads=threads)
     except BagError as error:
         if recover:
-            raise BagError(f"{loss_of(error)}; nothing can be recovered of it") from error
+            raise BagError(f"{loss_of(error)}; nothing can be recovered from it") from error
         raise
 
 
@@ -237,7 +237,7 @@ def _with_storage(form: Form, storage: str | None, name: str) -> Form:
     if storage is None:
         return form
     if storage not in ("mcap", "sqlite3"):
-        raise BagError(f"--storage {storage}: is none that a ROS 2 bag can have; choose mcap or sqlite3")
+        raise BagError(f"--storage {storage}: is not a storage format of ROS 2 bags; choose mcap or sqlite3")
     if not form.directory and storage != form.kind:
         raise BagError(f"{name}: --storage {storage} is for directories; name the output without a suffix")
     return form._replace(kind=cast("Kind", storage))
@@ -317,7 +317,8 @@ def _require_generation(path: Path | None, reader: BagReader) -> None:
     for channel in reader.channels.values():
         if channel.encoding != "cdr":
             raise BagError(
-                f"{path}: {channel.topic} has {channel.encoding} messages, a ROS 2 bag holds cdr ones; convert them"
+                f"{path}: {channel.topic} has {channel.encoding} messages, but a ROS 2 bag holds cdr messages; convert "
+                "them"
             )
 
 
@@ -327,7 +328,7 @@ def _require_compression(form: Form, rosbag2: Rosbag2Reader | None, compression:
     if compression is not None and compression not in known:
         name = "a directory of MCAP files" if form.directory and form.kind == "mcap" else _NAMES[form.kind]
         name = "a directory of sqlite3 files" if form.directory and form.kind == "sqlite3" else name
-        raise BagError(f"compression {compression}: is not one that {name} can have; choose {', '.join(known)}")
+        raise BagError(f"compression {compression}: is not available for {name}; choose {', '.join(known)}")
     if form.directory and compression is None and rosbag2 is not None and rosbag2.mode != "none":
         compression = rosbag2.mode
     if compression is not None or form.kind == "sqlite3":
@@ -344,4 +345,4 @@ def _refuse_suffix(path: Path | None, *, directory: bool) -> None:
     near = difflib.get_close_matches(suffix, _SUFFIXES, 1, 0.5)
     if near or not directory:
         meant = f" (did you mean {near[0]}?)" if near else ""
-        raise BagError(f"{path}: {suffix} is no format of bags{meant}; end the name in {', '.join(_SUFFIXES)}")
+        raise BagError(f"{path}: {suffix} is not a bag format{meant}; end the name in {', '.join(_SUFFIXES)}")

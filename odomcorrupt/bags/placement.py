@@ -58,7 +58,7 @@ def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool, directory:
             f"{path}: is {kinds[directory]}, {kinds[not directory]} will not replace it; name another output"
         )
     if directory and not all(one.suffix in _BAG_SUFFIXES and one.is_file() for one in path.iterdir()):
-        raise BagError(f"{path}: holds more than a ROS 2 bag, it is not replaced; name another output")
+        raise BagError(f"{path}: contains more than a ROS 2 bag and is not replaced; name another output")
 
 
 def is_stream(path: Path) -> bool:
@@ -86,7 +86,7 @@ def place(partial: Path, path: Path, *, overwrite: bool) -> None:
     except FileExistsError as error:
         if not overwrite:
             raise BagError(
-                f"{path}: exists by now, something else wrote it meanwhile and it stays; name another output or give "
+                f"{path}: was written by another program in the meantime and is kept; name another output or give "
                 "--overwrite"
             ) from error
         with suppress(FileNotFoundError):

@@ -87,7 +87,7 @@ class Source:
             stream.seek(0)
         except OSError as error:
             stream.close()
-            raise BagError(f"{self.name}: cannot be kept while it is read: {error.strerror}; name a file") from error
+            raise BagError(f"{self.name}: cannot be buffered: {error.strerror}; name a file") from error
         source = type(self)(stream, self.name)
         source._owned = True  # noqa: SLF001 - its own class
         source.size = size
@@ -172,7 +172,10 @@ class Source:
         pieces: list[NDArray[np.uint8]] = []
         for begin in range(0, size, _TRUSTED_BYTES):
             if begin >= _LARGEST_BYTES:
-                raise BagError(f"{self.name}: {what} claims {size} bytes at once; damaged, or to be read from a file")
+                raise BagError(
+                    f"{self.name}: {what} has a stated length of {size} bytes; the bag is damaged, or must be read "
+                    "from a file"
+                )
             pieces.append(np.empty(min(_TRUSTED_BYTES, size - begin), dtype=np.uint8))
             self._fill(pieces[-1].data, what)
         return np.concatenate(pieces)

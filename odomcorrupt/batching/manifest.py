@@ -178,7 +178,7 @@ def locked(job: Job, *, shared: bool) -> Iterator[None]:
             fcntl.flock(stream, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise BatchError(
-                f"{job.shown_directory}: another batch is at work in it; wait for it, share the work with --shard, or "
+                f"{job.shown_directory}: another batch is running in it; wait for it, share the work with --shard, or "
                 "name another directory"
             ) from error
         except OSError:
@@ -245,7 +245,7 @@ def read_records(directory: Path, *, verify: bool = False) -> dict[int, dict[str
                         _require_record(record)
                         records[record["run"]] = record
     except (OSError, ValueError) as error:
-        raise BatchError(f"{directory}: what it notes of its runs cannot be read ({error}); remove {part}") from error
+        raise BatchError(f"{directory}: the results of its runs cannot be read ({error}); remove {part}") from error
     return {run: one for run, one in sorted(records.items()) if _is_as_noted(directory, one, verify=verify)}
 
 

@@ -41,7 +41,7 @@ def spreads_of(model: MotionModel, only: Container[str] | None) -> tuple[Spread,
     def deviation(name: str) -> float:
         error = model.standard_errors.get(name, 0.0) if only is None or name in only else 0.0
         if not math.isfinite(error):
-            raise ModelError(f"{name}: standard error {error:g}; to draw robots, write how far it may be off")
+            raise ModelError(f"{name}: standard error {error:g}; to draw robots, give a finite one")
         return error
 
     noise = [Spread(None, f.name, deviation(f.name)) for f in fields(model.noise.coefficients)]
@@ -148,7 +148,7 @@ def _drawn(
         else:
             return drawn
     said = ", ".join(f"{n} {m:g} +- {s.deviation:g}" for n, m, s in zip(names, means, spreads, strict=True))
-    raise ModelError(f"{said}: hardly ever within bounds; give another mean or a smaller spread")
+    raise ModelError(f"{said}: draws are hardly ever within bounds; give another mean or a smaller spread")
 
 
 def _with(model: MotionModel, spread: Spread, value: float) -> MotionModel | None:
@@ -219,7 +219,7 @@ def _effect_names(models: Sequence[MotionModel]) -> list[str]:
         own = [effect.name for effect in model.effects]
         if len(set(own)) < len(own):
             twice = next(name for name in own if own.count(name) > 1)
-            raise ModelError(f"a fleet: a robot has {twice} twice; which of them is which is not known")
+            raise ModelError(f"a fleet: a robot has {twice} twice; the two cannot be matched between robots")
     return list(dict.fromkeys(effect.name for model in models for effect in model.effects))
 
 

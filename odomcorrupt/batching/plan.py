@@ -149,8 +149,8 @@ def _require_chunks(source: Path, spec: BatchSpec) -> None:
     with open_reader(source, recover=spec.container.recover) as reader:
         if reader.kind == "sqlite3":
             raise BatchError(
-                f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
-                "again; leave --layout out"
+                f"{source}: sqlite3 has no chunks for --layout split to divide, and is not recompressed; "
+                "leave --layout out"
             )
         modes = {getattr(reader, "mode", "none"), spec.container.compression}
     c = spec.container

@@ -187,7 +187,7 @@ def assemble(overlay: Path, source: Path, target: Path, container: BagContainer)
         topics = {(one.topic, one.msgtype) for one in changed.channels.values()}
         wanted = {one.id for one in reader.channels.values() if (one.topic, one.msgtype) in topics}
         if len({(reader.channels[one].topic, reader.channels[one].msgtype) for one in wanted}) < len(topics):
-            raise BatchError(f"{overlay}: has topics that {source} has not; name the input it was made from")
+            raise BatchError(f"{overlay}: has topics that {source} lacks; name the input it was made from")
         stream = _Messages(changed, overlay)
         merged = _Merged(reader, wanted, stream, source)
         if output.reader is not reader:
@@ -272,4 +272,4 @@ class _Messages:
         """Raise BatchError where the overlay has messages that its original lacks."""
         left = sum(1 for _ in self._stream)
         if left:
-            raise BatchError(f"{self._path}: has {left} messages more than {source}; name the input it was made from")
+            raise BatchError(f"{self._path}: has {left} more messages than {source}; name the input it was made from")

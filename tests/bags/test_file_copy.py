@@ -147,7 +147,7 @@ def test_an_input_that_changes_under_the_copy_leaves_nothing(bag, tmp_path, monk
 
     monkeypatch.setattr("os.copy_file_range", changed)
     os.utime(source, ns=(0, 0))
-    with pytest.raises(BagError, match="was written to while it was read"):
+    with pytest.raises(BagError, match="changed while it was read"):
         corrupt(source, tmp_path / f"out{bag.suffix}")
     assert list(tmp_path.iterdir()) == [source]
     assert threading.active_count() == 1

@@ -194,7 +194,7 @@ def test_a_record_for_which_there_is_no_memory_is_a_line():
         return np.empty(size, np.uint8)
 
     data = record(0x80, bytes(1 << 23))
-    with pytest.raises(BagError, match="no memory for a record of 8388617 bytes"):
+    with pytest.raises(BagError, match="not enough memory for a record of 8388617 bytes"):
         list(record_blocks(iter([data]), len(data), record_bytes, place, "chunk"))
 
 

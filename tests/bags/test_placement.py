@@ -48,7 +48,7 @@ def test_what_appeared_meanwhile_stays_and_nothing_is_left(kind, tmp_path):
         if len(block.table) and not out.exists():
             existing(out, directory=kind == "directory")
 
-    with pytest.raises(BagError, match="exists by now, something else wrote it meanwhile"):
+    with pytest.raises(BagError, match="was written by another program in the meantime"):
         copy(BAGS[kind], out, appear)
     assert [one.name for one in tmp_path.iterdir()] == [out.name]
     assert (out / "other.db3" if out.is_dir() else out).read_text() == "a stranger's"

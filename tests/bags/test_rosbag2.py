@@ -343,7 +343,7 @@ def test_only_a_bag_is_ever_replaced_by_a_bag(tmp_path):
     copy(OFFICE, out, overwrite=True)
     assert ros2_messages(out) == ros2_messages(OFFICE)
     (out / "thesis.tex").write_text("years of work")
-    with open_reader(OFFICE) as reader, pytest.raises(BagError, match="holds more"):
+    with open_reader(OFFICE) as reader, pytest.raises(BagError, match="contains more"):
         open_writer(out, reader, overwrite=True)
     (tmp_path / "out.mcap").mkdir()
     with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="is a directory"):

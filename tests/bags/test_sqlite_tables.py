@@ -120,7 +120,9 @@ def test_messages_of_a_topic_that_is_gone_are_lost_in_one_line(tmp_path):
     with closing(sqlite3.connect(tmp_path / "in.db3")) as connection, connection:
         connection.execute("DELETE FROM topics WHERE name = '/imu'")
     (loss,) = recover(tmp_path / "in.db3", tmp_path / "out.db3")
-    assert re.fullmatch(r".*message \d+ has no data, no time or no topic; the bag is damaged; so have \d+ more", loss)
+    assert re.fullmatch(
+        r".*message \d+ has no data, no time or no topic; the bag is damaged; the same applies to \d+ more", loss
+    )
     copy(tmp_path / "out.db3", tmp_path / "again.db3")
 
 
@@ -142,7 +144,7 @@ def test_ids_of_topics_that_no_recorder_gives_are_refused(number, recovering, tm
         connection.execute("DROP TABLE topics")
         connection.execute("ALTER TABLE other RENAME TO topics")
         connection.execute("UPDATE topics SET id = ? WHERE id = 1", (number,))
-    with pytest.raises(BagError, match=f"has the id {number}, which is negative, too large or another one's"):
+    with pytest.raises(BagError, match=f"has the id {number}, which is negative, too large or already used"):
         open_reader(tmp_path / "in.db3", recover=recovering)
 
 

@@ -383,7 +383,7 @@ def test_a_folder_has_one_batch_at_a_time_but_many_shards(here, capsys):
         assert batch(2, "--shard", "1/2") == 0
         capsys.readouterr()
         assert batch(2) == 1
-    assert "another batch is at work in it" in capsys.readouterr().err
+    assert "another batch is running in it" in capsys.readouterr().err
     assert batch(2) == 0
 
 

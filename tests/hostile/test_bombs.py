@@ -185,7 +185,7 @@ def test_a_chunk_of_a_million_empty_records_is_refused(name, recover, tmp_path, 
     if recover:
         assert read(path, recover)
     else:
-        with pytest.raises(BagError, match="is of no kind, or one of more than"):
+        with pytest.raises(BagError, match="has opcode 0, or is one of more than"):
             read(path, recover)
     assert time.process_time() - begun < 5.0
 

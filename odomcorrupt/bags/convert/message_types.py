@@ -90,7 +90,7 @@ def convert_type(msgtype: str, definition: Definition, ros: Generation) -> Messa
     new = _RENAMED.get(msgtype, msgtype) if ros == 2 else msgtype
     if not _NAME.fullmatch(msgtype):
         # code is generated under this name
-        raise BagError(f"{msgtype[:80]!r} is no name of a message type")
+        raise BagError(f"{msgtype[:80]!r} is not a message type")
     try:
         given = _parsed(msgtype, definition)
         source = _closure(msgtype, {**_common(other), **given})

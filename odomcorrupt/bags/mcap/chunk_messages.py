@@ -102,7 +102,7 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> tuple[list[int],
     while at < end:
         if data[at] == 0 or len(starts) + len(others) >= MOST_RECORDS:
             raise BagError(
-                f"{what}: the record at byte {at} of the chunk is of no kind, or one of more than {MOST_RECORDS}; "
+                f"{what}: the record at byte {at} of the chunk has opcode 0, or is one of more than {MOST_RECORDS}; "
                 "damaged bag, --recover saves what is whole"
             )
         content = at + RECORD_HEADER_BYTES

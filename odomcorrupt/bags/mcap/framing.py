@@ -64,7 +64,8 @@ def frame(
     """
     if table["log_ns"].min(initial=0) < 0:
         raise BagError(
-            f"log time {table['log_ns'].min()} ns: is before 1970, which no MCAP says; write the input's format"
+            f"log time {table['log_ns'].min()} ns: is before 1970, which MCAP cannot represent; write the input's "
+            "format"
         )
     lengths = table["length"]
     ends = np.cumsum(lengths + MESSAGE_HEADER_BYTES)

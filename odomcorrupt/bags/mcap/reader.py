@@ -162,7 +162,7 @@ class McapReader(RecordReader):
             while opcode not in _ENDS:
                 what = f"record at byte {source.position}"
                 if self._recover and not (stands_behind(source, last) if opcode == CHUNK else stands_here(source)):
-                    self.losses.append(f"{self.name}: {what} is none: the bag is truncated or damaged")
+                    self.losses.append(f"{self.name}: {what} is invalid: the bag is truncated or damaged")
                     if not next_record(source, last):
                         return
                     what = f"record at byte {source.position}"
@@ -196,7 +196,9 @@ class McapReader(RecordReader):
                 what = f"record at byte {begin}"
                 opcode, length = struct.unpack("<BQ", source.read(RECORD_HEADER_BYTES, what))
                 if opcode in _DATA:
-                    self._lose(BagError(f"{self.name}: {what} is data behind the data's end; the bag is damaged"))
+                    self._lose(
+                        BagError(f"{self.name}: {what} lies after the end of the data section; the bag is damaged")
+                    )
                     source.seek(begin)
                     return False
                 content = source.read(length, what)

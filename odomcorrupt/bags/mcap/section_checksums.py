@@ -19,7 +19,7 @@ _ADVICE = "outside of its chunks the bag is damaged; --recover saves what is who
 def stated_data_crc(content: bytes, what: str) -> int:
     """Return the checksum in a DataEnd record's content."""
     if len(content) < 4:
-        raise BagError(f"{what}: an end of the data of {len(content)} bytes is shorter than its checksum; damaged bag")
+        raise BagError(f"{what}: a DataEnd record of {len(content)} bytes is shorter than its checksum; damaged bag")
     return int.from_bytes(content[:4], "little")
 
 

@@ -147,7 +147,7 @@ class Ros1Reader(RecordReader):
         while self._recover and not source.at_end():
             if not (stands_behind(source, last) if op == CHUNK else stands_here(source)):
                 self.losses.append(
-                    f"{self.name}: record at byte {source.position} is none: the bag is truncated or damaged"
+                    f"{self.name}: record at byte {source.position} is invalid: the bag is truncated or damaged"
                 )
                 if not next_record(source, last):
                     return
@@ -186,8 +186,8 @@ class Ros1Reader(RecordReader):
             self._seen += _counted(data)
         else:
             raise BagError(
-                f"{self.name}: {head.what} is of kind {head.op:#04x}, which belongs into a chunk or the index; the bag "
-                "is damaged, --recover saves what is whole"
+                f"{self.name}: {head.what} is of kind {head.op:#04x}, which belongs in a chunk or in the index; the "
+                "bag is damaged, --recover saves what is whole"
             )
         return chunk
 

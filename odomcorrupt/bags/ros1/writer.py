@@ -81,7 +81,8 @@ class Connections:
     def _make(self, channel: Channel, definition: Definition) -> None:
         if channel.encoding != "ros1":
             raise BagError(
-                f"{channel.topic}: messages are {channel.encoding}, a ROS 1 bag holds ros1 ones; write an MCAP instead"
+                f"{channel.topic}: messages are {channel.encoding}, but a ROS 1 bag holds ros1 messages; write an MCAP "
+                "instead"
             )
         metadata = definition.metadata
         fields = {

@@ -125,7 +125,7 @@ def _decompress(data: memoryview, what: str, budget: Budget) -> bytes:
     try:
         size = zstandard.frame_content_size(data)
         if size < 0:
-            raise BagError(f"{what}: does not state its size, as each compressed message does; the bag is damaged")
+            raise BagError(f"{what}: does not state its size, as every compressed message must; the bag is damaged")
         budget.require(size, len(data), what)
         budget.take(size, what)
         out: bytes = zstandard.ZstdDecompressor().decompress(data)

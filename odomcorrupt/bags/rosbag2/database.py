@@ -195,7 +195,7 @@ def read_topics(connection: sqlite3.Connection, path: Path, losses: list[str] | 
             raise BagError(f"{path}: topic {topic.name!r} with id {topic.id!r} is no topic; the bag is damaged")
         if not 0 <= topic.id < _IDS or topic.id in topics:
             raise BagError(
-                f"{path}: topic {topic.name!r} has the id {topic.id}, which is negative, too large or another one's; "
+                f"{path}: topic {topic.name!r} has the id {topic.id}, which is negative, too large or already used; "
                 "the bag is damaged"
             )
         topics[topic.id] = topic

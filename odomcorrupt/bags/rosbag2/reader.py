@@ -58,7 +58,7 @@ def find_files(directory: Path) -> BagFiles:
     seen: dict[tuple[int, int], str] = {}
     for file in found.files:
         if not file.is_file():
-            raise BagError(f"{file}: is no file (a directory, pipe or device); restore it")
+            raise BagError(f"{file}: is not a regular file (but a directory, pipe or device); restore it")
         same = file.stat().st_dev, file.stat().st_ino
         if same in seen:
             raise BagError(

@@ -77,7 +77,7 @@ def salvaged_rows(connection: sqlite3.Connection, name: str, losses: list[str]) 
             losses.append(f"{name}: sqlite3 says {error}: messages from {since} to {until} are lost, if there were any")
         else:
             return
-    losses.append(f"{name}: has more than {_GAPS} gaps, what lies behind them was not read")
+    losses.append(f"{name}: has more than {_GAPS} gaps, messages after them were not read")
 
 
 def _next(connection: sqlite3.Connection, last: int) -> int | None:
@@ -255,7 +255,7 @@ class SqliteReader:
             if rows:
                 yield self._decodable(_block(rows, of, times_ns, data))
         if unusable:
-            self.losses.append(first_unusable + (f"; so have {unusable - 1} more" if unusable > 1 else ""))
+            self.losses.append(first_unusable + (f"; the same applies to {unusable - 1} more" if unusable > 1 else ""))
         self.losses += self._undecodable.losses(self.name)
 
     def _decodable(self, block: Block) -> Block:

@@ -232,7 +232,7 @@ class SqliteWriter(SqliteOutput):
         if done != self._changes or count_messages(self._connection) != expected:
             raise BagError(
                 f"{self._path}: {self._changes} rows were to change and {done} did, or messages are missing that were "
-                "not to be touched; the output is not kept, the input has a schema of its own"
+                "not to be touched; the output is discarded, because the input's schema is not rosbag2's"
             )
 
     def _complete(self) -> None:
