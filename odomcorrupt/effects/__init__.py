@@ -45,7 +45,9 @@ def registry() -> Mapping[str, type[Effect]]:
             warnings.warn(f"effect {point.name} of {point.value}: cannot be loaded ({error})", stacklevel=2)
             continue
         if not (isinstance(kind, type) and issubclass(kind, Effect)) or kind.name in found:
-            warnings.warn(f"effect {point.name} of {point.value}: no effect, or its name is taken", stacklevel=2)
+            warnings.warn(
+                f"effect {point.name} of {point.value}: not an effect class, or its name is taken", stacklevel=2
+            )
             continue
         found[kind.name] = kind
     return MappingProxyType(dict(sorted(found.items())))
@@ -95,7 +97,7 @@ def effect_at(path: str) -> type[Effect]:
         ) from error
     if not (isinstance(kind, type) and issubclass(kind, Effect) and "name" in vars(kind)):
         raise EffectError(
-            f"effect {path}: is no effect; name a class made as docs/effects.md says, as in my_file.Wobble"
+            f"effect {path}: is not an effect class; name one made as docs/effects.md says, as in my_file.Wobble"
         )
     return kind
 

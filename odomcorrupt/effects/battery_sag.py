@@ -20,11 +20,11 @@ class BatterySag(Effect):
         typical="10 to 25 % from a full battery to an empty one: 5e-5 to 4e-4 per second (an estimate)",
         source="Hughes & Drury 2019, Electric Motors and Drives (a DC motor's speed is in proportion to its voltage)",
         confused_with=("scale_drift", "wheel_scale", "dead_band"),
-        drive="repeat one loop for ten minutes and more; a full battery put in at half time tells it from a tyre",
+        drive="repeat one loop for ten minutes and more; a full battery put in at half time separates it from a tyre",
     )
 
     rate: float = parameter(
-        "1/s", "change of the part of the speed that is reached, per second", low=-1e-3, high=0.0, typical=-1e-4,
+        "1/s", "change of the reached fraction of the commanded speed, per second", low=-1e-3, high=0.0, typical=-1e-4,
         step=1e-7,
     )  # fmt: skip
     heading: str = heading_choice()

@@ -34,7 +34,7 @@ class CastorKick(Effect):
     drives = PIVOTING
     about = About(
         equation="f_yaw = angle v / way within `way` after each reversal of the travel, 0 elsewhere",
-        typical="0.5 to 3 degrees within 5 to 20 cm (an estimate: castors off the middle, a load on one side)",
+        typical="0.5 to 3 degrees within 5 to 20 cm (an estimate: off-centre castors, a load on one side)",
         source="engineering judgement; the play operator, as in Visintin 1994, Differential Models of Hysteresis",
         confused_with=("backlash", "unequal_wheels"),
         drive="drive a metre forth and back, many times, with long straights between",

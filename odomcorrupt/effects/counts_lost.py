@@ -43,11 +43,11 @@ class CountsLost(Effect):
     )
 
     part: float = parameter(
-        "", "what is lost above the speed, over what is counted there", low=0.0, high=20.0, typical=0.3
+        "", "travel lost above the speed, over travel counted there", low=0.0, high=20.0, typical=0.3
     )
     speed: float = parameter(
         "m/s",
-        "rim speed from which on they are lost",
+        "rim speed above which they are lost",
         low=0.02,
         high=10.0,
         typical=0.3,

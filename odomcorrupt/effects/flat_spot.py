@@ -53,7 +53,7 @@ class FlatSpot(Effect):
     odd = True
     layer = "record"
     needs_track = True
-    summary = "a wheel is flat on one side or out of round: it gains less once a turn"
+    summary = "a wheel is flat on one side or out of round: it advances less once a turn"
     about = About(
         equation="f_wheel = -depth u where the wheel rolls over its flat side, once a turn, less its mean",
         typical="2 to 20 % of the way over a seventh of a turn on foam and cheap rubber tyres (an estimate)",
@@ -70,11 +70,11 @@ class FlatSpot(Effect):
         "rad", "turn from the first pose to the spot", low=-6.3, high=6.3, typical=1.0, amplitude=False
     )
     mean: float = parameter(
-        "", "part of what a flat side loses on average that counts", low=0.0, high=1.0, typical=1.0, amplitude=False,
+        "", "fraction of the flat side's mean loss that is included", low=0.0, high=1.0, typical=1.0, amplitude=False,
         optional=True,
     )  # fmt: skip
     wheel: str = choice("which wheel it is", "right", "left")
-    form: str = choice("a flat side, or a wheel that does not turn about its middle", "flat", "eccentric")
+    form: str = choice("a flat side, or a wheel with an off-centre axle", "flat", "eccentric")
     track: float = track_parameter()
 
     @classmethod

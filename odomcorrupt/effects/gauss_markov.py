@@ -52,7 +52,7 @@ class GaussMarkov(Effect):
         typical="1 to 5 % with correlation times of 2 to 30 s (an estimate)",
         source="first-order Gauss-Markov process, as in Gelb 1974, Applied Optimal Estimation",
         confused_with=("slip_burst", "region_slip", "scale_drift", "gyro_bias_walk"),
-        drive="drive for long and come back to the same places: what depends on the place comes back, this does not",
+        drive="drive for long and return to the same places: errors that depend on the place recur, this one does not",
     )
 
     sigma: float = parameter("", "standard deviation of the gain", low=0.0, high=0.5, typical=0.02)

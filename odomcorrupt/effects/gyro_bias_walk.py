@@ -56,7 +56,7 @@ class GyroBiasWalk(Effect):
 
     density: float = parameter("rad/s/sqrt(s)", "standard deviation after one second", low=0.0, high=0.05, typical=2e-4)
     tau: float = parameter(
-        "s", "time in which it comes back to zero; 0: it never does", low=0.0, high=1e5, typical=10.0, amplitude=False
+        "s", "time constant of its return to zero; 0: none", low=0.0, high=1e5, typical=10.0, amplitude=False
     )
 
     def start(self, rng: Generator) -> State:

@@ -22,7 +22,7 @@ class Push(Effect):
 
     name = "push"
     kind = "event"
-    summary = "once, the robot is pushed, and the odometry does not notice"
+    summary = "once, the robot is pushed, which the odometry does not show"
     about = About(
         equation="f = (along, across, yaw) / duration where time <= t < time + duration, 0 otherwise",
         typical="5 to 30 cm and up to 20 degrees in half a second (an estimate)",

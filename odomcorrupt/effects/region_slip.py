@@ -66,9 +66,7 @@ class RegionSlip(Effect):
         low=-np.pi, high=np.pi, typical=0.5, amplitude=False, optional=True,
     )  # fmt: skip
     heading: str = heading_choice()
-    contact: str = choice(
-        "what has to be on the patch to slip: the middle of the robot, or each wheel", "body", "wheels"
-    )
+    contact: str = choice("what must be on the patch to slip: the centre of the robot, or each wheel", "body", "wheels")
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:

@@ -12,7 +12,7 @@ class SidewaysScale(Effect):
     """f = (0, e vy, 0): only sideways travel is affected."""
 
     name = "sideways_scale"
-    summary = "sideways the robot goes farther or less far than its wheels say"
+    summary = "sideways the robot goes farther or less far than its wheels show"
     needs_sideways = True
     about = About(
         equation="f = (0, e vy, 0)",

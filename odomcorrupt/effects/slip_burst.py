@@ -66,7 +66,7 @@ class SlipBurst(Effect):
         typical="30 % and more for 0.1 to 0.5 s, a few times a minute on a bad floor (an estimate)",
         source="engineering judgement; no published figures known to us",
         confused_with=("heavy_tails", "region_slip", "gauss_markov", "wheel_scale"),
-        drive="cross the same floor again: a patch comes back, a burst does not",
+        drive="cross the same floor again: slip of a patch recurs, a burst does not",
     )
 
     rate: float = parameter("1/s", "how many begin per second", low=0.0, high=5.0, typical=0.05)

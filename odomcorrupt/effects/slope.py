@@ -25,7 +25,7 @@ class Slope(Effect):
 
     name = "slope"
     odd = True
-    summary = "the robot creeps towards one side of the world as it drives"
+    summary = "the robot creeps in one direction of the world as it drives"
     reads_truth = True
     reads_places = True
     about = About(

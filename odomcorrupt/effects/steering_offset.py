@@ -36,7 +36,7 @@ class SteeringOffset(Effect):
     )
 
     curvature: float = parameter(
-        "rad/m", "true curvature of a path that odometry calls straight", low=-1.0, high=1.0, typical=0.01
+        "rad/m", "true curvature of a path that odometry reports as straight", low=-1.0, high=1.0, typical=0.01
     )
     axles: float = axles_parameter()
     driven: str = driven_choice()

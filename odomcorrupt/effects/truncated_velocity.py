@@ -54,7 +54,7 @@ class TruncatedVelocity(Effect):
     name = "truncated_velocity"
     odd = True
     layer = "record"
-    summary = "velocities are cut down to whole steps before they are summed up"
+    summary = "velocities are truncated to whole steps before they are integrated"
     about = About(
         equation="reported v = step trunc(v / step); on average f = (step sign(v) / 2, 0, turn sign(omega) / 2)",
         typical="steps of 1 to 50 mm/s and 0.01 to 0.1 rad/s, of integers in a serial protocol (an estimate)",

@@ -18,7 +18,7 @@ class TurnAsymmetry(Effect):
     summary = "left turns come out larger than right turns, or the other way round"
     about = About(
         equation="f_yaw = k abs(omega)",
-        typical="0.3 to 3 % (an estimate: a load off the middle, a tyre that scrubs on one side)",
+        typical="0.3 to 3 % (an estimate: an off-centre load, a tyre that scrubs on one side)",
         source="engineering judgement; no published figures known to us",
         confused_with=("unequal_wheels", "gyro_bias", "wheelbase"),
         drive="turn on the spot, as often to the left as to the right, with straights between",

@@ -27,7 +27,7 @@ class UnequalWheels(Effect):
     )
 
     curvature: float = parameter(
-        "rad/m", "true curvature of a path that odometry calls straight", low=-1.0, high=1.0, typical=0.005
+        "rad/m", "true curvature of a path that odometry reports as straight", low=-1.0, high=1.0, typical=0.005
     )
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:

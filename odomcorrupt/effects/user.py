@@ -119,7 +119,8 @@ def user_effect(
     linear, words = expression.linear, words or {}
     if words and not expression.by_wheel:
         raise EffectError(
-            f"effect {name}: {next(iter(words))} is for what adds to {', '.join(SIDES)}, wheels that is; leave it out"
+            f"effect {name}: {next(iter(words))} applies to statements that add to {', '.join(SIDES)} only; leave it "
+            "out"
         )
     facts = tuple(
         (

@@ -44,7 +44,7 @@ def on_every_track(effects: Sequence[E], motions: Sequence[Motion]) -> tuple[E, 
 
 def heading_choice() -> Any:
     """Declare the source of the odometry's heading: with a gyro, wheel errors change only the forward motion."""
-    return choice("source of the odometry's heading; what wheels do wrong does not turn a gyro", "wheels", "gyro")
+    return choice("source of the odometry's heading; wheel errors do not affect a gyro", "wheels", "gyro")
 
 
 def turning(heading: str, yaw: Array) -> Array:

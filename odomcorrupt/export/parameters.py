@@ -182,11 +182,11 @@ def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> Wheel
     track = track_m if track_m is not None else model.track_m
     if curvature and track is None:
         raise ModelError(
-            "unequal_wheels: its curvature tells the radii apart only with the distance between the wheels; "
+            "unequal_wheels: its curvature determines the radii only with the distance between the wheels; "
             "give --track, or write [robot] track in the model file"
         )
     if not (scale > 0.0 and turns > 0.0):
-        raise ModelError(f"wheel_scale and wheelbase: radius times {scale:g}, turns times {turns:g}; no robot is that")
+        raise ModelError(f"wheel_scale and wheelbase: radius times {scale:g}, turns times {turns:g}: impossible")
     separation = scale / turns
     half = 0.5 * curvature * separation * (track or 0.0)
     if not abs(half) < scale:

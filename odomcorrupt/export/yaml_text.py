@@ -56,8 +56,8 @@ def _comments(text: str) -> str:
 def wheels_text(model: MotionModel, multipliers: WheelMultipliers, controller: str) -> str:
     """Return the multipliers of diff_drive_controller as YAML."""
     lines = _comment(
-        "True over nominal wheel radii and track. They replace multipliers of 1; multiply them with others that were "
-        "there when the odometry was recorded. They act on the wheel commands, too. Derived in docs/export.md."
+        "True over nominal wheel radii and track. They replace multipliers of 1; multiply them by others that were "
+        "set when the odometry was recorded. They act on the wheel commands, too. Derived in docs/export.md."
     )
     if any(effect.name == "gyro_scale" and effect.acts for effect in model.effects):
         lines += _comment(
@@ -91,7 +91,7 @@ def amcl_text(model: MotionModel, alphas: AmclAlphas, update_min_d: float, updat
         )
     if alphas.alpha5 and "Differential" in alphas.motion_model:
         lines += _comment("Noise across the travel is left out: amcl's differential model does not read alpha5.")
-    lines += _left_out(model, frozenset(), "amcl takes odometry for unbiased and its noise for independent")
+    lines += _left_out(model, frozenset(), "amcl assumes unbiased odometry with independent noise")
     values = (alphas.alpha1, alphas.alpha2, alphas.alpha3, alphas.alpha4, alphas.alpha5)
     return _yaml(
         lines,
@@ -114,7 +114,7 @@ def twists_text(model: MotionModel, variances: TwistVariances, drive: Steady, co
         f"messages, so they go to the node that publishes these; {unknown} stands for what is not measured. They are "
         "right at this speed and rate alone. Derived in docs/export.md."
     )
-    lines += _left_out(model, frozenset(), "the filter takes odometry for unbiased and its noise for independent")
+    lines += _left_out(model, frozenset(), "the filter assumes unbiased odometry with independent noise")
     return _yaml(
         lines,
         f"{controller}:",

@@ -40,7 +40,7 @@ class Trajectory:
         if len(self.stamps_ns) < 2:
             raise RecordingError(f"a trajectory: {len(self.stamps_ns)} poses; it takes two or more")
         if not np.all(np.diff(self.stamps_ns) > 0):
-            raise RecordingError("a trajectory's stamps do not grow; sort them and drop repeats first")
+            raise RecordingError("a trajectory's stamps do not increase; sort them and drop duplicates first")
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

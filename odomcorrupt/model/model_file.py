@@ -58,7 +58,7 @@ def read_model_text(path: Path) -> str:
     try:
         return read_input(path, _LIMIT_BYTES, "model file", ModelError).decode()
     except UnicodeDecodeError as error:
-        raise ModelError(f"{path}: not text; that is no model file") from error
+        raise ModelError(f"{path}: not a text file, so not a model file") from error
 
 
 def parse_model(text: str) -> MotionModel:
@@ -82,7 +82,7 @@ def parse_model(text: str) -> MotionModel:
     _only(robot, ("track", "wheel_radius"), "[robot]")
     track = _number(robot["track"], "robot.track")[0] if "track" in robot else None
     if track is not None and not 0.0 < track < 100.0:
-        raise ModelError(f"robot.track: {track}; it must be metres between the wheels, more than zero")
+        raise ModelError(f"robot.track: {track}; it must be the distance between the wheels in metres, more than zero")
     return MotionModel(
         noise, effects, track, _setup(_table(table, "setup"), errors), errors, _source(_table(table, "source")),
         correlation,
@@ -234,7 +234,7 @@ def format_model(model: MotionModel) -> str:
     """Return a model as TOML text; parsing it gives the same model to nine digits."""
     errors = model.standard_errors
     lines = [
-        "# A motion model for odomcorrupt: a person reads and edits it.",
+        "# Motion model for odomcorrupt; it can be edited by hand.",
         f"schema = {SCHEMA}",
         "",
         "[noise]",
@@ -269,7 +269,7 @@ def _drawn(model: MotionModel) -> list[str]:
 def _setup_lines(setup: Setup, errors: Mapping[str, float]) -> list[str]:
     if setup == Setup():
         return []
-    lines = ["", "# what belongs to the measurement, not to the robot: corruption passes it by", "[setup]"]
+    lines = ["", "# properties of the measurement, not of the robot: corruption ignores them", "[setup]"]
     if setup.drive_type:
         lines.append(f"drive_type = {_text(setup.drive_type)}")
     if setup.pose_corrections:
