@@ -99,7 +99,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     pairs, mirrored = _sense(sweeps, motion, flipped=flipped, certain=by_tf is not None)
     said = []
     if mirrored and not flipped:
-        said.append(f"{sweeps.topic}: turns against the odometry: it hangs upside down; mirrored")
+        said.append(f"{sweeps.topic}: turns opposite to the odometry: it is mounted upside down; mirrored")
     found = None
     for _ in range(2):
         motion, found = _refined(pairs, motion, by_tf=known)
@@ -121,7 +121,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     elif sweeps.by_scan_time:
         said.append(
             f"{sweeps.topic}: time_increment is 0, and sweeps fit each other no better spread over scan_time "
-            f"({abs(stated_s):.2f} s): all beams of a sweep count as taken at once"
+            f"({abs(stated_s):.2f} s): all beams of a sweep are treated as simultaneous"
         )
     evenly = _taken_evenly(pairs, Calibration(sweeps, motion, mirrored, (), turn_s), by_tf=known)
     if evenly is not None:

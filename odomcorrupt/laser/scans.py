@@ -118,12 +118,12 @@ def _ordered(
     logs = np.array([log for _, log in rows])
     if not stamps.any():
         stamps = logs
-        notes.append(f"{name}: no stamps in the messages, log times taken: its clock holds the delays of arrival")
+        notes.append(f"{name}: no stamps in the messages, log times used: they include delays of arrival")
     elif np.ptp(stamps - logs) < 1 and np.any(np.diff(np.sort(logs)) > 0) and len(np.unique(stamps % 1000)) > 500:
-        notes.append(f"{name}: stamped when it was recorded, it seems; delays of arrival count as noise")
+        notes.append(f"{name}: apparently stamped on arrival; delays of arrival count as noise")
     _, index = np.unique(stamps, return_index=True)
     if len(index) < len(rows):
-        notes.append(f"{name}: {len(rows) - len(index)} sweeps with the stamp of another left out")
+        notes.append(f"{name}: {len(rows) - len(index)} sweeps with duplicate stamps left out")
     kept = [(_stamped(rows[i][0], int(stamps[i])), rows[i][1]) for i in index]
     return kept, notes
 

@@ -40,7 +40,7 @@ def turned_too_far(recording):
     [
         ({"mount": (0.1, 0.05, np.pi / 2)}, "found to sit at"),
         ({"mount": (0.1, 0.0, np.pi / 2), "stated": (0.1, 0.0, 0.0)}, "turned by 90 deg against what TF says"),
-        ({"flipped": True}, "hangs upside down"),
+        ({"flipped": True}, "mounted upside down"),
         ({"rate_hz": 1.0, "stated": (0.1, 0.0, 0.0)}, "one sweep in 1.0 s"),
         ({"jitter_s": 0.05, "stated": (0.1, 0.0, 0.0)}, "stamped on arrival"),
         ({"cloud": True, "stated": (0.1, 0.0, 0.0), "sweep_s": 0.001}, "a horizontal slice"),
@@ -58,7 +58,7 @@ def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("sweep_s", "said"), [(0.0, "taken at once"), (0.19, "a turn takes 0.19 s (counter-clockwise)")]
+    ("sweep_s", "said"), [(0.0, "treated as simultaneous"), (0.19, "a turn takes 0.19 s (counter-clockwise)")]
 )
 def test_scan_time_without_increment_counts_where_sweeps_fit_better_by_it(tmp_path, sweep_s, said):
     path = raycaster.drive(tmp_path / "run.mcap", sweep_s=sweep_s, scan_time_s=0.19, stated=(0.1, 0.0, 0.0))

@@ -144,7 +144,7 @@ def test_what_happened_once_is_a_turn_where_a_gyro_alone_is_the_truth(tmp_path):
 def test_a_model_needs_travel_and_a_gyro_has_none(tmp_path, capsys):
     path = bag(tmp_path / "run.mcap", drive(duration_s=40.0))
     assert run(["learn", str(path)]) == 1
-    assert "say nothing of travel" in capsys.readouterr().err
+    assert "do not measure travel" in capsys.readouterr().err
 
 
 def test_a_gyro_of_another_robot_is_refused_where_it_is_named(tmp_path, capsys):

@@ -123,7 +123,7 @@ def test_a_model_that_no_odometry_obeys_has_a_panel_that_says_so(comparison):
     pieces = tuple(replace(p, model=replace(p.model, effects=(swallows,))) for p in robot.pieces)
     figure = draw_paths(replace(comparison, judgements=(base, replace(robot, pieces=pieces))))
     titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert "no odometry of this drive obeys it" in titles[1]
+    assert "no odometry of this drive satisfies it" in titles[1]
     assert "90 % region" in titles[0]
 
 

@@ -148,7 +148,7 @@ def test_the_headline_says_which_dependences_are_not_in_the_model(rich):
         for one in (UNKNOWNS[0], over_time)
     }
     assert "not in the model" not in said["speed"]
-    assert said["time"].endswith("(not in the model; another drive decides, --validate OTHER)")
+    assert said["time"].endswith("(not in the model; to decide, validate on another drive (--validate OTHER))")
 
 
 def test_a_validated_drive_is_not_asked_for_but_what_it_showed_is_said(rich):
@@ -200,7 +200,7 @@ def test_names_and_dependences_of_the_model_are_in_order_of_their_evidence(rich)
 
 def test_only_a_sign_that_is_as_significant_in_the_final_model_contradicts_physics(searched):
     first = searched.rounds[0]
-    forbidden = replace(first.candidates[0], refused="of a sign that it cannot have")
+    forbidden = replace(first.candidates[0], refused="of a physically impossible sign")
     against = replace(searched, fit=first.before, contradictions=(forbidden,), noise=(), unknown=(), laws=())
     assert "the data contradict physics: unequal_wheels" in found_text(against, NONE)
     # the final model explains it
@@ -218,7 +218,7 @@ def test_what_explains_about_as_much_as_a_name_is_said_beside_it(rich):
     assert both.left_nats == 0.0
     assert "nan" not in text
     alone = found_text(replace(rich, unknown=UNKNOWNS[4:]), NONE)
-    assert "the along error comes back every 0.52 m driven" in alone
+    assert "the along error is periodic, every 0.52 m driven" in alone
 
 
 def test_where_nothing_is_found_the_text_says_so(poor):
@@ -233,7 +233,7 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
     )
     assert lines[0].endswith("that is expected to separate them by 12 nats")
     assert "up to 46 deg/s" in lines[1]
-    assert lines[2] == "wheel_scale or speed_scale: the same to every drive: measure a wheel"
+    assert lines[2] == "wheel_scale or speed_scale: identical on every drive: measure a wheel"
     assert "no drive of ten minutes would" in lines[3]
     assert lines[4].startswith("backlash, accel_slip: not testable here: never reversed; drive ")
     assert lines[5] == "slope: not testable here: no map; give a map"
@@ -514,5 +514,7 @@ def test_a_drive_that_settles_nothing_is_not_written(monkeypatch, searched, case
     monkeypatch.setattr("odomcorrupt.study.pipeline.advise", lambda _learned: NONE)
     drive = tmp_path / "next.mcap"
     assert run(["diagnose", str(case.bag), "--json", "--drive", str(drive)]) == 0
-    assert f"{drive} is not written: nothing is open that a drive would settle" in capsys.readouterr().err
+    assert (
+        f"{drive} is not written: there is no open question that another drive would answer" in capsys.readouterr().err
+    )
     assert not drive.exists()

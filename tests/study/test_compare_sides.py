@@ -41,9 +41,9 @@ def test_notes_name_the_random_effects_that_are_not_counted_and_no_others(run):
     wandering = effect_from_values("gauss_markov", {"sigma": 0.01, "tau": 5.0})
     tails = effect_from_values("heavy_tails", {})
     counted = compare([run], {"m": replace(RIGHT, effects=(wandering,))}).judgements[0]
-    assert not any("does not count" in note for note in counted.notes)
+    assert not any("do not include" in note for note in counted.notes)
     left_out = compare([run], {"m": replace(RIGHT, effects=(wandering, tails))}).judgements[0]
-    note = next(note for note in left_out.notes if "does not count" in note)
+    note = next(note for note in left_out.notes if "do not include" in note)
     assert "heavy_tails" in note
     assert "gauss_markov" not in note
 

@@ -135,7 +135,7 @@ def test_what_is_too_short_to_be_halved_is_left_out_and_said_so(office):
     cutting = split_of([long, short], ["long", "short"], 0.5)
     assert [run.names for run in cutting.pieces([long, short])] == [{"long"}]
     (note,) = cutting.notes
-    assert note.startswith("short: too short to be fitted on one half and judged on the other")
+    assert note.startswith("short: too short to be fitted on one half and evaluated on the other")
     alone = split_of([short], ["short"], 0.5)
     assert "record longer" in alone.notes[-1]
     assert [run.names for run in alone.pieces([short])] == [{"short"}]

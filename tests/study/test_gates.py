@@ -60,7 +60,7 @@ def test_a_sign_that_physics_forbids_is_an_alarm_about_the_data_and_no_name():
 def test_a_slip_of_minus_half_the_message_period_is_eulers_method(k, named):
     run = inward(3, k)  # messages at 50 Hz
     refused = {c.name: c.refused for c in library_candidates(fit([run], approach=choose_approach([run])), DECISIONS)}
-    assert "of a sign that it cannot have" in refused["side_slip"]
+    assert "of a physically impossible sign" in refused["side_slip"]
     assert ("minus half the 0.02 s between messages" in refused["side_slip"]) == named
 
 

@@ -116,7 +116,7 @@ def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_
 def test_another_drive_that_was_given_is_not_asked_for_but_said_to_support_nothing():
     test = HeldOut("left_over_time", -1.2, 25.0, (0.05, 0.05), 0.0, failure="", needed=False, doubtful=False)
     said = [held_out._needs_support(test, others).remark for others in ([], [None], [None] * 2)]
-    assert said[0].endswith("a second one would show whether it happens again")
+    assert said[0].endswith("a second one would show whether it recurs")
     assert said[1].endswith("the other drive does not support it: -1 +- 25 nats")
     assert said[2].endswith("the other drives do not support it: -1 +- 25 nats")
     assert "halves" not in held_out._needed(test, [None]).failure

@@ -67,7 +67,7 @@ def test_a_number_beyond_its_bounds_is_written_within_them_and_named(drive):
     (written,) = parse_model(format_model(found.model)).effects
     assert written.sigma == 0.5
     assert "gauss_markov.sigma: 0.8 was fitted" in found.changes[0]
-    assert any("gauss_markov.sigma = 0.5 stands on the bound" in change for change in found.changes)
+    assert any("gauss_markov.sigma = 0.5 is at its physical bound" in change for change in found.changes)
 
 
 def test_a_robot_that_turns_4_times_as_far_is_informed_that_its_nominal_values_are_wrong(drive):

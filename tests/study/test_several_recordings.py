@@ -83,4 +83,4 @@ def test_a_held_out_recording_is_judged_with_its_own_truth_and_a_clock_found_wit
     assert late < 1.1 * on_time
     for compared in errors.values():
         assert compared.judgements[0].pieces[0].truth.xy_m == pytest.approx(0.01, rel=0.2)
-        assert any("was judged as such" in note for note in compared.judgements[0].notes)
+        assert any("was weighted accordingly" in note for note in compared.judgements[0].notes)

@@ -68,7 +68,9 @@ def _words(comparison: Comparison) -> list[str]:
         if judgement.failures:
             parts.append(failure_items(judgement, number))
             more = len(judgement.failures) - MOST
-            parts += [f'<p class="quiet">And {more} more, less plain; --json has them all.</p>'] if more > 0 else []
+            parts += (
+                [f'<p class="quiet">And {more} more, less significant; --json has them all.</p>'] if more > 0 else []
+            )
         else:
             parts.append("<p>No motion, time, place or moment in which it fails.</p>")
         parts += [f'<p class="quiet">Note: {prose(note)}.</p>' for note in judgement.notes]
@@ -136,8 +138,8 @@ def _known(channel: str, value: float) -> str:
 def _legend(version: str) -> str:
     return (
         "Windows of a length of path do not overlap and start at the truth. Errors are root mean squares, in the frame "
-        "of the window's end. NEES: normalised squared error per degree of freedom, 1 where the model is right; what "
-        "chance makes of it includes the model's own standard errors. 50 and 90 %: part of the errors inside the "
+        "of the window's end. NEES: normalised squared error per degree of freedom, 1 where the model is right; its "
+        "95 % range by chance includes the standard errors of the model. 50 and 90 %: part of the errors inside the "
         "model's intervals. CRPS: the smaller, the better. ATE and RPE as evo defines them, root mean squares. Nats: "
         f"log likelihood of measurements that were not fitted. Made by odomcorrupt {version}."
     )

@@ -95,10 +95,10 @@ _RESIDUALS = (
     "curve show on what the error depends; of a right model one in twenty misses it."
 )
 _REJECTED = (
-    "The last model is rejected all the same: what is expected of errors does not count noise that wanders or comes in "
-    "bursts, and there may be a cause that is in no library. What the error depends on is drawn below."
+    "The last model is still rejected: predicted errors do not include slowly varying noise or bursts, and there may "
+    "be a cause that is not in the library. What the error depends on is drawn below."
 )
-_UNKNOWN = "What is left when everything that was found is taken out, as a curve, with two standard errors about it."
+_UNKNOWN = "Residual error after all effects found are removed, as a curve with two standard errors."
 
 
 def _verdict(story: SearchReport) -> str:
@@ -132,7 +132,7 @@ def _next(story: SearchReport) -> str:
     items += [f"suggested: {u.expression}" for u in story.learned.unknown[:3] if u not in story.learned.laws]
     listed = f"<ul>{''.join(f'<li>{prose(item)}.</li>' for item in items)}</ul>" if items else ""
     command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
-    nothing = "" if listed or command else "<p>Nothing is open that another drive would settle.</p>"
+    nothing = "" if listed or command else "<p>There is no open question that another drive would answer.</p>"
     if story.sequence.judgements[-1].verdict.fails and not story.learned.unknown:
         nothing += f"<p>{_REJECTED}</p>"
     return f'<div class="next">{command}{listed}{nothing}</div>'
@@ -188,7 +188,7 @@ def _clock(line: str) -> str:
 def _effect(step: Step, learned: Learned, effect: Effect, errors: Sequence[float], sequence: Comparison) -> str:
     lines = [*_values(numbers_text(effect, errors)), f"<p>{escape(effect.summary)}</p>"]
     if twins := readings_of(effect, learned.drive_type):
-        lines.append(f"<p>= {escape(', '.join(twins))}: one error with two readings</p>")
+        lines.append(f"<p>= {escape(', '.join(twins))}: one error under two names</p>")
     if rivals := [name for name in step.alternatives if name not in twins]:
         lines.append(f"<p>or {escape(', '.join(rivals))}: these data do not separate them</p>")
     lines += _meter(step_confidence(step, learned), step.candidates[0].gain)

@@ -302,8 +302,8 @@ PICTURES: Mapping[str, Picture] = {
     ),
     "nees": Picture(
         "NEES by length of path",
-        "Rising with distance: a cause is missing, or noise that remembers. Flat but not 1: the noise has the wrong "
-        "size. Falling: noise of the truth taken for motion noise.",
+        "Rising with distance: a cause is missing, or the noise is correlated in time. Flat but not 1: the noise has "
+        "the wrong size. Falling: noise of the truth attributed to the motion.",
         draw_nees,
     ),
     "residuals": Picture(

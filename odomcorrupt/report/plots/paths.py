@@ -37,7 +37,7 @@ def draw_paths(comparison: Comparison) -> Figure:
                 longest = max(judgement.pieces, key=lambda piece: float(piece.interval_metres.sum()))
                 _panel(axes, replay(longest, runs=_RUNS), short_name(judgement.name))
             except EffectError:  # a law that absorbs all motion can be removed from odometry, but not applied
-                none = "no odometry of this drive obeys it: no runs to show"
+                none = "no odometry of this drive satisfies it: no runs to show"
                 axes.set_title(f"{short_name(judgement.name)}\n{none}", fontsize=10)
         figure.legend(*panels[0][0].get_legend_handles_labels(), loc="upper left", ncols=4, fontsize=9)
     return figure

@@ -262,7 +262,7 @@ def _found_lines(
         for one in search.disagreements
     ]
     lines += [Line("data", contradiction(one), "warning") for one in search.contradicted]
-    said = f"{', '.join(small)}: in the model, but moves nothing that matters"
+    said = f"{', '.join(small)}: in the model, but negligible"
     return lines, [Line("negligible", said, weight=SPARE)] if small else []
 
 
@@ -270,7 +270,7 @@ def _left_out(unknown: Dependence, search: Learned, held_out: JudgedOn) -> str:
     """Return that a dependence is reported only, not in the model, and what another drive showed; "" if it is in it."""
     if unknown in search.laws or unknown.instead_of:
         return ""
-    other = "another drive decides, --validate OTHER" if unknown.regressor == "time" else ""
+    other = "to decide, validate on another drive (--validate OTHER)" if unknown.regressor == "time" else ""
     if held_out == "recordings":
         other = search.left_out.get(unknown.name, "")
     mean = search.mean_of(unknown)
@@ -303,7 +303,7 @@ def _contact_words(effect: Effect, search: Learned) -> str:
     """Return that an unknown track left wheels untried that slip one by one at the edge of a patch; or ""."""
     if getattr(effect, "contact", "") != "body" or any(r.track_m is not None for r in search.fit.problem.recordings):
         return ""
-    return "; give --track: the wheels may meet it one by one" if search.drive_type.name == "differential" else ""
+    return "; give --track: the wheels may cross it separately" if search.drive_type.name == "differential" else ""
 
 
 def _track_lines(search: Learned, *, failed: bool) -> list[Line]:
@@ -373,7 +373,7 @@ def _hidden_noise(result: RobotFit) -> list[Line]:
     return [
         Line(
             "noise",
-            f"at most {most} after a metre (95 %): the localisation's own errors hide it; the model has the estimate",
+            f"at most {most} after a metre (95 %): the localisation's own errors mask it; the model has the estimate",
         )
     ]
 

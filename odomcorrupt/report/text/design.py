@@ -41,7 +41,7 @@ def _choice_sentence(choice: Ambiguity) -> str:
     names = " or ".join(choice.names)
     if choice.plan is None:
         if choice.hint:
-            return f"{names}: the same to every drive: {choice.hint}"
+            return f"{names}: identical on every drive: {choice.hint}"
         return f"{names}: these data do not separate them, and no drive of ten minutes would"
     why = f" ({choice.why})" if choice.why else ""
     return (

@@ -167,7 +167,7 @@ def dependence(unknown: Dependence) -> str:
     """Return the regressors that an error depends on, as a clause."""
     regressor = ": ".join(filter(None, (unknown.regressor.replace("_", " "), unknown.place)))
     if unknown.wavelength_m is not None:
-        return f"the {unknown.channel} error comes back every {unknown.wavelength_m:.3g} m driven"
+        return f"the {unknown.channel} error is periodic, every {unknown.wavelength_m:.3g} m driven"
     if unknown.wheels:
         whose = "of each wheel" if unknown.wheels == "wheels" else f"of the {unknown.wheels} wheel"
         return f"the error {whose} depends on {regressor}"

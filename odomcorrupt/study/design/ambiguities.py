@@ -183,7 +183,7 @@ def undetermined_clocks(drives: Drives) -> list[UntestableClock]:
         ]
         plan, nats = best_plan(drives, shows)
         why = missing_motion(drives, shows, nats) or "too little motion that shows it"
-        why += f", and here it looks like {' and '.join(masks)}" if masks else ""
+        why += f", and on this drive it resembles {' and '.join(masks)}" if masks else ""
         about = kind.about
         seen = nats >= 0.5 * FOUND**2
         untestable = UntestableEffect(name, why, plan if seen else None, "" if seen or about is None else about.drive)

@@ -89,7 +89,7 @@ def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
     plan, nats = best_plan(drives, gain)
     why = missing_motion(drives, gain, nats) or _short_of(candidate)
     if masks := _masks(drives, effect):
-        why += f", and here it looks like {' and '.join(masks)}"
+        why += f", and on this drive it resembles {' and '.join(masks)}"
     if nats < 0.5 * FOUND**2:
         about = effect.about
         return UntestableEffect(effect.name, why, None, about.drive if about else "")
@@ -162,7 +162,7 @@ def untried(learned: Learned) -> list[UntestableEffect]:
         if kind.needs_track and not (track or brings_track(kind)):
             found.append(UntestableEffect(name, _NO_TRACK, None, hint))
         else:
-            found.append(UntestableEffect(name, "nothing on this drive to try it on", None, hint))
+            found.append(UntestableEffect(name, "this drive has no motion on which to test it", None, hint))
     return found
 
 

@@ -204,7 +204,7 @@ def _loop(limits: Limits) -> Iterator[Step]:
 
 
 MANOEUVRES: tuple[Manoeuvre, ...] = (
-    Manoeuvre("stands", "straights with stands of half a minute between them", _stands),
+    Manoeuvre("stands", "straights with stops of half a minute between them", _stands),
     Manoeuvre("there_and_back", "straight there, and straight back in reverse", _there_and_back),
     Manoeuvre("two_speeds", "the same straight slowly and fast", _two_speeds),
     Manoeuvre(
@@ -219,6 +219,6 @@ MANOEUVRES: tuple[Manoeuvre, ...] = (
     Manoeuvre("turns_apart", "the same turn on the spot, in a tight bend and in a wide one, both ways", _turns_apart),
     Manoeuvre("hard", "short straights with hard starts and hard braking, and turns on the spot between them", _hard),
     Manoeuvre("star", "straights in eight headings, with turns on the spot between them", _star),
-    Manoeuvre("everything", "a bit of everything: straights, bends and turns, slow, fast and in reverse", _everything),
-    Manoeuvre("loop", "one loop again and again", _loop, least_s=600.0),
+    Manoeuvre("everything", "a mixture: straights, bends and turns, slow, fast and in reverse", _everything),
+    Manoeuvre("loop", "one loop, repeated", _loop, least_s=600.0),
 )

@@ -183,7 +183,7 @@ def _check_both_ways(drives: Sequence[Recording]) -> None:
     if min(left, right) < _ONE_WAY * (left + right):
         raise FitError(
             f"{np.degrees(left):.0f} deg of turning to the left, {np.degrees(right):.0f} deg to the right: that does "
-            f"not tell {' from '.join(USUAL)}; drive the path the other way round, too, or fit one of them with --add"
+            f"not separate {' and '.join(USUAL)}; drive it the other way round, too, or fit one of them with --add"
         )
 
 
@@ -201,5 +201,6 @@ def _check(normal: Array, effects: Sequence[Effect], equations: int) -> None:
     i, j = np.unravel_index(int(np.argmax(alike)), alike.shape)
     if alike[i, j] > _ALIASED:
         raise FitError(
-            f"{names[i]} and {names[j]} do the same to where these drives end: drive the path the other way round, too"
+            f"{names[i]} and {names[j]} have the same effect on the end poses of these drives: drive the path the "
+            "other way round, too"
         )

@@ -52,7 +52,7 @@ def check_turning(here: Samples, there: Samples) -> None:
         side = "behind" if corr.lag_s[best] > 0.0 else "ahead of"
         raise RecordingError(
             f"{there.place}: its clock is {abs(corr.lag_s[best]):.1f} s {side} the odometry's (motions correlate by "
-            f"{corr.both[best]:.2f} there, by {corr.both[near].max():.2f} as they are); say --truth-shift "
+            f"{corr.both[best]:.2f} there, by {corr.both[near].max():.2f} as they are); give --truth-shift "
             f"{corr.lag_s[best]:.1f}"
         )
 

@@ -178,10 +178,10 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
     else:
         own = angles @ axis
         bias, error = float(np.median(_rate_on(own_s - lag_s, own, grid) - turned)), _UNKNOWN_BIAS_RADPS
-        how = "taken from the odometry, which hardly rests: not known"
+        how = "taken from the odometry, which hardly rests, and so uncertain"
         if abs(bias) > _MAX_BIAS_RADPS:
             # A difference this large comes from skidding wheels, not from a gyro.
-            bias, how = 0.0, "not known, for the odometry hardly rests"
+            bias, how = 0.0, "unknown, because the odometry hardly rests"
     found = YawGyro(gyro.place, gyro.topic, stamps, rate - bias, error, "", ())
     source = _heading_source(found, odometry, still)
     notes = [_axis_words(axis), f"its bias is {np.degrees(bias):.3f} deg/s, {how}"]

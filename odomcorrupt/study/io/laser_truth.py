@@ -215,7 +215,7 @@ def _said(run: LaserRun) -> list[str]:
     if abs(lag) > _LAG_SAID_S:
         way = "late" if lag < 0.0 else "early"
         said.append(
-            f"scans are stamped about {abs(lag):.2f} s {way} against odometry, which looks like odometry that is "
+            f"scans are stamped about {abs(lag):.2f} s {way} against odometry, which is equivalent to odometry that is "
             f"{'early' if way == 'late' else 'late'}"
         )
     weak = float(path.weak.mean())

@@ -93,7 +93,7 @@ def _shift(odometry: Samples, truth: Samples) -> str:
     start_s = float(odometry.stamps_ns[0] - truth.stamps_ns[0]) * 1e-9
     if corr.both[best] > _CLEAR:
         return f"the motions match with --truth-shift {start_s + corr.lag_s[best]:.1f}"
-    return f"if both began together, say --truth-shift {start_s:.1f}"
+    return f"if both began together, give --truth-shift {start_s:.1f}"
 
 
 def _check_motion(here: Samples, there: Samples) -> None:

@@ -105,7 +105,7 @@ class Samples:
     def trajectory(self) -> Trajectory:
         """Return stamps, x, y and unwrapped headings; the stamps must increase."""
         if len(self) < LEAST:
-            raise RecordingError(f"{self.place} holds {len(self)} usable poses; it takes many more")
+            raise RecordingError(f"{self.place} holds {len(self)} usable poses; many more are needed")
         yaw = np.unwrap(self.yaw_rad) if self.headed else self.yaw_rad
         xyt = np.concatenate((self.xyz[:, :2], yaw[:, None]), axis=1)
         return Trajectory(self.stamps_ns, xyt, self.covariance, self.relative)
@@ -157,7 +157,7 @@ def order_of(stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64]) -> Order:
     if swapped:
         notes.append(f"{swapped} stamps out of order sorted")
     if len(stamps) > len(unique):
-        notes.append(f"{len(stamps) - len(unique)} poses with the stamp of another left out")
+        notes.append(f"{len(stamps) - len(unique)} poses with duplicate stamps left out")
     ahead = np.flatnonzero(np.diff(unique) > _FORWARD_NS) + 1
     if len(ahead):
         kept = max(np.split(np.arange(len(unique)), ahead), key=len)
@@ -182,7 +182,7 @@ def in_order(samples: Samples) -> Samples:
     if not good.any():
         raise RecordingError(f"{samples.place}: none of its {found} positions is a number; name another source")
     if not good.all():
-        samples = samples.only(good, f"{np.sum(~good)} positions that are no numbers left out")
+        samples = samples.only(good, f"{np.sum(~good)} positions that are not numbers left out")
     headless: NDArray[np.bool_] = ~(np.abs(samples.yaw_rad) < _FAR_M)
     if headless.all():
         samples = samples.without_headings()
@@ -191,8 +191,8 @@ def in_order(samples: Samples) -> Samples:
     order = order_of(samples.stamps_ns, samples.log_ns)
     if len(order.rows) < 2:
         raise RecordingError(
-            f"{samples.place}: {found} poses, {len(order.rows)} of them with a stamp and numbers of their own; "
-            "it takes many more"
+            f"{samples.place}: {found} poses, {len(order.rows)} of them with a unique stamp and finite numbers; "
+            "many more are needed"
         )
     return samples.only(order.rows, *order.notes).stamped(order.stamps_ns)
 

@@ -128,7 +128,7 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
         raise RecordingError(f"{_place(source)}: no part of the laser's map is long enough; drive slower or longer")
     chosen = "" if source.scan else f"no truth: the laser on {scan} is used instead (as with --scan {scan})"
     error = source.truth_scale_error
-    said = f"the laser as a ruler is accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
+    said = f"the laser's scale is accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
     runs = [
         replace(
             r,

@@ -50,7 +50,7 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     within = _apart(odometry, truth) < _SAME_M
     if (share > 0.99 or (share > 0.5 and within)) and _copied(odometry, truth):
         raise RecordingError(
-            f"{truth.place}: says what {odometry.name} says ({np.sum(same)} of {len(same)} steps are equal): it is the "
+            f"{truth.place}: repeats {odometry.name} ({np.sum(same)} of {len(same)} steps are equal): it is the "
             "same odometry; name a truth that does not come from it"
         )
     if within:
@@ -127,21 +127,23 @@ def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> li
     if feedback.per_s:
         faded = f"fade by {1.0 - np.exp(-feedback.per_s):.0%} a second, as"
         if feedback.of_headings:
-            signs.append(f"its errors of heading {faded} with a compass, or a yaw error that depends on the heading")
+            signs.append(
+                f"its errors of heading {faded} those of a compass or of a yaw error that depends on the heading"
+            )
         else:
-            signs.append(f"its errors {faded} if it were given poses")
+            signs.append(f"its errors {faded} those of a filter that receives poses")
     if not signs:
         return []
-    what = "a motion model describes what no other sensor has corrected"
+    what = "a motion model describes odometry that no other sensor has corrected"
     if feedback.corrections:
         what = (
-            f"{feedback.corrections} sudden steps towards such poses were taken out, as `correct` does with the model; "
-            "what is learned is of the odometry between them, its filter's lags included"
+            f"{feedback.corrections} sudden steps towards such poses were removed, as `correct` does with the model; "
+            "the learned model is that of the odometry between them, including lags of its filter"
         )
     elif jumps or feedback.per_s:
         what += (
-            ": of scales, biases and noise only what outlives a correction can be seen, clocks and lags as ever; "
-            "record the wheels' own odometry for the rest"
+            ": of scales, biases and noise only the part that persists after a correction can be estimated (clocks and "
+            "lags are unaffected); record wheel-only odometry for the rest"
         )
     return [f"{odometry.name}: looks like a filter's output, not like wheel odometry ({', '.join(signs)}); {what}"]
 
@@ -151,7 +153,7 @@ def dead_band_warnings(odometry: Samples, threshold_radps: float) -> list[str]:
     if not threshold_radps:
         return []
     what = (
-        "a dead band of the gyro or of its driver. What it loses resembles other errors of the heading, whose "
+        "a dead band of the gyro or of its driver. The lost turns resemble other errors of the heading, whose "
         "confidence is limited; switch it off, or apply it at rest only"
     )
     band = f"yaw rates below {threshold_radps:.2g} rad/s read exactly zero although the robot turns"

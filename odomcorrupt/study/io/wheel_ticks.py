@@ -171,7 +171,9 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
         )
     lost = _late_counts(angles.angle)
     if lost:
-        notes.append(f"{names}: {lost} times a wheel stood for one message and made up for it in the next: late counts")
+        notes.append(
+            f"{names}: {lost} times a wheel's angle stayed for one message and caught up in the next: late counts"
+        )
     if abs(lag_s) > _REPORTED_LAG_S:
         notes.append(
             f"odometry is stamped {abs(lag_s):.2f} s {'after' if lag_s > 0.0 else 'before'} the wheels' angles"

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.terms.term import Term
 
-_IMPOSSIBLE_SIGN = "of a sign that it cannot have"
+_IMPOSSIBLE_SIGN = "of a physically impossible sign"
 """Refusal of an effect whose estimate has a physically impossible sign."""
 _DRIFT = f"makes the {WINDOW_S:g} s error larger"
 _STILL, _CREEP = 0.02, 0.1
@@ -198,10 +198,10 @@ def _imitated_by_noise(fit: Fit, score: Score, *, still: bool) -> str:
     """Return the kind of noise that may imitate a significant effect, as a reason for refusal; "" if there is none."""
     columns = score.term.columns(fit.problem)
     if _shows_at_rest_only(fit, score, columns):
-        return "shows only while the robot stands, and moves nothing there by itself"
+        return "shows only while the robot stands, where this effect by itself causes no motion"
     corrections = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
     steered = corrections or (still and acts_in_curves_only(fit, score.effect))
-    return "turns no larger than the noise: it may be a driver who steers back" if steered else ""
+    return "turns no larger than the noise: a driver's steering corrections may cause them" if steered else ""
 
 
 def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:

@@ -236,10 +236,10 @@ def _notes(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
     motion = pieces[0].problem.motions[0]
     random = [effect.name for effect in model.effects if effect.kind == "noise" and not effect.gains(motion)]
     if random:
-        notes.append(f"corruption draws {', '.join(random)}, but what is expected here does not count it")
+        notes.append(f"corruption draws {', '.join(random)}, but the predicted errors here do not include it")
     k = model.noise.coefficients
     if k.white_v or k.white_omega:
-        notes.append("corruption draws white noise on twists, but what is expected here does not count it")
+        notes.append("corruption draws white noise on twists, but the predicted errors here do not include it")
     if model.setup.truth is None:
         truth = pieces[0].truth
         notes.append(
@@ -248,10 +248,10 @@ def _notes(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
     elif any(piece.truth != model.setup.truth for piece in pieces if piece.headed and not piece.refitted):
         own = "; ".join(_truth_words(piece) for piece in pieces)
         notes.append(
-            f"its truth is noisier or better than that of the fitted recordings, and was judged as such ({own})"
+            f"its truth is noisier or better than that of the fitted recordings, and was weighted accordingly ({own})"
         )
     if not all(piece.headed for piece in pieces):
-        notes.append("the truth has positions only: nothing is said of yaw")
+        notes.append("the truth has positions only: yaw is not evaluated")
     return tuple(notes)
 
 

@@ -88,13 +88,13 @@ def split_of(recordings: Sequence[Recording], fitted: Collection[str], spacing_s
         else:
             word = "second" if pieces.first else "first"
             notes.append(
-                f"{run[0].name}: too short to be fitted on one half and judged on the other: its {word} half has no "
+                f"{run[0].name}: too short to be fitted on one half and evaluated on the other: its {word} half has no "
                 f"{LEAST_INTERVALS} stretches of {spacing_s:g} s with both odometry and truth"
             )
     if not kept:
         notes[-1] += (
             ". Errors and likelihood are those on the fitted data, which every model explains best: record longer, or "
-            "judge on another recording"
+            "evaluate on another recording"
         )
         return Split((None,) * len(runs), tuple(range(len(runs))), spacing_s, tuple(notes))
     return Split(middles, tuple(kept), spacing_s, tuple(notes))

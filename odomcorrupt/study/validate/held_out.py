@@ -144,7 +144,7 @@ def _needs_support(one: HeldOut, others: Sequence[Recording]) -> HeldOut:
     if others:
         return replace(one, failure=_unsupported(one, others))
     return replace(
-        one, failure="it says when this one drive went wrong; a second one would show whether it happens again"
+        one, failure="it depends on the time within this one drive; a second one would show whether it recurs"
     )
 
 

@@ -118,9 +118,8 @@ def bound_notes(model: MotionModel) -> tuple[str, ...]:
             value = getattr(effect, p.name)
             if value != p.identity and _on_bound(value, p):
                 notes.append(
-                    f"{effect.name}.{p.name} = {value:.4g} {p.unit}".rstrip() + " stands on the bound of what is "
-                    "physically possible: the robot's nominal values, units or topics are wrong, or something else is "
-                    "at work"
+                    f"{effect.name}.{p.name} = {value:.4g} {p.unit}".rstrip() + " is at its physical bound: the "
+                    "robot's nominal values, units or topics are wrong, or the cause is another one"
                 )
         if effect.name == "wheelbase":
             factor = 1.0 / (1.0 + getattr(effect, "e", 0.0))

@@ -49,7 +49,7 @@ def test_swapped_and_repeated_stamps_are_sorted_and_counted(read):
     assert np.array_equal(recordings[0].odometry.stamps_ns, moved.stamps_ns)
     np.testing.assert_allclose(recordings[0].odometry.xyt, moved.xyt, atol=1e-12)
     assert "1 stamps out of order sorted" in noted(recordings, "sorted")
-    assert "2 poses with the stamp of another" in noted(recordings, "stamp of another")
+    assert "2 poses with duplicate stamps" in noted(recordings, "duplicate stamps")
 
 
 def test_without_any_stamp_log_times_are_taken_and_it_is_said(read):
@@ -66,7 +66,7 @@ def test_a_few_poses_without_stamp_or_number_are_left_out(read):
     recordings = read(real=Rows(stamps, xyz, real.yaw), truth={"log_ns": real.stamps_ns})
     assert set(real.stamps_ns) - set(recordings[0].truth.stamps_ns) == {real.stamps_ns[3], real.stamps_ns[7]}
     noted(recordings, "1 poses without a stamp left out")
-    noted(recordings, "1 positions that are no numbers left out")
+    noted(recordings, "1 positions that are not numbers left out")
 
 
 def test_a_clock_that_is_set_back_keeps_the_longest_stretch_and_never_interleaves():
@@ -140,7 +140,7 @@ def test_one_wild_position_is_an_outlier_and_no_unit(read, far):
     xyz[321] = [far, -far, 0.0]
     (recording,) = read(real=real.having(xyz=xyz))
     assert np.array_equal(recording.truth.stamps_ns, np.delete(real.stamps_ns, 321))
-    noted([recording], "/truth: 1 outliers" if far < 1e9 else "/truth: 1 positions that are no numbers")
+    noted([recording], "/truth: 1 outliers" if far < 1e9 else "/truth: 1 positions that are not numbers")
 
 
 def test_a_truth_that_jumps_for_good_is_cut_there(read):

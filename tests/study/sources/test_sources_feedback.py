@@ -87,7 +87,7 @@ def test_errors_that_fade_are_and_what_can_be_learned_is_said(tmp_path, cause, p
     recording = run_of(tmp_path, odometry(CAUSES[cause], pull))
     said = " ".join(recording.notes)
     assert "its errors fade by" in said
-    assert "clocks and lags as ever; record the wheels' own odometry" in said
+    assert "(clocks and lags are unaffected); record wheel-only odometry" in said
     assert 0.3 * pull < pulled_per_s(recording) < 1.5 * pull
 
 
@@ -102,7 +102,7 @@ def test_a_compass_corrects_headings_and_no_positions(tmp_path):
     poses = np.array([now := REAL[0], *(now := compose(now, step) for step in steps)])
     recording = run_of(tmp_path, poses)
     assert "its errors of heading fade by" in (said := " ".join(recording.notes))
-    assert "as with a compass, or a yaw error that depends on the heading" in said
+    assert "as those of a compass or of a yaw error that depends on the heading" in said
     assert pulled_per_s(recording) > 0.1
 
 
@@ -115,7 +115,7 @@ def test_steps_towards_poses_are_taken_out_of_odometry_whose_wheels_make_none(tm
     (entry,) = recordings_json([recording])
     assert entry["odometry_pulled_per_s"] == 0.0
     assert entry["odometry_pose_corrections"] > 0.95 * SECONDS
-    assert "sudden steps towards such poses were taken out" in " ".join(recording.notes)
+    assert "sudden steps towards such poses were removed" in " ".join(recording.notes)
     gained = between(recording.odometry.xyt[:-1], recording.odometry.xyt[1:]) - between(free[:-1], free[1:])
     assert np.abs(gained.sum(axis=0)).max() < 0.01
 

@@ -94,7 +94,7 @@ def test_a_clock_that_is_many_seconds_off_within_the_overlap(refused, tmp_path):
     real = truth(60.0)
     line = refused(odometry(60.0), real.having(stamps_ns=real.stamps_ns + 14_000_000_000))
     assert "/truth: its clock is 14.0 s ahead of the odometry's" in line
-    shift = float(line.split("say --truth-shift ")[1])
+    shift = float(line.split("give --truth-shift ")[1])
     assert shift == pytest.approx(-14.0, abs=0.3)
     assert len(read_runs(Source(tmp_path / "run.mcap", truth_shift_s=shift))) == 1
 
@@ -109,7 +109,7 @@ def test_a_small_offset_is_left_to_the_fit(tmp_path):
 
 def test_truth_identical_to_odometry(refused):
     moved = odometry()
-    assert "/truth: says what /odom says (599 of 599 steps are equal): it is the same odometry" in refused(moved, moved)
+    assert "/truth: repeats /odom (599 of 599 steps are equal): it is the same odometry" in refused(moved, moved)
 
 
 def test_a_throttled_copy_of_the_odometry_is_no_truth(refused):
@@ -305,4 +305,4 @@ def test_a_recording_may_come_through_a_pipe(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr("sys.stdin", Pipe)
     line = ending(["fit", "-", "--truth", "/tf:map.base_link"], capsys)
-    assert line.startswith("odomcorrupt: stdin: /tf:map.base_link: says what /odom says")
+    assert line.startswith("odomcorrupt: stdin: /tf:map.base_link: repeats /odom")
