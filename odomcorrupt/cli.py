@@ -101,7 +101,7 @@ _HELP = """Add realistic, repeatable drift to the odometry in ROS bags and MCAP;
 odomcorrupt in.bag out.bag --alpha 0.05 0.02 0.05 0.01 --seed 7
 odomcorrupt - - --odom-topic /odom < in.mcap > out.mcap
 
-INPUT and OUTPUT are bags; - is a pipe (MCAP). A bag that is called like a command is reached as ./fit."""
+INPUT and OUTPUT are bags; - is a pipe (MCAP). A bag with the name of a command is given as ./fit."""
 
 
 @click.group(cls=_Group, help=_HELP, context_settings={"help_option_names": ["-h", "--help"]})

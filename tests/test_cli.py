@@ -138,7 +138,7 @@ def test_degrees_effects_laws_and_steps_are_said_back(corrupt):
     assert "Law linear, rot_rot 0.08727 rot_trans 0.1745 trans_trans 0.05 trans_rot 0.01" in said
     assert "once per 0.25m,0.2rad" in said
     assert "unequal_wheels (curvature 0.01 rad/m), lever_arm (x 0.1 m, y -0.05 m)" in said
-    assert "something else at another rate" not in said
+    assert "other values at another rate" not in said
 
 
 def test_a_law_that_depends_on_the_rate_says_so_with_the_drift_it_means_here(corrupt):
@@ -214,7 +214,7 @@ def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(cor
         (["--law", "linear"], "--law linear: what coefficients mean depends on the law"),
         (["--alpha", "0", "0", "0", "0", "--law", "cubic"], "no law is called 'cubic'; there are diffusion"),
         (["--preset", "ideal"], "no preset is called 'ideal'; there are typical, article"),
-        (["--preset", "article", "--alpha", "0", "0", "0", "0"], "--alpha and --preset both bring noise"),
+        (["--preset", "article", "--alpha", "0", "0", "0", "0"], "--alpha and --preset both define noise"),
         (["--step", "0.25m,0.2rad"], "the law diffusion is the same at every step: leave --step out"),
         (["--preset", "article", "--step", "often"], "step: 'often'; write message"),
         (["--effect", "weel_scale:e=1"], "did you mean wheel_scale?"),
@@ -260,7 +260,7 @@ def test_an_input_that_is_no_whole_bag_is_one_line_exit_code_one_and_leaves_noth
         (["--odom-topic", "/nothing"], "no topic /nothing (nav_msgs/Odometry is on /odom); name another one"),
         (["--odom", "/imu"], "/imu is sensor_msgs/msg/Imu in cdr; --odom-topic must name a nav_msgs/Odometry"),
         (["--effect", "wheel_scale:e=-0.5"] * 2, "too strong for this drive"),
-        (["--compression", "rar"], "compression rar: is not one"),
+        (["--compression", "rar"], "compression rar: is not available"),
         (["--model", "nowhere.toml"], "nowhere.toml: cannot be read"),
     ],
 )

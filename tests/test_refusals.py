@@ -26,9 +26,9 @@ trans_rot = 0.01
 REFUSED = {
     f"sample {OFFICE} --start 0,0,0": "--start: the motion is that of",
     f"sample {OFFICE} --example article": "--example: the motion is that of",
-    "sample --start 0,0": "'0,0' is no pose; write x,y,heading as in 0.2,0.35,10deg",
-    "sample --start 10deg,0,0": "is no pose",
-    "sample --start a,b,c": "is no pose",
+    "sample --start 0,0": "'0,0' is not a pose; write x,y,heading as in 0.2,0.35,10deg",
+    "sample --start 10deg,0,0": "is not a pose",
+    "sample --start a,b,c": "is not a pose",
     "density -o out.txt": "ends in .txt; write .png, .svg or .pdf",
     f"map {OFFICE} -o out.txt": "ends in .txt; write .png, .svg or .pdf",
     f"integrate {OFFICE} --plot out.txt": "ends in .txt; write .png, .svg or .pdf",
@@ -43,8 +43,8 @@ REFUSED = {
     f"batch {OFFICE} runs --runs 2 --tf correction {NOISE}": "--tf correction and --new-odom-frame FRAME go together",
     f"batch {OFFICE} runs --runs 2 --keep-truth /t --output overlay {NOISE}": "--keep-truth: adds messages",
     "spread . -o out.txt": "ends in .txt; write .png, .svg or .pdf",
-    "simulate out.mcap --effect hidden --effect wheel_scale": "--effect hidden: stands alone",
-    "simulate out.mcap --effect none --effect wheel_scale": "--effect none: stands alone",
+    "simulate out.mcap --effect hidden --effect wheel_scale": "--effect hidden: cannot be combined",
+    "simulate out.mcap --effect none --effect wheel_scale": "--effect none: cannot be combined",
     "simulate out.mcap --effect wheel_scale:0.01": "'0.01' is not key=value; write as in wheel_scale:e=0.01",
     "simulate out.mcap --effect wheel_scale:e=nan": "e is nan; write a number, as in wheel_scale:e=0.01",
     "simulate out.mcap --size huge": "--size huge: give weak, medium, strong or a number",
@@ -63,11 +63,11 @@ REFUSED = {
     "fit robot.toml": "no recording given; name a bag with odometry and truth",
 }
 PIPES = {
-    "sample -": "-: the whole drive is read first, which a pipe cannot do; name a file",
-    "map -": "-: maps take the whole drive, which a pipe cannot show twice; name a file",
-    "integrate -": "-: integration reads the whole drive first, which a pipe cannot do; name files",
-    "info -": "INPUT is - but stdin is a terminal; feed it a bag",
-    "- out.mcap": "INPUT is - but stdin is a terminal; feed it a bag",
+    "sample -": "-: the whole drive is read first, which is impossible on a pipe; name a file",
+    "map -": "-: a map is made from the whole drive, which is impossible on a pipe; name a file",
+    "integrate -": "-: integration reads the whole drive first, which is impossible on a pipe; name files",
+    "info -": "INPUT is - but stdin is a terminal; redirect a bag to it",
+    "- out.mcap": "INPUT is - but stdin is a terminal; redirect a bag to it",
     "correct - out.mcap --effect gyro_bias:b=0.1": "correction reads a bag twice",
 }
 
@@ -140,7 +140,7 @@ def test_the_spread_of_a_batch_comes_as_text_as_values_and_as_a_picture(here, ca
     assert run(["spread", "runs", "-v", "-o", "out.svg"]) == 0
     text = capsys.readouterr().out
     assert text.startswith("runs: 3 runs; standard deviations about their mean")
-    assert "The prediction knows nothing of the draws of slip_burst." in text
+    assert "The prediction does not include the draws of slip_burst." in text
     assert (here / "out.svg").stat().st_size > 1000
     assert run(["spread", "runs", "--json"]) == 0
     told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)

@@ -161,7 +161,9 @@ def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
     origins = {name: m.motion_model.setup.origin for name, m in models.items() if m.motion_model.setup.origin}
     placed = {origins[n] for n in origins if any(e.reads_places for e in models[n].motion_model.effects)}
     if len(placed) > 1:
-        raise ModelError(f"{', '.join(origins)}: effects of places, counted from different origins; compare one by one")
+        raise ModelError(
+            f"{', '.join(origins)}: position-dependent effects with different origins; compare one model at a time"
+        )
     return next(iter([*placed, *origins.values()]), None)
 
 
@@ -176,5 +178,5 @@ def named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLik
     short = [Path(name).name for name in full]
     names = short if len(set(short)) == len(short) else full
     if len(set(names)) < len(names):
-        raise ModelError(f"models: {', '.join(names)}; the same one is named twice")
+        raise ModelError(f"models: {', '.join(names)}; the same model is named twice")
     return {name: as_model(model) for name, model in zip(names, given, strict=True)}

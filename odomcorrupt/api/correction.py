@@ -140,7 +140,7 @@ def correct(
 
     before = bag_path(source)
     if before is None:
-        raise OdomCorruptError("-: correction reads a bag twice, which a pipe cannot give; name a file")
+        raise OdomCorruptError("-: correction reads a bag twice, which is impossible on a pipe; name a file")
     moved, container = split_options(options)
     robot = NOISE_FREE if model is None else as_model(model).motion_model
     if start_xyt is None:

@@ -135,7 +135,7 @@ class Corruption(Result):
         from odomcorrupt.trajectories.reader import read_drive
 
         if "-" in (self.source, self.target):
-            raise OdomCorruptError("a picture of a corruption: reads both bags again, which a pipe cannot give")
+            raise OdomCorruptError("a picture of a corruption: reads both bags again, which is impossible on a pipe")
         clean, noisy = (read_drive(Path(path), self.outcome.odometry) for path in (self.source, self.target))
         return draw_corruption(clean.xyt, noisy.xyt, f"{Path(self.target).name}: seed {self.seed}, run {self.run}")
 
@@ -222,7 +222,7 @@ def _kept_pipe(kept: ExitStack) -> Path:
         shutil.copyfileobj(sys.stdin.buffer, file)
         file.flush()
     except OSError as error:
-        raise BagError(f"stdin: cannot be kept while it is read: {error.strerror}; name a file") from error
+        raise BagError(f"stdin: cannot be buffered: {error.strerror}; name a file") from error
     return Path(file.name)
 
 

@@ -139,7 +139,7 @@ class Diagnosis(Findings):
         )
         if all(run.positioned for run in self.recordings):
             return brief
-        said = "cannot be known from wheels and a gyro alone: not testable are wheel_scale, speed_scale and the like"
+        said = "wheels and a gyro alone do not show it: wheel_scale, speed_scale and similar effects are not testable"
         return Summary((*brief.lines, Line("travel", said, "warning")))
 
     def details(self) -> str:

@@ -88,9 +88,9 @@ def _coefficient(value: float | str, name: str, law: Law) -> float:
     if unit is not None and law.degree == 1:
         raise ModelError(f"{name}: {value}; alphas of the law {law.name} scale variances, write them without a unit")
     if unit is not None and name and not name.startswith("rot_"):
-        raise ModelError(f"{name}: {value} is an angle, and it is metres; write a number")
+        raise ModelError(f"{name}: {value} is an angle, but this coefficient is in metres; write a number")
     if after and name and after != cause:
-        raise ModelError(f"{name}: {value}; it is caused per {cause}, and not per {after}")
+        raise ModelError(f"{name}: {value}; this coefficient is per {cause}, not per {after}")
     return number
 
 
@@ -323,7 +323,7 @@ class Model:
         if not (np.isfinite(times).all() and np.isfinite(poses).all()):
             raise ModelError("a path: not all of its times and poses are finite numbers")
         if not (np.diff(times) > 0.0).all():
-            raise ModelError("a path: its times do not ascend; sort them and drop repeats first")
+            raise ModelError("a path: its times do not increase; sort them and drop duplicates first")
         if runs < 1:
             raise ModelError(f"runs: {runs}; draw one or more")
         stamps_ns = np.rint(times * 1e9).astype(np.int64)

@@ -145,7 +145,9 @@ def _motion(start_xyt: Sequence[float], end_xyt: Sequence[float], model: Any) ->
     from odomcorrupt.sampling.samples import move_between, move_variances
 
     if model.effects:
-        raise ModelError("effects act along a drive, one motion has no time: corrupt a path, or leave them out")
+        raise ModelError(
+            "effects act over time, and a single motion has no duration: corrupt a path, or leave them out"
+        )
     start, end = (np.asarray(pose, dtype=np.float64) for pose in (start_xyt, end_xyt))
     if start.shape != (3,) or end.shape != (3,):
         raise ModelError(f"poses of shapes {start.shape} and {end.shape}; give x, y and heading of each")
@@ -187,7 +189,9 @@ class Density(Result):
             for (x, y, t), value in zip(self.poses.tolist(), self.values.tolist(), strict=True)
         ]
         if self.within is not None:
-            said.append(f"{100.0 * self.free_part:.4g} % of it is free in the map, by which it is divided")
+            said.append(
+                f"{100.0 * self.free_part:.4g} % of the distribution is free in the map; densities are divided by that"
+            )
         meaning = "one is a density" if self.reading == "pose" else "the product is not a density over poses"
         return [*said, f"integral over the grid of end poses: {self.grid.integral:.6f} ({meaning})"]
 

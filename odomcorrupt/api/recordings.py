@@ -284,7 +284,7 @@ def require_travel(runs: Recordings) -> Recordings:
     blind = [run.name for run in runs if not run.positioned]
     if blind:
         raise RecordingError(
-            f"{blind[0]}: wheels and a gyro alone say nothing of travel, and a model needs it: only diagnose can use "
+            f"{blind[0]}: wheels and a gyro alone do not measure travel, which a model needs: only diagnose can use "
             "them; give a truth, scans or relative motions (--truth, --scan, --relative)"
         )
     return runs

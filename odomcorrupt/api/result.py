@@ -99,7 +99,7 @@ class Result(ABC):
             target = Path(fspath(path))
             kind = target.suffix.lower().removeprefix(".")
             if kind not in ("png", "svg", "pdf"):
-                raise OdomCorruptError(f"{target}: says no kind of picture; end it in .png, .svg or .pdf")
+                raise OdomCorruptError(f"{target}: does not name a picture format; end it in .png, .svg or .pdf")
             refuse_existing(target, overwrite=overwrite)
             write_bytes(target, rendered(figure, kind))
         return figure

@@ -60,7 +60,7 @@ class SquareTest(Result):
         ]
         before, after = (self._rms(ends) for ends in (found.before, found.after))
         lines.append(Line("ends", f"{before} -> {after} (RMS of {len(found.before)} drives)"))
-        unseen = "travel: a drive that comes back hides wheel_scale; drive a measured straight"
+        unseen = "travel: a closed path does not show wheel_scale; drive a straight of measured length"
         return Summary((*lines, Line("open", unseen, "warning")))
 
     def details(self) -> str:

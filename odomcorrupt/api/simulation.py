@@ -58,7 +58,7 @@ class Simulation(Result):
         what, robot = self._said
         lines = [Line("RECORDED", f"{what} in {self.target or 'stdout'}", "good"), Line("robot", robot)]
         if self.answer_path is not None:
-            lines.append(Line("answer", f"what is wrong with it is in {self.answer_path}"))
+            lines.append(Line("answer", f"its faults are listed in {self.answer_path}"))
         if self.target is not None:
             following = ["odomcorrupt", "learn", self.target, "--track", self.track_m, "-o", "robot.toml"]
             lines.append(command_line(following))
@@ -66,7 +66,7 @@ class Simulation(Result):
 
     def details(self) -> str:
         """Return a description of the recording in a sentence."""
-        return f"{self.target or 'stdout'}: {', '.join(self._said)}; what is wrong is in {self.answer_path}"
+        return f"{self.target or 'stdout'}: {', '.join(self._said)}; its faults are listed in {self.answer_path}"
 
     @property
     def _said(self) -> tuple[str, str]:
@@ -191,7 +191,7 @@ def simulate(
         hidden = Hidden(causes, source or source_of_turns(causes))
         for name in causes:
             if hidden.yaw_from not in EVERY[name].shows_with:
-                raise EffectError(f"{name}: does not show with heading {heading}; choose the other source")
+                raise EffectError(f"{name}: has no effect with heading {heading}; choose the other source")
     commands = None if drive is None else read_commands(Path(fspath(drive)))
     seconds = duration_s or (600.0 if commands is None else commands.duration_s)
     if not 1.0 <= seconds <= 1e6:

@@ -22,21 +22,21 @@ _ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisa
 """Options with the same name here and in the Python interface."""
 
 _RECOVER = click.option(
-    "--recover", is_flag=True, help="Read what is whole of a damaged bag; the exit code is 3 if some is lost."
+    "--recover", is_flag=True, help="Read the intact part of a damaged bag; the exit code is 3 if data are lost."
 )
 
 ODOM_TOPIC = ("--odom-topic", "--odom", "odom_topic")
 """Names of the option that selects the odometry."""
 
 frame_options = added(
-    click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry that is moved."),
+    click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry to corrupt."),
     click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]"),
     click.option("--base-frame", metavar="FRAME", help="Robot's frame. [default: the odometry's child frame]"),
 )
 """Adds the options that select odometry and frames."""
 
 keeping_options = added(
-    one_of("--twist", among=["model", "keep"], text="Twists: follow the poses, or as they are."),
+    one_of("--twist", among=["model", "keep"], text="Twists: recomputed with the poses, or unchanged."),
     one_of("--covariance", among=["model", "keep"], text="Likewise covariances."),
 )
 """Adds the options that leave twists or covariances unchanged."""
@@ -44,14 +44,14 @@ keeping_options = added(
 moving_options = added(
     frame_options,
     keeping_options,
-    click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this topic, too."),
+    click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this additional topic."),
     click.option(
-        "--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays."
+        "--keep-localisation", is_flag=True, help="Correct map -> odom for the drift, so that map -> base is unchanged."
     ),
     one_of(
         "--tf", among=["odometry", "correction", "subtraction"],
-        text="Move the odometry, or leave it and publish the drift as a transform: rigid, or noisy minus clean as the "
-        "article's listing has it.",
+        text="Move the odometry, or leave it and publish the drift as a transform: rigid, or noisy minus clean as in "
+        "the article's listing.",
     ),
     click.option("--new-odom-frame", metavar="FRAME", help="Parent of the odom frame for --tf correction."),
 )  # fmt: skip
@@ -72,7 +72,7 @@ def unpack_option(command: Callable[..., Any]) -> Callable[..., Any]:
         "--max-unpacked",
         metavar="SIZE",
         callback=_size,
-        help="Let compressed chunks become so large, as in 4GiB. [default: 1GiB each, and what a recording can reach]",
+        help="Limit of decompressed chunks, as in 4GiB. [default: 1GiB each, and a plausible total]",
     )
     return option(within_limit)
 
@@ -90,16 +90,16 @@ container_options = added(
     overwrite_option(),
     click.option(
         "--compression", metavar="NAME",
-        help="none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (ROS 2 directories). [default: as it was]",
+        help="none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (ROS 2 directories). [default: as in the input]",
     ),
-    click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]"),
+    click.option("--level", type=int, metavar="N", help="Compression level. [default: a fast one]"),
     click.option(
         "--ros", type=click.Choice(["1", "2"]),
-        help="ROS of the messages in an .mcap or a pipe. [default: 2 for an .mcap, else as it was]",
+        help="ROS generation of the messages in an .mcap or a pipe. [default: 2 for an .mcap, else as in the input]",
     ),
     click.option(
         "--storage", type=click.Choice(["mcap", "sqlite3"]),
-        help="Of an output without a suffix, a ROS 2 directory. [default: as it was, else mcap]",
+        help="Storage of an output without a suffix, a ROS 2 directory. [default: as in the input, else mcap]",
     ),
     click.option(
         "--exclude-topic", "exclude", multiple=True, metavar="TOPIC",
@@ -149,7 +149,7 @@ def source_of(input_: str) -> Path | None:
     if input_ != "-":
         return Path(input_)
     if sys.stdin.isatty():
-        raise click.UsageError("INPUT is - but stdin is a terminal; feed it a bag")
+        raise click.UsageError("INPUT is - but stdin is a terminal; redirect a bag to it")
     return None
 
 

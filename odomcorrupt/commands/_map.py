@@ -20,16 +20,25 @@ if TYPE_CHECKING:
 
 map_options = added(
     click.option("--map", "map_", metavar="MAP", help="Draw free poses only: a map's .yaml, or a topic of the bag."),
-    click.option("--map-pose", type=POSE, help="Odom frame in the map. [default: TF of the bag; without one 0,0,0]"),
     click.option(
-        "--robot-radius", "radius", type=Number("metres", 0.0, 100.0), default=0.2, help="Metres. [default: 0.2]"
+        "--map-pose", type=POSE, help="Pose of the odom frame in the map. [default: TF of the bag; without a bag 0,0,0]"
+    ),
+    click.option(
+        "--robot-radius",
+        "radius",
+        type=Number("metres", 0.0, 100.0),
+        default=0.2,
+        help="Radius of the robot, metres. [default: 0.2]",
     ),
     one_of(
-        "--map-check", "check", among=["endpoint", "path"], text="Where a motion ends must be free, or all its way."
+        "--map-check",
+        "check",
+        among=["endpoint", "path"],
+        text="Cells that must be free: at the end of each motion, or along it.",
     ),
-    one_of("--unknown", among=["blocked", "free"], text="Whether the robot may be where the map knows nothing."),
+    one_of("--unknown", among=["blocked", "free"], text="Treat unknown cells of the map as blocked or as free."),
     click.option(
-        "--max-tries", "tries", type=click.IntRange(1, 1_000_000), default=100, help="Per motion. [default: 100]"
+        "--max-tries", "tries", type=click.IntRange(1, 1_000_000), default=100, help="Draws per motion. [default: 100]"
     ),
 )
 """Adds the options of `choose_condition`."""
@@ -71,12 +80,13 @@ def choose_condition_of_run(
 
     if options.keep_localisation:
         raise click.UsageError(
-            "--map and --keep-localisation: with map -> base kept true nothing in the map is drawn; leave out one"
+            "--map and --keep-localisation: with map -> base kept true the drift does not move the robot in the map; "
+            "leave out one"
         )
     if source is None and (given["map_pose"] is None or not is_map_file(name)):
         raise click.UsageError(
-            f"--map {name}: INPUT is a pipe and read once; name a map's .yaml, and say with --map-pose where odom is "
-            "in it"
+            f"--map {name}: INPUT is a pipe and read once; name a map's .yaml, and give the pose of odom in it with "
+            "--map-pose"
         )
     frame = ""
     if source is not None and given["map_pose"] is None:
@@ -90,4 +100,4 @@ def _refuse_alone(given: Mapping[str, Any]) -> None:
     for option in context.command.params:
         of_map = option.name in ("map_pose", "radius", "check", "unknown", "tries") and option.name in given
         if of_map and context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{option.opts[0]}: says more of a map; name the map with --map")
+            raise click.UsageError(f"{option.opts[0]}: needs a map; name it with --map")

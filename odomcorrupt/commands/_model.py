@@ -48,7 +48,7 @@ model_options = added(
     ),
     click.option(
         "--step", metavar="STEP",
-        help="Apply a book law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
+        help="Apply a step-dependent law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
     ),
     click.option(
         "--preset", metavar="NAME", shell_complete=_completing("model.presets", "PRESETS"),
@@ -106,11 +106,13 @@ def choose_model(given: Mapping[str, Any]) -> Model:
     alpha, law, track, model = brings.get("alpha"), given.get("law"), given.get("track"), brings.get("model")
     noisy = [f"--{name}" for name, value in brings.items() if value]
     if len(noisy) > 1 and noisy != ["--alpha", "--model"]:
-        raise click.UsageError(f"{' and '.join(noisy)} both bring noise; give one of them")
+        raise click.UsageError(f"{' and '.join(noisy)} both define noise; give one of them")
     if law is not None and alpha is None:
         raise click.UsageError(f"--law {law}: what coefficients mean depends on the law, so give them with --alpha")
     if track is not None and not 0.0 < track < 100.0:
-        raise click.UsageError(f"--track {track:g}: it must be metres between the wheels, more than zero")
+        raise click.UsageError(
+            f"--track {track:g}: it must be the distance between the wheels in metres, more than zero"
+        )
     base = None if model is None else Model.load(model)
     try:
         chosen = base or Model()
@@ -197,7 +199,7 @@ def _choose_noise(given: Mapping[str, Any], example: str | None) -> Model:
     listing = given["law"] == "article-code"
     numbers = [name for name in ("alpha", "preset", "effects", "model", "twist_noise") if given[name]]
     if numbers and example is not None:
-        raise click.UsageError(f"--example {example} brings its own noise; leave out the other numbers")
+        raise click.UsageError(f"--example {example} has its own noise; leave out the other numbers")
     if numbers or (given["law"] and not listing):
         return choose_model(given)
     chosen_example = example_named(example or DEFAULT_EXAMPLE)
@@ -216,7 +218,9 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
         example = example_named(given["example"] or DEFAULT_EXAMPLE)
         model = _choose_noise(given, given["example"])
     if model.effects:
-        raise click.UsageError("effects act along a drive, one motion has no time: name a bag, or leave --effect out")
+        raise click.UsageError(
+            "effects act over time, and a single motion has no duration: name a bag, or leave --effect out"
+        )
     first, last = np.array(example.start_xyt), np.array(example.end_xyt)
     if given["end"] is not None:
         # a motion given by --end begins at the origin unless --start is given

@@ -99,7 +99,7 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
         except ModelError:
             pose = ()
         if len(pose) != 3 or "deg" in parts[0] + parts[1]:
-            self.fail(f"{value!r} is no pose; write x,y,heading as in 0.2,0.35,10deg{self._else}", param, ctx)
+            self.fail(f"{value!r} is not a pose; write x,y,heading as in 0.2,0.35,10deg{self._else}", param, ctx)
         return pose
 
 

@@ -146,11 +146,11 @@ _options = added(
     ),
     click.option(
         "--truth-shift", "truth_shift_s", type=Number("seconds", -1e10, 1e10), default=0.0, metavar="SECONDS",
-        help="Added to the truth's stamps, where its clock is far off (seconds are enough; the rest is fitted).",
+        help="Seconds added to the truth's stamps if its clock is far off (the remainder is fitted).",
     ),
     click.option(
         "--drive-type", type=click.Choice((*DRIVE_TYPES, AUTO)), default=AUTO,
-        help="How the wheels steer the robot: it chooses among names of effects. [default: auto, by its motion]",
+        help="Drive type; it decides which effects are tested. [default: auto, from the motion]",
     ),
     click.option("--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."),
     unpack_option,
@@ -188,8 +188,10 @@ def _spooled(path: Path) -> Path:
 
 
 advice_options = added(
-    click.option("--drive", type=FILE, help="Write the drive that would settle what is open, as /cmd_vel in an MCAP."),
-    click.option("--report", type=FILE, help="Write all of it as one page of HTML, pictures too."),
+    click.option(
+        "--drive", type=FILE, help="Write the drive that would answer the open questions, as /cmd_vel in an MCAP."
+    ),
+    click.option("--report", type=FILE, help="Write the full result as one HTML page with pictures."),
 )
 
 
@@ -210,7 +212,7 @@ def advice_files(result: Findings, drive: Path | None, report: Path | None) -> F
         files[drive] = lambda: (
             f"wrote {drive}: {said}"
             if (said := result.save_next_drive(drive, overwrite=True))
-            else f"{drive} is not written: nothing is open that a drive would settle"
+            else f"{drive} is not written: there is no open question that another drive would answer"
         )
     if report is not None:
         files[report] = lambda: write_text(report, result.report())

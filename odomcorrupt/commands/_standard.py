@@ -105,7 +105,7 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(command)
     def with_console(*args: Any, verbose: bool, quiet: bool, as_json: bool, **given: Any) -> Any:
         if quiet and verbose:
-            raise click.UsageError("--quiet and --verbose: say nothing, and all; give one of them")
+            raise click.UsageError("--quiet and --verbose exclude each other; give one of them")
         console = Console(verbose, quiet, as_json)
         ctx = click.get_current_context()
         file, names = ctx.meta.get(_DEFAULTS, ("", ()))
@@ -115,13 +115,13 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(*args, console=console, **given)
 
     return added(
-        click.option("-v", "--verbose", is_flag=True, help="Print everything that is known."),
+        click.option("-v", "--verbose", is_flag=True, help="Print the full report."),
         click.option("-q", "--quiet", is_flag=True, help="Print no result."),
-        click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres, radians, seconds."),
+        click.option("--json", "as_json", is_flag=True, help="Print JSON: metres, radians, seconds."),
         click.option(
             "--config", type=click.Path(exists=True, dir_okay=False, path_type=Path), is_eager=True,
             expose_value=False, callback=_read_defaults,
-            help=f"File with defaults of options. [default: {CONFIG}, where there is one]",
+            help=f"File with default values of options. [default: {CONFIG}, if it exists]",
         ),
     )(with_console)  # fmt: skip
 

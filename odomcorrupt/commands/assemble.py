@@ -13,12 +13,15 @@ from odomcorrupt.commands._standard import Console, chosen_output, output_option
 from odomcorrupt.summary import Line, Summary, command_line
 
 
-@click.command("assemble", short_help="Join an overlay of a batch with its original.")
+@click.command("assemble", short_help="Combine an overlay of a batch with its original bag.")
 @click.argument("run", metavar="RUN", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("output", metavar="OUTPUT", type=click.Path(), required=False)
 @output_option()
 @click.option(
-    "--input", "original", type=click.Path(exists=True, path_type=Path), help="The original. [default: the batch's]"
+    "--input",
+    "original",
+    type=click.Path(exists=True, path_type=Path),
+    help="Original bag. [default: the batch's input]",
 )
 @container_options
 @standard_options
@@ -38,13 +41,13 @@ def command(
             raise BatchError(f"{original}: the batch's input is not there; name it with --input")
         if fingerprint_of(original) != noted["hash"]:
             raise BatchError(
-                f"{original}: is not what the batch was made from any more; name the original with --input"
+                f"{original}: has changed since the batch was made from it; name the original with --input"
             )
     container = split_options(bag_words(given))[1]
     with Stages("assembling", quiet=console.quiet):
         count = assemble(run, original, target, container)
-    sentence = f"{target}: {count} messages of {run} in the place of those of {original}."
+    sentence = f"{target}: {count} messages of {run} in place of those of {original}."
     values = {"schema": 2, "output": str(target), "messages": count, "run": str(run), "input": str(original)}
-    found = Line("ASSEMBLED", f"{count} messages of {run.name} in the place of those of {original.name}", "good")
+    found = Line("ASSEMBLED", f"{count} messages of {run.name} in place of those of {original.name}", "good")
     brief = Summary((found, command_line(["odomcorrupt", "info", target])))
     console.print(brief, sentence, values, err=True)

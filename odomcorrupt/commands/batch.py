@@ -48,7 +48,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @output_option("DIRECTORY")
 @click.option("--runs", type=click.IntRange(1), required=True, metavar="N", help="Make runs 0 to N - 1.")
 @model_options
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: the batch's, or drawn]")
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: the batch's, or drawn]")
 @one_of(
     "--output", among=["full", "overlay", "trajectories"],
     text="Whole bags, only the changed topics, or only paths (TUM, npz).",
@@ -59,7 +59,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 )  # fmt: skip
 @click.option(
     "--to", type=click.Choice([*_SUFFIXES]),
-    help="Kind of the runs: ROS 1 bag, MCAP, sqlite3, ROS 2 directory. [default: that of the input]",
+    help="Format of the runs: ROS 1 bag, MCAP, sqlite3, ROS 2 directory. [default: that of the input]",
 )  # fmt: skip
 @click.option(
     "--robots", type=click.Choice(["stated", "posterior"]), default="stated",
@@ -78,8 +78,10 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")
 @threads_option
-@click.option("--verify", is_flag=True, help="Make runs again whose bytes are not those noted: bit rot, edits.")
-@click.option("--dry-run", is_flag=True, help="Say what it would take, and make nothing.")
+@click.option(
+    "--verify", is_flag=True, help="Make those runs again whose checksums differ from the manifest: bit rot, edits."
+)
+@click.option("--dry-run", is_flag=True, help="Print the expected time and disk space, and make nothing.")
 @moving_options
 @map_options
 @container_options
@@ -144,7 +146,7 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     if given["shard"] and given["seed"] is None:
         raise click.UsageError("--shard: all shards need the same --seed; give one")
     if given["map_"] is not None and len(inputs) > 1:
-        raise click.UsageError("--map: is that of one drive; make a batch of each input")
+        raise click.UsageError("--map: is for one drive; make a batch of each input")
     spec = BatchSpec(
         model=model,
         seed=seed_of(target) if given["seed"] is None else given["seed"],
@@ -169,12 +171,14 @@ def _require_whole_bags(given: dict[str, Any]) -> None:
     output = f"--output {given['output']}"
     for flag, name in (("--keep-truth", "keep_truth"), ("--tf correction", "new_odom_frame")):
         if given[name]:
-            raise click.UsageError(f"{flag}: adds messages, and {output} has only what changes; leave one of them out")
+            raise click.UsageError(
+                f"{flag}: adds messages, but {output} holds changed messages only; leave one of them out"
+            )
     for flag, name in (("--to", "to"), ("--exclude-topic", "exclude"), ("--ros", "ros"), ("--storage", "storage")):
         if given[name]:
-            raise click.UsageError(f"{flag}: is for whole bags; {output} has no use for it")
+            raise click.UsageError(f"{flag}: is for whole bags, not for {output}; leave one of them out")
     if given["layout"] == "split":
-        raise click.UsageError(f"--layout split: is for whole bags; {output} has no use for it")
+        raise click.UsageError(f"--layout split: is for whole bags, not for {output}; leave one of them out")
 
 
 def _model(given: dict[str, Any]) -> MotionModel:

@@ -27,7 +27,7 @@ _NAMES = ("error", "path", "nees", "residuals", "map", "pit")
 @click.command("compare", short_help="Compare models with measurements; see where they fail.")
 @click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... MODEL.toml...")
 @recording_options
-@click.option("--report", type=FILE, help="Write all of it as one page of HTML, pictures too.")
+@click.option("--report", type=FILE, help="Write the full result as one HTML page with pictures.")
 @click.option(
     "--plot", multiple=True, metavar="[NAME=]FILE",
     help=f"Write one picture as .png, .svg or .pdf (repeatable): {', '.join(_NAMES)}. [default name: error]",

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Noise, Step
 
 
-@click.command("convert-alpha", short_help="What the alphas of one law are in another.")
+@click.command("convert-alpha", short_help="Convert the alphas of one noise law to another.")
 @click.argument("alphas", nargs=-1, required=True, metavar="A1 A2 A3 A4")
 @click.option(
     "--from", "source", required=True, metavar="LAW", help="Law of these alphas: diffusion, linear, quadratic."
 )
 @click.option("--to", "target", required=True, metavar="LAW", help="Law to convert them to.")
-@click.option("--step", metavar="STEP", help="Step a book law is applied to, as in 0.25m or 0.25m,0.2rad.")
+@click.option("--step", metavar="STEP", help="Step of a step-dependent law, as in 0.25m or 0.25m,0.2rad.")
 @click.option("--to-step", metavar="STEP", help="Step of the other law. [default: the same]")
 @standard_options
 def command(

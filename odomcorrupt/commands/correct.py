@@ -15,7 +15,7 @@ from odomcorrupt.commands._standard import Console, chosen_output, output_option
 from odomcorrupt.errors import EffectError
 
 
-@click.command("correct", short_help="Take the systematic part out of measured odometry.")
+@click.command("correct", short_help="Remove the systematic error from measured odometry.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @click.argument("output", metavar="OUTPUT", type=click.Path(allow_dash=True), required=False)
 @output_option()
@@ -29,14 +29,16 @@ from odomcorrupt.errors import EffectError
 @keeping_options
 @click.option(
     "--start", type=START,
-    help="Where the odometry begins in the frame of effects of places; odom: that frame is its own. [needed by those "
-    "that were learned]",
+    help="Start pose of the odometry in the frame of position-dependent effects; odom: its own frame. [required if "
+    "they were learned]",
 )  # fmt: skip
-@click.option("--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays.")
+@click.option(
+    "--keep-localisation", is_flag=True, help="Correct map -> odom for the drift, so that map -> base is unchanged."
+)
 @container_options
 @standard_options
 def command(input_: str, output: str | None, output_option: str | None, *, console: Console, **given: Any) -> int:
-    """Take the effects of a model out of a bag's odometry: its poses, twists and covariances, and its TF edges.
+    """Remove the effects of a model from a bag's odometry: its poses, twists and covariances, and its TF edges.
 
     INPUT is read twice, because the correction at a time depends on the whole motion; it cannot be a pipe, OUTPUT can.
     Random effects cannot be undone, except lost increments and the bias of a gyro at rest; the summary names them.

@@ -37,8 +37,10 @@ def keep_freed_memory() -> None:
 @click.argument("output", metavar="OUTPUT", type=click.Path(allow_dash=True), required=False)
 @output_option()
 @model_options
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
-@click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="Which run of this seed. [default: 0]")
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
+@click.option(
+    "--run", type=click.IntRange(0), default=0, metavar="N", help="Number of the run under this seed. [default: 0]"
+)
 @moving_options
 @map_options
 @container_options

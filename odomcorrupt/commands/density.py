@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    "density", cls=AlphaCommand, short_help="How likely an end pose is, p(x_t | u_t, x_t-1), beside samples."
+    "density", cls=AlphaCommand, short_help="Evaluate the density of end poses, p(x_t | u_t, x_t-1), and draw samples."
 )
 @click.option("-o", "--output", type=FILE, help="Picture: .png, .svg or .pdf.")
 @move_options
@@ -28,9 +28,11 @@ if TYPE_CHECKING:
     text="A density over poses; the lecture's p1 p2 p3; or the same as the book prints it, with the variances of the "
     "motion to each pose.",
 )  # fmt: skip
-@click.option("--at", "poses", type=POSE, multiple=True, help="Print the density there, as in 0.2,0.3,10deg.")
+@click.option(
+    "--at", "poses", type=POSE, multiple=True, help="Print the density at this end pose, as in 0.2,0.3,10deg."
+)
 @map_options
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the samples. [default: drawn, and printed]")
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of the samples. [default: drawn, and printed]")
 @overwrite_option()
 @standard_options
 def command(
@@ -42,7 +44,7 @@ def command(
     console: Console,
     **given: Any,
 ) -> None:
-    """Say how likely end poses of one motion are, in closed form, beside samples of it.
+    """Evaluate the density of end poses of one motion in closed form, and draw samples of it.
 
     \b
     odomcorrupt density -o density.png

@@ -36,12 +36,18 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
 @_number("--update-min-a", Number("radians", 0.0, 1e3, above=True, else_=_EVERY), 0.2, "RAD", "Of amcl.")
 @click.option(
     "--turn", type=click.Choice(["rolling", "spot"]), default="rolling", show_default=True,
-    help="The turn on which amcl is to agree with the model: along an arc, or on the spot.",
+    help="Turn on which amcl's noise is matched to the model's: along an arc, or on the spot.",
 )  # fmt: skip
-@_number("--speed", Number("m/s", 0.0, 1e3), 0.5, "M/S", "For what depends on it.")
-@_number("--turn-rate", Number("rad/s", 0.0, 1e3), 0.5, "RAD/S", "Likewise.")
-@_number("--rate", Number("messages per second", 0.0, 1e6, above=True), 50.0, "HZ", "Of odometry messages.")
-@click.option("--controller", default="diff_drive_controller", show_default=True, metavar="NAME", help="Node to set.")
+@_number("--speed", Number("m/s", 0.0, 1e3), 0.5, "M/S", "Speed at which the noise is evaluated.")
+@_number("--turn-rate", Number("rad/s", 0.0, 1e3), 0.5, "RAD/S", "Turn rate at which the noise is evaluated.")
+@_number("--rate", Number("messages per second", 0.0, 1e6, above=True), 50.0, "HZ", "Rate of odometry messages.")
+@click.option(
+    "--controller",
+    default="diff_drive_controller",
+    show_default=True,
+    metavar="NAME",
+    help="Name of the node in the YAML.",
+)
 @click.option("-o", "--output", type=FILE, help="Write the YAML to a file.")
 @overwrite_option()
 @standard_options

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=FILE, help="Model file to write.")
 @click.option("--start", type=FILE, help="Model file whose effects to refit.")
 @click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable).")
-@click.option("--law", help="Noise law, or all: the likeliest. [default: that of the start model, or diffusion]")
+@click.option(
+    "--law", help="Noise law, or all: select the most likely. [default: that of the start model, or diffusion]"
+)
 @click.option(
     "--returns",
     is_flag=True,
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--end", "ends", multiple=True, metavar="X,Y,YAW",
-    help="Where a drive really ended, seen from where it began (m, m, deg): once for all, or for each.",
+    help="Measured end pose relative to the start pose (m, m, deg): one for all drives, or one for each.",
 )  # fmt: skip
 @overwrite_option()
 @standard_options

@@ -9,7 +9,7 @@ from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, standard_options
 
 
-@click.command("info", short_help="Show a bag's odometry, and what corruption would move.")
+@click.command("info", short_help="Show a bag's odometry, and what corruption would change.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @bag_options
 @standard_options
@@ -22,7 +22,7 @@ def command(
     recover: bool,
     console: Console,
 ) -> int:
-    """Show a bag's topics, frames and edges, its motion, what is odd, and which topics still hold the true motion."""
+    """Show a bag's topics, frames and edges, its motion, anomalies, and topics that still hold the true motion."""
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.bags.provenance import ProvenanceWatcher
     from odomcorrupt.info.scan import scan_bag

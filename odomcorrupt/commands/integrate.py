@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 _BAG = click.Path(path_type=Path)
 
 
-@click.command("integrate", short_help="Odometry from the velocities of a bag alone, with or without noise on them.")
+@click.command("integrate", short_help="Integrate a bag's velocities to odometry, with or without noise on them.")
 @click.argument("input_", metavar="INPUT", type=_BAG)
 @click.argument("output", metavar="[OUTPUT]", type=_BAG, required=False)
 @output_option()
 @one_of(
     "--integrate", "rule", among=["euler", "midpoint", "exact"], default="exact",
-    text="Along the heading an interval begins with, the one half-way, or the arc.",
+    text="Integration rule: initial heading of an interval, middle heading, or arc.",
 )  # fmt: skip
-@one_of("--hold", among=["next", "previous"], text="A twist holds until the next stamp, or since the previous one.")
+@one_of("--hold", among=["next", "previous"], text="A twist holds until the next stamp, or from the previous one.")
 @click.option(
     "--twist-noise", nargs=2, type=float, metavar="V OMEGA", help="White noise on every twist: m/s and rad/s."
 )
 @click.option("--runs", type=click.IntRange(1, 100_000), default=1, help="How many noisy runs to draw. [default: 1]")
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the noise. [default: drawn, and printed]")
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of the noise. [default: drawn, and printed]")
 @click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry whose twists are taken.")
-@click.option("--truth", metavar="TOPIC", help="Poses to compare with. [default: the topic that is called so]")
+@click.option("--truth", metavar="TOPIC", help="Poses to compare with. [default: a topic named like a truth]")
 @click.option("--plot", type=FILE, help="Picture: .png, .svg or .pdf.")
 @overwrite_option("existing outputs")
 @unpack_option
@@ -63,7 +63,7 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
         output = Path(chosen_output(None if output is None else str(output), output_option))
     plot, noise, rule = given["plot"], given["twist_noise"], given["rule"]
     if "-" in (str(input_), str(output)):
-        raise OdomCorruptError("-: integration reads the whole drive first, which a pipe cannot do; name files")
+        raise OdomCorruptError("-: integration reads the whole drive first, which is impossible on a pipe; name files")
     if given["runs"] > 1 and noise is None:
         raise click.UsageError(f"--runs {given['runs']}: without --twist-noise all runs are the same")
     check_picture(plot, overwrite=given["overwrite"])

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.commands._recordings import Reading
 
 
-@click.command("learn", short_help="Fit, diagnose and add, until nothing is missing.")
+@click.command("learn", short_help="Fit, diagnose and add effects until none is missing.")
 @click.argument("recordings", nargs=-1, required=True)
 @recording_options
 @click.option("-o", "--output", type=FILE, help="Model file to write.")

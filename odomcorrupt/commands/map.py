@@ -23,25 +23,27 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.scan_map import ScanMap
 
 
-@click.command("map", cls=AlphaCommand, short_help="What the laser sees through clean and through noisy odometry.")
+@click.command("map", cls=AlphaCommand, short_help="Draw laser maps with clean and with noisy odometry.")
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option(
     "-o", "--output", type=FILE, help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml."
 )
 @model_options
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
-@click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="Which run of this seed. [default: 0]")
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
+@click.option(
+    "--run", type=click.IntRange(0), default=0, metavar="N", help="Number of the run under this seed. [default: 0]"
+)
 @click.option("--scan", metavar="TOPIC", help="Laser scans. [default: the only such topic]")
 @click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry that places the scans.")
 @click.option("--truth", metavar="TOPIC", help="Draw the map through these poses as well.")
-@click.option("--laser-pose", type=POSE, help="Where the laser sits on the robot, where TF does not say.")
+@click.option("--laser-pose", type=POSE, help="Pose of the laser on the robot, if TF does not contain it.")
 @click.option(
     "--max-yaw-rate", type=Number("rad/s", 0.0, 1e3), metavar="W",
     help="Leave out rays shot while turning faster, rad/s.",
 )  # fmt: skip
 @click.option(
     "--resolution", type=Number("metres", 0.0, 1e3, above=True), default=0.05,
-    help="Of the maps, metres. [default: 0.05]",
+    help="Cell size of the maps, metres. [default: 0.05]",
 )  # fmt: skip
 @one_of(
     "--method", among=["odometry", "laser"],
@@ -64,7 +66,7 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
     from odomcorrupt.sampling.text import law_words
 
     if str(bag) == "-":
-        raise OdomCorruptError("-: maps take the whole drive, which a pipe cannot show twice; name a file")
+        raise OdomCorruptError("-: a map is made from the whole drive, which is impossible on a pipe; name a file")
     if given["method"] == "laser":
         _by_laser(bag, output, given, console)
         return

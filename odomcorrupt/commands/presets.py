@@ -32,7 +32,7 @@ def command(name: str | None, *, console: Console) -> None:
 
     if name is None:
         chosen = list(PRESETS.values())
-        use = "odomcorrupt INPUT OUTPUT --preset NAME uses one; odomcorrupt presets NAME > robot.toml is for --model"
+        use = "odomcorrupt INPUT OUTPUT --preset NAME uses it; odomcorrupt presets NAME > robot.toml writes a file"
         console.print(
             _brief(chosen),
             "\n".join([*map(_lines, chosen), use]),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.command("preview", cls=AlphaCommand, short_help="Forecast what a motion model will do to a bag.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @model_options
-@click.option("--seed", type=click.IntRange(0), default=0, metavar="N", help="Of all draws. [default: 0]")
+@click.option("--seed", type=click.IntRange(0), default=0, metavar="N", help="Seed of all draws. [default: 0]")
 @click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="The first of the runs. [default: 0]")
 @click.option(
     "--runs", type=click.IntRange(2, 100_000), default=100, metavar="N", help="How many to draw. [default: 100]"
@@ -68,7 +68,7 @@ def command(input_: str, output: Path | None, *, console: Console, **given: Any)
 
         title = f"{outlook.name}: what this model does to {outlook.distance_m:.3g} m"
         if per_message(model.noise) and outlook.rate_hz is not None:
-            title += f" at {outlook.rate_hz:.3g} Hz; at another message rate it does something else"
+            title += f" at {outlook.rate_hz:.3g} Hz; the noise depends on the message rate"
         save_picture(path, draw_fan(outlook, title))
 
     following = ["odomcorrupt", "preview", *typed_words("--output", "--overwrite"), "-o", "fan.png"]

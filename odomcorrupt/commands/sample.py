@@ -58,7 +58,7 @@ def _sample_along(
     if taken:
         raise click.UsageError(f"--{taken[0]}: the motion is that of {bag}; leave it out")
     if str(bag) == "-":
-        raise OdomCorruptError("-: the whole drive is read first, which a pipe cannot do; name a file")
+        raise OdomCorruptError("-: the whole drive is read first, which is impossible on a pipe; name a file")
     chosen = choose_model(given)
     drive = read_drive(bag, given["odom_topic"])
     # about six particle sets, at round distances
@@ -103,23 +103,28 @@ def _round(value: float) -> float:
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= 0.999 * value)
 
 
-@click.command("sample", cls=AlphaCommand, short_help="Draw where one motion may have ended: the banana.")
+@click.command("sample", cls=AlphaCommand, short_help="Sample the end poses of one motion (the banana-shaped cloud).")
 @click.argument("bag", metavar="[BAG]", type=click.Path(path_type=Path), required=False)
 @click.option("-o", "--output", type=FILE, help="Result: .png, .svg, .pdf, .csv or .json.")
 @move_options
 @map_options
-@click.option("--every", type=Number("metres", 0.0, 1e6, above=True), metavar="M", help="Along a bag: a cloud per M m.")
-@click.option(*ODOM_TOPIC, metavar="TOPIC", help="Along a bag: which odometry.")
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
+@click.option(
+    "--every",
+    type=Number("metres", 0.0, 1e6, above=True),
+    metavar="M",
+    help="Along a bag: distance between clouds, metres.",
+)
+@click.option(*ODOM_TOPIC, metavar="TOPIC", help="Along a bag: odometry topic.")
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
 @overwrite_option()
 @unpack_option
 @standard_options
 def command(bag: Path | None, output: Path | None, *, overwrite: bool, console: Console, **given: Any) -> None:
-    """Draw where one motion may have ended, or, with a BAG, where the robot may be along its drive.
+    """Sample the end poses of one motion or, with a BAG, the robot's poses along its drive.
 
     \b
     odomcorrupt sample -o banana.png                             # the article's example
-    odomcorrupt sample --law article-code -o listing.png         # its listing, as it is
+    odomcorrupt sample --law article-code -o listing.png         # its listing, unmodified
     odomcorrupt sample --example rotation-heavy -o heavy.svg     # one of the lecture's settings
     odomcorrupt sample --end 1,0.3,20deg --alpha 0.05 0.02 0.05 0.01 -n 5000 -o ends.csv
     odomcorrupt sample drive.mcap -n 500 -o cloud.png            # the cloud spreading along a drive

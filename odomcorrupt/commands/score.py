@@ -35,21 +35,45 @@ _BASELINE_BYTES = 1 << 28
 @click.option(
     "--truth-bag", "truth_file", type=click.Path(exists=True, path_type=Path), help="Bag, TUM or CSV with the truth."
 )
-@one_of("--align", among=["rigid", "origin", "none"], text="Best fit of positions, equal first poses, or as recorded.")
-@click.option("--lost", "lost_m", type=Number("metres", 0.0, 1e6), default=1.0, help="Lost beyond. [default: 1]")
-@click.option(
-    "--lost-for", "lost_s", type=Number("seconds", 0.0, 1e6), default=10.0, help="Or until the end. [default: 10]"
+@one_of(
+    "--align",
+    among=["rigid", "origin", "none"],
+    text="Align estimate and truth: best fit of positions, equal first poses, or none.",
 )
-@click.option("--jump", "jump_m", type=Number("metres", 0.0, 1e6), default=0.5, help="A jump from. [default: 0.5]")
-@click.option("--count-missing", is_flag=True, help="Runs without a whole output are failures, too.")
-@click.option("--baseline", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="An earlier --save.")
+@click.option(
+    "--lost",
+    "lost_m",
+    type=Number("metres", 0.0, 1e6),
+    default=1.0,
+    help="Position error beyond which a run is lost, metres. [default: 1]",
+)
+@click.option(
+    "--lost-for",
+    "lost_s",
+    type=Number("seconds", 0.0, 1e6),
+    default=10.0,
+    help="Time that such an error must last, seconds (or until the end). [default: 10]",
+)
+@click.option(
+    "--jump",
+    "jump_m",
+    type=Number("metres", 0.0, 1e6),
+    default=0.5,
+    help="Change of the error within a second that is a jump, metres. [default: 0.5]",
+)
+@click.option("--count-missing", is_flag=True, help="Count runs without a complete output as failures.")
+@click.option(
+    "--baseline",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Result of an earlier --save, to compare with.",
+)
 @click.option(
     "--fail-if", "rules", multiple=True, metavar="RULE",
     help='Exit with 1 where it holds, as in "ate_p90 +20%", "lost +5%", "ate_median > 0.3" (repeatable).',
 )  # fmt: skip
 @click.option("--each", is_flag=True, help="A line for every run, not only for those that failed.")
 @click.option("--save", type=FILE, help="Write the result as JSON: a baseline for later.")
-@click.option("--report", type=FILE, help="Write all of it as one page of HTML.")
+@click.option("--report", type=FILE, help="Write the full result as one HTML page.")
 @click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("existing outputs")
 @unpack_option
@@ -101,9 +125,9 @@ def _baseline(path: Path) -> dict[str, Any]:
     try:
         table = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ScoreError(f"{path}: is no JSON; make a baseline with odomcorrupt score ... --save") from error
+        raise ScoreError(f"{path}: is not JSON; make a baseline with odomcorrupt score ... --save") from error
     if not isinstance(table, dict) or "runs" not in table:
-        raise ScoreError(f"{path}: is no result of score; make a baseline with odomcorrupt score ... --save")
+        raise ScoreError(f"{path}: is not a result of score; make a baseline with odomcorrupt score ... --save")
     return table
 
 

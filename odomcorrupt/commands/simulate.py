@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 _ALONE = {
-    "hidden": "stands alone, since what else there is would be known",
-    "none": "stands alone; leave it out or leave out the others",
+    "hidden": "cannot be combined with another fault, which would not be hidden",
+    "none": "cannot be combined with another fault; leave it out or leave out the others",
 }
 _LARGEST = 100.0
 """Largest factor on the usual size of a fault at which the robot can still be driven."""
@@ -73,7 +73,7 @@ def _size(text: str) -> float:
 @output_option()
 @click.option(
     "--effect", "effects", multiple=True, metavar="hidden|none|NAME[:KEY=VALUE,...]",
-    help="What is wrong with the robot (repeatable; a wrong name lists all). [default: hidden]",
+    help="Fault of the robot (repeatable; an unknown name lists all). [default: hidden]",
 )  # fmt: skip
 @click.option(
     "--size", default="medium", show_default=True, help="Size of a drawn fault: weak, medium, strong, number."
@@ -82,21 +82,29 @@ def _size(text: str) -> float:
 @click.option("--robot", type=click.IntRange(0), help="Seed of the robot and its fault. [default: the drive's]")
 @click.option(
     "--route", type=click.Choice(["office", "loops", "shuttle", "slalom", "yard", "umbmark"]), default="office",
-    show_default=True, help="Where it drives; with --drive, where its fault has been met.",
+    show_default=True, help="Route; with --drive, the route from which the place of a fault is drawn.",
 )  # fmt: skip
 @click.option(
     "--drive", type=click.Path(exists=True, path_type=Path),
-    help="Bag whose /cmd_vel it follows instead, as `diagnose --drive` writes it.",
+    help="Bag whose /cmd_vel the robot follows instead, as written by `diagnose --drive`.",
 )  # fmt: skip
-@click.option("--truth", type=click.Choice(["mocap", "rtk"]), default="mocap", show_default=True, help="Who watches.")
 @click.option(
-    "--heading", type=click.Choice(["wheels", "gyro"]), help="Source of its heading. [default: what the fault needs]"
+    "--truth",
+    type=click.Choice(["mocap", "rtk"]),
+    default="mocap",
+    show_default=True,
+    help="Instrument that records the truth.",
+)
+@click.option(
+    "--heading",
+    type=click.Choice(["wheels", "gyro"]),
+    help="Source of the odometry's heading. [default: as the fault requires]",
 )
 @click.option("--drive-type", type=click.Choice(["differential", "skid"]), default="differential", show_default=True)
 @click.option(
     "--duration", "duration_s", type=Number("seconds", 10.0, 1e6), help="Seconds. [default: 600, or as long as --drive]"
 )
-@click.option("--answer", type=FILE, help="Answer. [default: OUTPUT.answer.toml]")
+@click.option("--answer", type=FILE, help="File for the true faults. [default: OUTPUT.answer.toml]")
 @overwrite_option("existing files")
 @standard_options
 def command(
@@ -123,6 +131,6 @@ def command(
         done = simulate(None if piped else target, effects=names, parameters=parameters, size=_size(size), **given)
     if piped:
         sys.stdout.buffer.write(done.bag)
-        console.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {done.answer_path}")
+        console.note(f"wrote stdout: {done.settings['duration_s']:g} s; its faults are listed in {done.answer_path}")
     else:
         console.show(done, err=True)

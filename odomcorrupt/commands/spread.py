@@ -78,5 +78,5 @@ def _text(report: SpreadReport) -> str:
         for row in report.rows
     ]
     if report.random_effects:
-        lines.append(f"The prediction knows nothing of the draws of {', '.join(report.random_effects)}.")
+        lines.append(f"The prediction does not include the draws of {', '.join(report.random_effects)}.")
     return "\n".join(lines)

@@ -86,8 +86,8 @@ def correction_summary(corrected: Corrected) -> str:
             _shift(corrected),
         ]
     else:
-        has = "none that can be undone" if corrected.effects.left else "none"
-        parts = [f"Nothing to correct: of effects the model has {has}, so the bag was copied."]
+        has = "no effect that can be undone" if corrected.effects.left else "no effect"
+        parts = [f"Nothing to correct: the model has {has}, so the bag was copied."]
     parts += [
         f"{effect.name} cannot be undone: {_WHY_NOT.get(effect.name, _RANDOM)}." for effect in corrected.effects.left
     ]

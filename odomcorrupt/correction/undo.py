@@ -149,7 +149,10 @@ def undo_effects(
         if place is None or np.abs(found - place).max(initial=0.0) <= PLACE_TOLERANCE:
             return Undone(error, _increments(raw + added), driven_s, jump)
         place = found
-    raise EffectError("effects that read places: cannot be taken out of this odometry, its positions do not converge")
+    raise EffectError(
+        "position-dependent effects: cannot be removed from this odometry, the iteration of its positions does not "
+        "converge"
+    )
 
 
 def _stays_rough(effects: Sequence[Effect], motion: Motion, place: Array | None) -> bool:

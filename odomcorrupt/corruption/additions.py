@@ -34,9 +34,7 @@ class TruthTopic:
 
     def __post_init__(self) -> None:
         if not TOPIC.fullmatch(self.topic):
-            raise TopicError(
-                f"{self.topic!r}: is no name for a topic; letters, digits, _ and / make one, as in /odom_true"
-            )
+            raise TopicError(f"{self.topic!r}: is not a topic name; use letters, digits, _ and /, as in /odom_true")
         if any(plain(c.topic) == plain(self.topic) for c in self.reader.channels.values()):
             raise TopicError(f"{self.topic}: is in the bag already; keep the truth under another name")
 
@@ -71,7 +69,7 @@ class CorrectionEdge:
         """
         if plain(self.frame) in ("", odom):
             raise TopicError(
-                f"--new-odom-frame {self.frame!r}: must be a frame of its own, above {odom}; name another one"
+                f"--new-odom-frame {self.frame!r}: must be a new frame, the parent of {odom}; name another one"
             )
         for target in targets:
             if self._channel is None:

@@ -50,9 +50,9 @@ class PoseFaults:
         if self.no_orientation:
             said.append(f"{self.no_orientation} orientations are zero: their heading is taken as 0")
         if self.upright:
-            said.append(f"{self.upright} poses pitch beyond 85 deg: their heading means nothing")
+            said.append(f"{self.upright} poses pitch beyond 85 deg: their heading is undefined")
         if self.far:
-            said.append(f"{self.far} poses are beyond {FAR_M:.0e} m: not used, and left alone")
+            said.append(f"{self.far} poses are beyond {FAR_M:.0e} m: not used, and left unchanged")
         return said
 
 
@@ -68,13 +68,15 @@ def frame_faults(edges: Iterable[tuple[str, str]], odom: str | None, base: str |
     """
     said = []
     if odom is not None and odom == base:
-        said.append(f"the odometry is from {odom} to {base}, one frame: a robot has a frame of its own")
+        said.append(f"the odometry is from {odom} to {base}, one and the same frame; it needs two")
     parents: dict[str, set[str]] = {}
     for parent, child in edges:
         parents.setdefault(child, set()).add(parent)
     for child, above in sorted(parents.items()):
         if len(above) > 1 and not any(child in parents.get(one, ()) for one in above):
-            said.append(f"TF gives {child} {len(above)} parents ({', '.join(sorted(above)[:6])}): it can have one")
+            said.append(
+                f"TF gives {child} {len(above)} parents ({', '.join(sorted(above)[:6])}): a frame can have only one"
+            )
     loop = _loop(parents)
     if loop:
         said.append(f"TF has a loop: {' -> '.join(loop)}")

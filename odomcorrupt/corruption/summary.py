@@ -51,7 +51,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     """
     drift, is_identity = outcome.drift, _is_identity(outcome.model)
     if is_identity:
-        lines = [Line("UNCHANGED", "the model has nothing in it that moves odometry", "warning")]
+        lines = [Line("UNCHANGED", "the model has no noise or effect that changes odometry", "warning")]
     else:
         said = f"{size_words(drift.end_drawn_m, drift.end_drawn_rad)} off after {drift.distance_m:.4g} m"
         if not outcome.model.noise.coefficients.noise_free:
@@ -210,7 +210,11 @@ def _leg(drift: Drift) -> str:
 
 def _expected(metres: float, radians: float) -> str:
     """Return the expected drift as text; without the position where the heading error is too large for first order."""
-    return size_words(metres, radians) if radians < LOST_RAD else f"{math.degrees(radians):.3g} deg, and so any place"
+    return (
+        size_words(metres, radians)
+        if radians < LOST_RAD
+        else f"{math.degrees(radians):.3g} deg: the position is arbitrary"
+    )
 
 
 def size_words(metres: float, radians: float) -> str:
@@ -223,7 +227,8 @@ def _faster(drift: Drift) -> list[str]:
     if not (drift.slowed_s and drift.slowed_to):
         return []
     more = 100.0 * (1.0 / drift.slowed_to - 1.0)
-    return [f"For {drift.slowed_s:.2g} s up to {more:.2g} % faster than the model covers: the relative error is kept."]
+    fast = f"For {drift.slowed_s:.2g} s up to {more:.2g} % faster than the model's highest valid speed"
+    return [f"{fast}: the relative error is kept constant."]
 
 
 def per_message(noise: Noise) -> list[str]:
@@ -240,7 +245,7 @@ def _rate(outcome: Outcome) -> list[str]:
     if not what or drift.rate_hz is None:
         return []
     means = f"a drift of {_leg(drift)} per {LEG_M:.0f} m" if drift.leg_expected_m is not None else "the drift above"
-    here = f"these numbers mean {means} at this bag's {drift.rate_hz:.3g} Hz, and something else at another rate"
+    here = f"these numbers mean {means} at this bag's {drift.rate_hz:.3g} Hz, and other values at another rate"
     way_out = "; --step 0.25m,0.2rad or --law diffusion do not depend on it" * what[0].startswith("the law")
     return [f"Once per message acts {' and '.join(what)}: {here}{way_out}."]
 
@@ -262,11 +267,11 @@ def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) ->
     """
     law = model.noise.law
     if law.along_travel and not model.noise.coefficients.noise_free and sideways_m < STRAIGHT * distance_m:
-        return [f"The law {law.name} is for robots that move sideways, and this one does not; leave --law out."]
+        return [f"The law {law.name} is for robots that move sideways, but this one does not; leave --law out."]
     if law.along_travel or sideways_m <= SIDEWAYS * distance_m:
         return []
     way = f"{sideways_m:.3g} m of {distance_m:.3g} m"
-    return [f"The robot moves sideways ({way}), which the law {law.name} does not know; --law omni does."]
+    return [f"The robot moves sideways ({way}), which the law {law.name} does not model; --law omni does."]
 
 
 def oddities(outcome: Outcome) -> list[str]:
@@ -276,7 +281,7 @@ def oddities(outcome: Outcome) -> list[str]:
     if outcome.zero_stamps:
         said.append(f"{outcome.zero_stamps} odometry stamps are zero: log times were used instead.")
     if outcome.swapped:
-        said.append(f"{outcome.swapped} odometry messages came behind later ones: they were put in order.")
+        said.append(f"{outcome.swapped} odometry messages were out of order: they were sorted.")
     said += stream_oddities(
         outcome, follow="the drift", restart="each time the drift began again at zero", late="no noise of their own"
     )
@@ -304,7 +309,7 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
         f"The pose jumped {outcome.drift.jumps} times: the correction was held across.": outcome.drift.jumps,
         f"{outcome.late} odometry messages came more than a second late: moved, but {late}.": outcome.late,
         f"{outcome.leaps} odometry stamps lie far ahead of their neighbours': {late}.": outcome.leaps,
-        f"{numberless} odometry poses are not numbers: left alone.": numberless,
+        f"{numberless} odometry poses are not numbers: left unchanged.": numberless,
     }
     static = [
         f"/tf_static holds {edge}: published once for all time, it cannot follow {follow}."

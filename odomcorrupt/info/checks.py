@@ -119,7 +119,7 @@ def findings(record: OdometryRecord) -> Findings:
     duration = float(dt[dt > 0.0].sum())
     odd = []
     if record.zero_stamps:
-        odd.append(f"{record.zero_stamps} of {len(record.stamps_ns)} stamps are zero: log times stand in for them")
+        odd.append(f"{record.zero_stamps} of {len(record.stamps_ns)} stamps are zero: log times are used instead")
     if not finite.all():
         odd.append(f"{np.count_nonzero(~finite)} poses are not numbers")
     odd += record.faults.sentences()
@@ -191,7 +191,7 @@ def _twist_oddities(twist: Array, xyt: Array, dt: Array, good: NDArray[np.bool_]
     in_world = float(np.sqrt(np.mean((stated[:, :2] - world) ** 2)))
     typical = float(np.sqrt(np.mean(body**2)))
     if in_world < 0.5 * in_body and in_body > 0.1 * typical:
-        odd.append("twists seem to be in the odom frame, not in the child frame as the message type asks")
+        odd.append("twists seem to be in the odom frame, not in the child frame as the message type requires")
     elif min(in_body, in_world) > 0.5 * typical:
         odd.append(f"twists do not fit the poses (they differ by {in_body:.2g} m/s at {typical:.2g} m/s)")
     return odd

@@ -82,7 +82,7 @@ def brief(values: dict[str, Any], name: str) -> Summary:
             drive = f"{o['distance_m']:.4g} m in {o['duration_s']:.4g} s{rate}"
             lines.append(Line("ODOMETRY", f"{o['topic']} ({o['frame']} -> {o['child']}): {drive}", "good"))
     if not lines:
-        lines.append(Line("NO CHOICE", "which odometry moves must be said, see below", "bad"))
+        lines.append(Line("NO CHOICE", "several odometry topics: name one, see below", "bad"))
     lines += [Line("corrupted", provenance_words(one), "warning") for one in values.get("provenance", ())]
     edges = [f"{e['parent']} -> {e['child']}" for e in values["edges"] if e["moved"]]
     topics = [o["topic"] for o in values["odometry"] if o["moved"]]
@@ -174,7 +174,7 @@ def _remarks(
 ) -> list[str]:
     said = []
     if not scan.odometry and source is not None:
-        said.append("no nav_msgs/Odometry topic: TF drives the model")
+        said.append("no nav_msgs/Odometry topic: TF is the odometry")
     elif not scan.odometry and frames is not None:
         ends = f"{frames.odom} and {frames.base or 'a base'}"
         said.append(f"no nav_msgs/Odometry topic, and no transform between {ends}: name an edge of the table")
@@ -182,7 +182,7 @@ def _remarks(
         way_out = "; TF alone can be corrupted with --odom-frame and --base-frame" if scan.edges else ""
         said.append(f"no nav_msgs/Odometry topic{way_out}")
     elif source is None:
-        said.append("several nav_msgs/Odometry topics: name the one that drives the model with --odom-topic")
+        said.append("several nav_msgs/Odometry topics: name the one to corrupt with --odom-topic")
     elif frames is None and asked_frame is None:
         said.append(f"{source.topic} is in frame {source.frame!r}: name the frame that is to drift with --odom-frame")
     odom, base = (None, None) if frames is None else (frames.odom, frames.base)
@@ -241,7 +241,7 @@ def _about(o: dict[str, Any], *, source: bool) -> list[str]:
     turned = f"{math.degrees(o['turned_rad']):.0f} deg of turning"
     driven = f"{o['distance_m']:.4g} m ({o['reverse_m']:.2f} m of it backwards) and {turned}"
     lines = [
-        f"{o['topic']} ({ends}{rate})" + (": drives the model" if source else ""),
+        f"{o['topic']} ({ends}{rate})" + (": the odometry to corrupt" if source else ""),
         f"  {driven} in {o['duration_s']:.4g} s, {o['standing_s']:.1f} s of them standing",
     ]
     counts = [f"{o[key]} {words}" for key, words in _COUNTS.items() if o[key]]

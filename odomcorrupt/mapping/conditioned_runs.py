@@ -44,7 +44,7 @@ def without_effects(model: MotionModel) -> MotionModel:
     """Return a model that a map can constrain; ModelError if it has acting effects."""
     acting = [effect.name for effect in model.effects if effect.acts]
     if acting:
-        raise ModelError(f"--map: {acting[0]} is no noise and cannot be drawn again; leave out effects, or --map")
+        raise ModelError(f"--map: {acting[0]} is not noise and cannot be redrawn; leave out effects, or --map")
     return model
 
 
@@ -53,7 +53,7 @@ def require_free(space: FreeSpace, first_xyt: Array) -> None:
     if not space.free(first_xyt[None, :2])[0]:
         x, y = first_xyt[:2]
         raise MapError(
-            f"the drive begins at ({x:.3f} m, {y:.3f} m), which the map does not leave free for this robot; check "
+            f"the drive begins at ({x:.3f} m, {y:.3f} m), which is not free in the map for this robot; check "
             "--map-pose, --robot-radius and --unknown"
         )
 

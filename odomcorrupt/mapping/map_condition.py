@@ -181,7 +181,7 @@ def read_condition(
         found = read_map_from_odom(bag, frame, odom_frame, recover=recover)
         if found is None:
             raise MapError(
-                f"{bag}: TF has nothing between {frame!r} and {odom_frame!r}; say where odom is in the map with "
+                f"{bag}: TF has nothing between {frame!r} and {odom_frame!r}; give the pose of odom in the map with "
                 "--map-pose x,y,yaw (0,0,0 where they are the same)"
             )
         pose = found

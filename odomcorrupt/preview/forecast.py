@@ -236,7 +236,7 @@ def _rate(outlook: Forecast, model: MotionModel) -> list[str]:
     said = "The noise does not depend on the message rate."
     if _changes_at_half_rate(outlook):
         said += (
-            " This recording does: what jitters from message to message counts as motion; with every second message "
+            " This recording does: jitter between messages counts as motion; with every second message "
             f"{grown} as uncertain."
         )
     return [said]

@@ -47,7 +47,10 @@ def drift_of(noise: Noise) -> Drift:
     if law.per_step and noise.step is None:
         raise ModelError(f"law {law.name}: its drift depends on the step; name it, as in --step 0.25m,0.2rad")
     if noise.coefficients.white_v or noise.coefficients.white_omega:
-        raise ModelError("white noise on twists grows with time, not with distance; leave it out and give it again")
+        raise ModelError(
+            "white noise on twists grows with time, not with distance; leave it out here and add it to the converted "
+            "noise"
+        )
     return _drift(law, noise.coefficients, noise.step or ANY_STEP)
 
 

@@ -158,7 +158,7 @@ def within_map(grid: DensityGrid, within: Constraint, start_xy: Array) -> tuple[
     free = within.allows(np.broadcast_to(start_xy, ends.shape), ends).reshape(gx.shape)
     part = float(grid.density[free].sum() / grid.density.sum())
     if not part > 0.0:
-        raise MapError("the motion ends in a wall, and its noise does not lead out of it; check --map-pose")
+        raise MapError("the motion ends in a wall, and no noisy end pose leaves it; check --map-pose")
     return replace(grid, density=np.where(free, grid.density, 0.0) / part), part
 
 

@@ -264,7 +264,7 @@ def move_sampled_in_map(
     if not within.space.free(start)[0]:
         x, y = start[0]
         raise MapError(
-            f"the motion begins at ({x:.3f} m, {y:.3f} m), which the map does not leave free for this robot; check "
+            f"the motion begins at ({x:.3f} m, {y:.3f} m), which is not free in the map for this robot; check "
             "--map-pose and --robot-radius"
         )
     out = np.empty((count, 3))
@@ -281,6 +281,6 @@ def move_sampled_in_map(
             break
     if len(pending) == count:
         raise MapError(
-            f"none of {candidates} candidates is free: the motion ends in a wall, and its noise does not lead out of it"
+            f"none of {candidates} candidates is free: the motion ends in a wall, and no noisy end pose leaves it"
         )
     return FreeSamples(np.delete(out, pending, axis=0), candidates, len(pending), free_at_first, within.tries)

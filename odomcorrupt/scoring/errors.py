@@ -194,7 +194,7 @@ def _aligned(true: Array, own: Array, align: Alignment) -> Array:
     if align == "rigid":
         return aligned_rigidly(true, own)
     if not (np.isfinite(true[0]).all() and np.isfinite(own[0]).all()):
-        raise ScoreError("--align origin: puts first poses onto each other, and there are no headings; use rigid")
+        raise ScoreError("--align origin: aligns the first poses, which needs headings; use rigid")
     return aligned_at_origin(true, own)
 
 

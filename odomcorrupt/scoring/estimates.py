@@ -108,7 +108,7 @@ def read_estimate(path: Path, address: str | None) -> Estimate:
         raise NoEstimateError(f"{samples.place} holds no message")
     ordered = in_order(samples)
     bad = len(samples) - int(np.isfinite(samples.xyz).all(axis=1).sum())
-    notes = (*ordered.notes, *((f"{bad} poses are no numbers",) if bad else ()))
+    notes = (*ordered.notes, *((f"{bad} poses are not numbers",) if bad else ()))
     if not is_text(path) and address is not None and not parse_address(address).frames:
         covariance = _covariances(_bag_in(path), address, ordered)
     return Estimate(ordered.place, ordered.frame, ordered.trajectory(), covariance, notes)

@@ -281,7 +281,7 @@ def _by_pair(report: Mapping[str, Any]) -> dict[tuple[str, int], Mapping[str, An
     except (KeyError, TypeError, AttributeError):
         whole = False
     if not whole:
-        raise ScoreError("the baseline is no result of score; make one with odomcorrupt score ... --save")
+        raise ScoreError("the baseline is not a result of score; make one with odomcorrupt score ... --save")
     return runs
 
 

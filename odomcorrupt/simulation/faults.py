@@ -306,7 +306,7 @@ def draw_fault(
     drawn |= given or {}
     first = next(iter(drawn.values()))
     if fault.one_signed and not isinstance(first, str) and first < 0:
-        raise EffectError(f"{cause}: {next(iter(drawn))} {first}; this has no negative")
+        raise EffectError(f"{cause}: {next(iter(drawn))} {first}; it must not be negative")
     return drawn
 
 

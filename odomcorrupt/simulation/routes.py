@@ -71,7 +71,9 @@ def read_commands(path: str | Path) -> Commands:
             chosen = [c for c in found if c.topic == "/cmd_vel"] or found
             if len({c.topic for c in chosen}) != 1:
                 names = ", ".join(sorted({c.topic for c in reader.connections})) or "nothing"
-                raise TopicError(f"{path}: no one topic of speed commands (found {names}); record /cmd_vel as Twist")
+                raise TopicError(
+                    f"{path}: not exactly one topic of velocity commands (found {names}); record /cmd_vel as Twist"
+                )
             rows = []
             for connection, stamp_ns, data in reader.messages(connections=chosen):
                 message = reader.deserialize(data, connection.msgtype)

@@ -144,7 +144,7 @@ class _Rows:
         if len(kept) < len(stamps):
             unusable = int(np.count_nonzero(~good))
             notes.append(
-                f"{topic}: {unusable} messages without numbers and {int(good.sum()) - len(kept)} repeats left out"
+                f"{topic}: {unusable} messages without numbers and {int(good.sum()) - len(kept)} duplicates left out"
             )
         numbers = numbers[good][::-1][index]
         xyt = numbers[:, :3].copy()

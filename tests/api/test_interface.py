@@ -68,7 +68,7 @@ def test_a_path_of_numbers_is_corrupted_as_the_bag_is(tmp_path):
     ("t", "poses", "said"),
     [
         ([0.0, 1.0], np.zeros((3, 3)), "give shapes"),
-        ([0.0, 0.0], np.zeros((2, 3)), "do not ascend"),
+        ([0.0, 0.0], np.zeros((2, 3)), "do not increase"),
         ([0.0, 1.0], np.full((2, 3), np.nan), "finite"),
     ],
 )

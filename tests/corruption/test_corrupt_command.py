@@ -39,11 +39,14 @@ def test_effects_of_single_wheels_take_the_track_from_the_command_line_or_the_fi
 @pytest.mark.parametrize(
     ("args", "sentence"),
     [
-        (("--track", "0"), "--track 0: it must be metres between the wheels"),
-        (("--alpha", "5deg", "10deg/m", "5deg", "0.1"), "trans_trans: 5deg is an angle, and it is metres"),
-        (("--alpha", "5deg/m", "0", "0", "0"), "rot_rot: 5deg/m; it is caused per rad, and not per m"),
-        (("--alpha", "0", "5deg/rad", "0", "0"), "rot_trans: 5deg/rad; it is caused per m, and not per rad"),
-        (("--alpha", "0.1/m", "0", "0", "0"), "rot_rot: 0.1/m; it is caused per rad"),
+        (("--track", "0"), "--track 0: it must be the distance between the wheels"),
+        (
+            ("--alpha", "5deg", "10deg/m", "5deg", "0.1"),
+            "trans_trans: 5deg is an angle, but this coefficient is in metres",
+        ),
+        (("--alpha", "5deg/m", "0", "0", "0"), "rot_rot: 5deg/m; this coefficient is per rad, not per m"),
+        (("--alpha", "0", "5deg/rad", "0", "0"), "rot_trans: 5deg/rad; this coefficient is per m, not per rad"),
+        (("--alpha", "0.1/m", "0", "0", "0"), "rot_rot: 0.1/m; this coefficient is per rad"),
         (("--alpha", "5deg", "0", "0", "0", "--law", "quadratic"), "alphas of the law quadratic scale variances"),
         (("--alpha", "0", "0", "0", "1deg", "--law", "omni"), "alphas of the law omni scale variances"),
     ],
@@ -85,4 +88,4 @@ def test_a_drive_faster_than_a_learned_model_covers_is_corrupted_and_reported(co
     model.write_text(text + '[source]\nrecordings = ["a.mcap"]\n')
     code, said, _ = corrupt("--model", str(model))
     assert code == 0
-    assert "% faster than the model covers: the relative error is kept." in said
+    assert "% faster than the model's highest valid speed: the relative error is kept constant." in said

@@ -18,18 +18,18 @@ SAID = {
     "corrupt": (
         "/tf_static holds odom -> base_link: published once for all time, it cannot follow the drift.",
         "1 odometry stamps are zero: log times were used instead.",
-        "1 odometry messages came behind later ones: they were put in order.",
+        "1 odometry messages were out of order: they were sorted.",
         "Time jumped back 1 times: each time the drift began again at zero.",
         "The pose jumped 1 times: the correction was held across.",
         "1 odometry stamps lie far ahead of their neighbours': no noise of their own.",
-        "1 odometry poses are not numbers: left alone.",
+        "1 odometry poses are not numbers: left unchanged.",
     ),
     "correct": (
         "/tf_static holds odom -> base_link: published once for all time, it cannot follow the correction.",
         "Time jumped back 1 times: each stretch was corrected by itself.",
         "The pose jumped 1 times: the correction was held across.",
         "1 odometry stamps lie far ahead of their neighbours': not used to correct.",
-        "1 odometry poses are not numbers: left alone.",
+        "1 odometry poses are not numbers: left unchanged.",
     ),
 }
 

@@ -29,7 +29,10 @@ def test_orientations_of_no_length_and_upright_ones_are_counted():
 TREES = {
     "sound": ([("map", "odom"), ("odom", "base"), ("base", "laser")], []),
     "sound, the other way round": ([("base", "odom"), ("odom", "map")], []),
-    "two parents": ([("map", "base"), ("odom", "base")], ["TF gives base 2 parents (map, odom): it can have one"]),
+    "two parents": (
+        [("map", "base"), ("odom", "base")],
+        ["TF gives base 2 parents (map, odom): a frame can have only one"],
+    ),
     "loop": ([("a", "b"), ("b", "c"), ("c", "a"), ("c", "d")], ["TF has a loop: a -> b -> c -> a"]),
     "to and fro": ([("odom", "base"), ("base", "odom")], ["TF has a loop: base -> odom -> base"]),
     "itself": ([("odom", "odom")], ["TF has a loop: odom -> odom"]),
@@ -79,9 +82,9 @@ def odd(tmp_path):
 
 SAID = (
     "1 orientations are zero: their heading is taken as 0",
-    "1 poses pitch beyond 85 deg: their heading means nothing",
-    "1 poses are beyond 1e+09 m: not used, and left alone",
-    "TF gives base_link 2 parents (map, odom): it can have one",
+    "1 poses pitch beyond 85 deg: their heading is undefined",
+    "1 poses are beyond 1e+09 m: not used, and left unchanged",
+    "TF gives base_link 2 parents (map, odom): a frame can have only one",
     "TF has a loop: base_link -> laser -> map -> base_link",
 )
 
@@ -102,8 +105,8 @@ def test_one_frame_for_odom_and_base_is_said(tmp_path, capsys):
     assert run(["info", str(FIXTURES / "office.mcap"), *words]) == 0
     assert run([str(FIXTURES / "office.mcap"), str(tmp_path / "out.mcap"), *words, *NOISE]) == 0
     said = capsys.readouterr()
-    assert "the odometry is from odom to odom, one frame" in said.out
-    assert "The odometry is from odom to odom, one frame" in said.err
+    assert "the odometry is from odom to odom, one and the same frame" in said.out
+    assert "The odometry is from odom to odom, one and the same frame" in said.err
 
 
 def test_a_log_time_before_1970_is_no_time_of_an_mcap(tmp_path, capsys):

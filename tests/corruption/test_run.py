@@ -151,7 +151,7 @@ def test_the_summary_expects_no_noise_of_effects_and_no_place_of_a_lost_heading(
     assert "Drift: at the end " in text
     assert "expected" not in text
     wild = corrupt(FIXTURES / "office.mcap", tmp_path / "b.mcap", model(coefficients=Coefficients(5, 5, 5, 5)))
-    assert "deg, and so any place)" in summary(wild, "")
+    assert "deg: the position is arbitrary)" in summary(wild, "")
 
 
 def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order(tmp_path):
@@ -159,16 +159,20 @@ def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order(tmp_path):
     assert (outcome.swapped, outcome.zero_stamps) == (0, 0)
     text = summary(replace(outcome, swapped=3, zero_stamps=7), "")
     assert "7 odometry stamps are zero: log times were used instead." in text
-    assert "3 odometry messages came behind later ones: they were put in order." in text
+    assert "3 odometry messages were out of order: they were sorted." in text
 
 
 @pytest.mark.parametrize(
     ("law", "sideways_m", "said"),
     [
-        ("linear", 4.0, "The robot moves sideways (4 m of 10 m), which the law linear does not know; --law omni does."),
+        (
+            "linear",
+            4.0,
+            "The robot moves sideways (4 m of 10 m), which the law linear does not model; --law omni does.",
+        ),
         ("linear", 0.5, ""),
         ("omni", 4.0, ""),
-        ("omni", 0.0, "The law omni is for robots that move sideways, and this one does not; leave --law out."),
+        ("omni", 0.0, "The law omni is for robots that move sideways, but this one does not; leave --law out."),
     ],
 )
 def test_a_law_that_does_not_fit_the_robot_is_warned_of(law, sideways_m, said):

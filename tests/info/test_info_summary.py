@@ -103,7 +103,7 @@ def test_restarts_swaps_jumps_zero_stamps_and_broken_poses_are_counted():
     assert odom["swapped"] == 4
     assert "2 poses are not numbers" in odom["oddities"]
     (odom,) = look([(ODOM, int(s), odometry(0, p)) for s, p in zip(*DRIVE, strict=True)])["odometry"]
-    assert "401 of 401 stamps are zero: log times stand in for them" in odom["oddities"]
+    assert "401 of 401 stamps are zero: log times are used instead" in odom["oddities"]
 
 
 def test_sideways_motion_points_to_the_omni_law():
@@ -137,8 +137,8 @@ def test_transforms_alone_are_described_where_their_frames_are_named(turned):
     assert values["odometry_source"] == drive["topic"] == "TF odom -> base_link"
     assert drive["distance_m"] == pytest.approx(8 * 0.6 + 4 * 0.5 + 3 * 0.3, rel=0.02)
     assert drive["reverse_m"] == pytest.approx(0.9, rel=0.05)
-    assert drive["oddities"] == ["401 of 401 stamps are zero: log times stand in for them"]
-    assert values["remarks"] == ["no nav_msgs/Odometry topic: TF drives the model"]
+    assert drive["oddities"] == ["401 of 401 stamps are zero: log times are used instead"]
+    assert values["remarks"] == ["no nav_msgs/Odometry topic: TF is the odometry"]
     assert "no transform between odom and wheel" in look(messages, odom_frame="odom", base_frame="wheel")["remarks"][0]
 
 
@@ -174,7 +174,7 @@ def test_the_command_prints_text_or_values(capsys, tmp_path):
     office_bag = str(FIXTURES / "office.mcap")
     assert run(["info", "-v", office_bag]) == 0
     text = capsys.readouterr().out
-    assert "/odom (odom -> base_link, 50 Hz): drives the model" in text
+    assert "/odom (odom -> base_link, 50 Hz): the odometry to corrupt" in text
     assert "static edges that stay" in text
     assert run(["info", office_bag, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["still_true"] == ["/imu"]

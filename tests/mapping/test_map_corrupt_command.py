@@ -96,12 +96,12 @@ def test_without_noise_the_file_is_copied(corridor, tmp_path):
     [
         (["--map", "MAP"], 1, "TF has nothing between 'map' and 'odom'"),
         (["--map", "/map"], 1, "no nav_msgs/OccupancyGrid on /map"),
-        (["--map", "MAP", "--map-pose", "0,0,0", "--effect", "wheel_scale:e=0.02"], 1, "wheel_scale is no noise"),
+        (["--map", "MAP", "--map-pose", "0,0,0", "--effect", "wheel_scale:e=0.02"], 1, "wheel_scale is not noise"),
         (["--map", "MAP", "--map-pose", "0,0,0", "--keep-localisation"], 2, "leave out one"),
         (["--map", "MAP", "--map-pose", "90,0,0"], 1, "the drive begins at"),
-        (["--map-pose", "0,0,0"], 2, "name the map with --map"),
-        (["--map-check", "path"], 2, "name the map with --map"),
-        (["--robot-radius", "0.1"], 2, "name the map with --map"),
+        (["--map-pose", "0,0,0"], 2, "needs a map; name it with --map"),
+        (["--map-check", "path"], 2, "needs a map; name it with --map"),
+        (["--robot-radius", "0.1"], 2, "needs a map; name it with --map"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(more, code, word, corridor, tmp_path, capsys):

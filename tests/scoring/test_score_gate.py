@@ -119,5 +119,5 @@ def test_what_cannot_be_compared_is_said():
         check(result(values), ["ate_p90 +20%"], result(values, seed=8))
     with pytest.raises(ScoreError, match="takes 8 or more"):
         check(result(values[:5]), ["ate_p90 +20%"], result(values))
-    with pytest.raises(ScoreError, match="no result of score"):
+    with pytest.raises(ScoreError, match="not a result of score"):
         check(result(values), ["ate_p90 +20%"], {"runs": 3})

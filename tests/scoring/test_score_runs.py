@@ -144,7 +144,7 @@ def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates
         (["--fail-if", "ate_p90 +20%"], 1, "--baseline"),
         (["--fail-if", "ate +"], 1, "not understood"),
         (["--baseline", "BASE"], 2, "--fail-if"),
-        (["--fail-if", "ate_p90 +20%", "--baseline", "BASE"], 1, "no result of score"),
+        (["--fail-if", "ate_p90 +20%", "--baseline", "BASE"], 1, "not a result of score"),
         (["-o", "score.gif"], 2, "ends in .gif; write .png, .svg or .pdf"),
         (["--lost", "nan"], 2, "metres"),
         (["--truth", "/nowhere"], 1, "/nowhere"),

@@ -151,5 +151,5 @@ def test_hidden_draws_all_kinds_and_what_shows():
 
 
 def test_negative_sizes_of_what_has_none_are_refused():
-    with pytest.raises(EffectError, match="no negative"):
+    with pytest.raises(EffectError, match="must not be negative"):
         silent("backlash", {"travel": -0.01}, (REST, Segment(0.1, 0.0, 1.0)))
