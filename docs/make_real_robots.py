@@ -67,8 +67,8 @@ class Robot:
 COMMANDS = (
     "Its odometry is the velocity that was commanded, and no wheel was measured: what lies between the two (the "
     "motors' delay and slow answer, speeds that the drive rounds or cannot reach) differs from command to command "
-    "and is no effect of this library. Encoders would show it; a law of the command, as named above, approximates "
-    "it."
+    "and is not an effect in this library. Encoders would show it; a function of the command, as named above, "
+    "approximates it."
 )
 
 BEFORE = """\
@@ -186,7 +186,7 @@ def section(folder: Path, robot: Robot) -> list[str]:
     clock = comparison.clocks.clocks[0]
     lines = [f"## {robot.title}", ""]
     lines.append(
-        f"Learned on {', '.join(r.name for r in learning)}; judged on {judging.name}, whose odometry clock is "
+        f"Learned on {', '.join(r.name for r in learning)}; evaluated on {judging.name}, whose odometry clock is "
         f"{clock.offset_s * 1e3:+.0f} ms off and gains {clock.rate * 1e6:+.0f} ppm. Error after 10 s: "
         f"{comparison.raw_error_m * 1e3:.0f} mm as measured, "
         f"{comparison.clock_error_m * 1e3:.0f} mm with its clock corrected."
@@ -283,7 +283,7 @@ def verdict(robot: Robot, judgement: Judgement, paths: Replay, judging: Recordin
     own = drop_unsupported_parts(learn([judging]))[0]
     names = [*own.added, *(gain.effect.name for gain in own.noise)]
     unknown = [dependence(u) for u in own.unknown[:3]]
-    known = f"**What would explain it**, learned on the judged run itself: {', '.join(names) or 'no known effect'}"
+    known = f"**What would explain it**, learned on the evaluated run itself: {', '.join(names) or 'no known effect'}"
     return [
         *lines,
         "",
@@ -327,7 +327,7 @@ def main(folder: Path) -> None:
     lines += ["", "Made by `docs/make_real_robots.py`. Lengths in m, angles in rad unless said; law `diffusion`."]
     lines += [
         "Windows are few, so coverage is coarse: a right model, too, may have 4 of 6 inside the 90 % region.",
-        "Shown is what `odomcorrupt learn` finds, without what makes held-out halves of these drives plainly worse.",
+        "Models are those of `odomcorrupt learn`, without parts that clearly increase the error on held-out halves.",
         "",
         *BEFORE.splitlines(),
         "",

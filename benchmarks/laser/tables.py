@@ -33,7 +33,7 @@ def tables(rows: list[dict[str, Any]]) -> str:
     for key, words in (("laser", ratio), ("exact_scale", "the same, the laser's drawn scale error divided out")):
         lines.append(_row(words, _ratios(good, key), "1", "1.02, 1.10"))
     sure = [_wrong_and_sure(r) for r in [*controls, *single]]
-    lines.append(_row("wrong and sure (0.9)", _share(sure), "", "at most 1 %"))
+    lines.append(_row("confidently wrong (0.9)", _share(sure), "", "at most 1 %"))
     corridor = _arm(rows, "corridor")
     false = [[n for n in _robots(r, "answer") if not right(n, r)] for r in corridor]
     turned_down = [r["case"]["arm"] == "corridor" and "not testable" in r["refused"] for r in refused]

@@ -1,8 +1,8 @@
 """Causes of odometry error: ranges of their sizes, and the names that count as right.
 
 `accepted` are library names (or patterns of names that it may have later) that count as right. `equal` are names with
-the same effect on this robot but another physical cause: they count neither as right nor as wrong and sure. `drivers`
-are the regressors with which an unknown dependence counts as right.
+the same effect on this robot but another physical cause: they count neither as right nor as confidently wrong.
+`drivers` are the regressors with which an unknown dependence counts as right.
 """
 
 from __future__ import annotations

@@ -43,10 +43,10 @@ def page(rows: Rows) -> str:
         "## By situation",
         "",
         *_situations(rows),
-        "## How sure, how right",
+        "## Calibration of the confidence",
         "",
         *_calibration(rows),
-        "## Wrong and sure",
+        "## Confidently wrong",
         "",
         *_list(rows, lambda row: ", ".join(v.wrong_and_sure(row))),
         "## False alarms",
@@ -96,13 +96,13 @@ def _goals(rows: Rows) -> Lines:
     events = [row for row in excited if CAUSES[row["case"]["cause"]].event]
     used = [row for row in rows if row.get("after_m") is not None]
     return table(
-        ("asked", "found", "goal"),
+        ("quantity", "found", "goal"),
         [
             ["drives", len(rows), f"at least 300 (of {sum(LENGTHS.values())} planned)"],
             ["false alarms", part([bool(v.false_alarms(row)) for row in controls]), "at most 2 %"],
-            ["right name or driver first, excited", part([v.right(row) for row in named]), "at least 90 %"],
+            ["right name or regressor first, excited", part([v.right(row) for row in named]), "at least 90 %"],
             ["event found, excited", part([v.right(row) for row in events]), "at least 90 %"],
-            ["wrong and sure, drives", part([bool(v.wrong_and_sure(row)) for row in rows]), "at most 1 %"],
+            ["confidently wrong, drives", part([bool(v.wrong_and_sure(row)) for row in rows]), "at most 1 %"],
             ["held-out error after over floor, excited, median / p90", _spread(_judged(rows)), "1.05 / 1.5"],
             ["the same over what is attainable", _spread(_judged(rows, "attainable_m")), ""],
             ["above the error without a model by more than 3 %", part([v.harmed(row) for row in used]), "none"],
@@ -127,8 +127,8 @@ def _situations(rows: Rows) -> Lines:
             _spread(_judged(own)), sum(v.harmed(row) for row in own), sum(bool(v.refusals(row)) for row in own),
         ])  # fmt: skip
     head = (
-        "situation", "drives", "false alarms", "right first (excited)", "wrong and sure", "after / floor, median / p90",
-        "harm", "failed",
+        "situation", "drives", "false alarms", "right first (excited)", "confidently wrong",
+        "after / floor, median / p90", "harm", "failed",
     )  # fmt: skip
     return table(head, out)
 

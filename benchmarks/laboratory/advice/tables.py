@@ -40,7 +40,7 @@ def advice_section(rows: Rows) -> list[str]:
 def _opened(rows: Rows) -> list[str]:
     asked = [row for row in rows if open_names(row)]
     quiet = [row for row in rows if not open_names(row)]
-    return table(("asked", "result"), [
+    return table(("quantity", "result"), [
         ["a choice was reported as open", part([bool(open_names(row)) for row in rows])],
         ["the cause was one of its names", part([cause_of(row) in open_names(row) for row in asked])],
         ["a drive was advised for it", part([_advised(row) for row in asked])],
@@ -57,7 +57,7 @@ def _settled(rows: Rows) -> list[str]:
     def of(name: str, value: str) -> str:
         return part([settled(row, 1) for row in there if row["case"][name] == value])
 
-    return table(("asked", "result"), [
+    return table(("quantity", "result"), [
         ["**settled**: the cause first, no name of the choice beside it", part([settled(r, 1) for r in there], GOAL)],
         ["the same, where the cause was one of the names",
          part([settled(r, 1) for r in there if cause_of(r) in open_names(r)])],
@@ -71,7 +71,7 @@ def _settled(rows: Rows) -> list[str]:
 def _shown(rows: Rows) -> list[str]:
     silent = [row for row in rows if not named(row, 0) and not open_names(row)]
     there = [row for row in silent if _advised(row)]
-    return table(("asked", "result"), [
+    return table(("quantity", "result"), [
         ["a drive was advised", part([_advised(row) for row in silent])],
         ["the cause was among what was not testable", part([said_unseen(row) for row in silent])],
         ["**found**: the cause named first after the drive", part([settled(row, 1) for row in there])],
