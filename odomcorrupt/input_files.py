@@ -83,5 +83,5 @@ def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCo
         except OSError as failure:
             raise error(f"{path}: cannot be read: {failure.strerror}") from failure
     if len(data) > most:
-        raise error(f"{path}: more than {most} bytes; that is no {what}")
+        raise error(f"{path}: more than {most} bytes; that is not a {what}")
     return data

@@ -118,7 +118,7 @@ def _samples(effect_class: type[Effect]) -> list[Effect]:
 
 
 def _check_facts(effect_class: type[Effect]) -> None:
-    _require(dataclasses.is_dataclass(effect_class), effect_class, "is no dataclass")
+    _require(dataclasses.is_dataclass(effect_class), effect_class, "is not a dataclass")
     _require(effect_class.__dataclass_params__.frozen, effect_class, "is not frozen")  # type: ignore[attr-defined]
     _require(effect_class.kind in ("effect", "setup", "noise", "event"), effect_class, f"kind {effect_class.kind!r}")
     _require(effect_class.summary and "\n" not in effect_class.summary, effect_class, "needs a summary of one line")

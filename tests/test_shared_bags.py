@@ -113,7 +113,7 @@ REFUSED = (
     Refused("polimi/bag1.bag", "no nav_msgs/Odometry topic (found /robot/pose, /wheel_states); there is nothing to"),
     Refused("malformed/unindexed.bag", "is not indexed, its recording was never closed; --recover reads it"),
     Refused("olin_tb4", "is a directory without a bag in it"),
-    Refused("maps/depot.yaml", "which is no MCAP, ROS 1 bag or ROS 2 bag"),
+    Refused("maps/depot.yaml", "which is not an MCAP, a ROS 1 bag or a ROS 2 bag"),
 )
 
 

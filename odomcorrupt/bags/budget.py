@@ -93,8 +93,8 @@ class Budget:
         self._packed += packed
         if size > self._allowance.chunk:
             raise BagError(
-                f"{what}: says it unpacks to {size} bytes, more than the {self._allowance.chunk} that a chunk may; it "
-                f"is damaged, or to be recorded again in smaller chunks; {_advice(size)}"
+                f"{what}: states that it unpacks to {size} bytes, more than the {self._allowance.chunk} that a chunk "
+                f"may; it is damaged, or to be recorded again in smaller chunks; {_advice(size)}"
             )
         if size > self.left:
             raise BagError(

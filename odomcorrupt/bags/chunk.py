@@ -76,7 +76,7 @@ def read_chunks(source: Source, head: ChunkHead, record_bytes: RecordBytes, *, v
     """
     named = f"{source.name}: {head.what}"
     if head.codec == "none" and head.size != head.packed:
-        raise BagError(f"{named}: says it holds {head.size} bytes, but has {head.packed}; the bag is damaged")
+        raise BagError(f"{named}: states {head.size} bytes, but has {head.packed}; the bag is damaged")
     if head.size <= LARGE_BYTES:
         place = source.position if head.codec == "none" else None
         yield Chunk(_read_whole(source, head, named), head.codec, named, place=place)
@@ -136,7 +136,7 @@ def _pieces(source: Source, head: ChunkHead, named: str, budget: Budget | None) 
 def _require_crc(head: ChunkHead, actual: int, named: str) -> None:
     """Raise BagError if a chunk states a checksum that is not that of its decompressed bytes."""
     if head.crc not in (0, actual):
-        raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")
+        raise BagError(f"{named}: its checksum does not match its bytes; --recover saves the intact part")
 
 
 def record_blocks(

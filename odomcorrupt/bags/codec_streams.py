@@ -126,7 +126,7 @@ def _counted(codec: str, packed: Packed, size: int, what: str, budget: Budget | 
     except BagError:
         raise
     except DAMAGE as error:
-        raise BagError(f"{what}: {codec} cannot decompress it: {error}; --recover saves what is whole") from error
+        raise BagError(f"{what}: {codec} cannot decompress it: {error}; --recover saves the intact part") from error
     require_size(came, size, what)
 
 
@@ -134,8 +134,7 @@ def require_size(came: int, size: int, what: str) -> None:
     """Raise BagError if not as many bytes came out of a chunk as it states."""
     if came != size:
         raise BagError(
-            f"{what}: says it holds {size} bytes, but {came} come out; the bag is damaged, --recover saves "
-            "what is whole"
+            f"{what}: states {size} bytes, but unpacks to {came}; the bag is damaged, --recover saves the intact part"
         )
 
 

@@ -128,7 +128,7 @@ def decompress(
     try:
         placed, came = (_unlz4 if codec == "lz4" else _unzstd)(data, size, pool)
     except DAMAGE as error:
-        raise BagError(f"{what}: {codec} cannot decompress it: {error}; --recover saves what is whole") from error
+        raise BagError(f"{what}: {codec} cannot decompress it: {error}; --recover saves the intact part") from error
     budget.take(came, what)
     require_size(came, size, what)
     return placed

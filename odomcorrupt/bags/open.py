@@ -122,7 +122,7 @@ def _unknown(name: str, begin: bytes) -> BagError:
             return BagError(f"{name}: is a {kind}-compressed file; decompress it first (`{command}`)")
     if begin == magic.SQLITE:
         return BagError(f"{name}: a sqlite3 bag cannot come through a pipe; name the file or directory")
-    return BagError(f"{name}: begins with {begin[:8]!r}, which is no MCAP, ROS 1 bag or ROS 2 bag")
+    return BagError(f"{name}: begins with {begin[:8]!r}, which is not an MCAP, a ROS 1 bag or a ROS 2 bag")
 
 
 class Form(NamedTuple):

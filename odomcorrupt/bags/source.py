@@ -134,7 +134,7 @@ class Source:
         """Return the error that says the input ends early."""
         return BagError(
             f"{self.name}: {what} at byte {self.position} needs {wanted} bytes, {left} are left: the bag is "
-            "truncated or damaged; --recover saves what is whole"
+            "truncated or damaged; --recover saves the intact part"
         )
 
     def read(self, size: int, what: str) -> bytes:

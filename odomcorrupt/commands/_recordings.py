@@ -134,7 +134,7 @@ _options = added(
     ),
     click.option(
         "--scan", metavar="TOPIC",
-        help="Laser scans (LaserScan, PointCloud2) to learn from where there is no truth; none leaves it out. "
+        help="Laser scans (LaserScan, PointCloud2) to learn from if there is no truth; none: no laser. "
         "[default: the only one]",
     ),
     click.option(

@@ -178,7 +178,7 @@ def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) ->
         option = key.replace("_", "-")
         if isinstance(value, dict):
             if key not in command_names():
-                raise click.UsageError(f"{file}: [{key}] is no command; there are {', '.join(command_names())}")
+                raise click.UsageError(f"{file}: [{key}] is not a command; there are {', '.join(command_names())}")
         elif option in known:
             defaults[known[option]] = value
         elif option not in _options_of_all():
@@ -186,7 +186,7 @@ def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) ->
     for key, value in table.get(name, {}).items():
         option = key.replace("_", "-")
         if option not in known:
-            raise click.UsageError(f"{file}: [{name}] {key}: is no option; there are {', '.join(sorted(known))}")
+            raise click.UsageError(f"{file}: [{name}] {key}: is not an option; there are {', '.join(sorted(known))}")
         defaults[known[option]] = value
     if defaults:
         joined = {key: " ".join(map(str, value)) if key == "alpha" and isinstance(value, list) else value

@@ -111,7 +111,7 @@ def _refuse(given: dict[str, Any]) -> None:
     """Raise before any work if an output cannot be written."""
     check_picture(given["output"], overwrite=given["overwrite"])
     if given["baseline"] is not None and not given["rules"]:
-        raise click.UsageError('--baseline: is for a gate; say what must not rise, as in --fail-if "ate_p90 +20%"')
+        raise click.UsageError('--baseline: is for a gate; give a rule, as in --fail-if "ate_p90 +20%"')
     if given["report"] is not None:
         need_pictures()
     for path in (given["report"], given["save"]):

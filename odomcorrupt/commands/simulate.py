@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 _ALONE = {
-    "hidden": "cannot be combined with another fault, which would not be hidden",
+    "hidden": "cannot be combined with another fault, whose presence would then be known",
     "none": "cannot be combined with another fault; leave it out or leave out the others",
 }
 _LARGEST = 100.0

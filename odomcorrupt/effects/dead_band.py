@@ -49,7 +49,7 @@ class DeadBand(Effect):
     name = "dead_band"
     odd = True
     layer = "record"
-    summary = "wheels do not follow slow commands: the robot moves less than its odometry says"
+    summary = "wheels do not follow slow commands: the robot moves less than its odometry reports"
     about = About(
         equation="f_wheel = -loss u where abs(u) < speed; -loss speed sign(u) beyond (beyond = full: 0)",
         typical="a tenth to a third of full speed on geared hobby motors without speed control (an estimate)",

@@ -114,7 +114,7 @@ class SteeringLag(Effect):
     about = About(
         equation="f_yaw = v tan(L d) / L - omega, tau dd / dt + d = e: the wheels' angle d lags behind the odometry's "
         "e = atan(L omega / v) / L, |dd / dt| <= rate, |d - e| <= stop",
-        typical="50 to 300 ms by a steering servo whose command is taken for its angle; wheels that turn by 1 to 5 "
+        typical="50 to 300 ms by a steering servo whose command is used as its angle; wheels that turn by 1 to 5 "
         "rad/s at most have a rate of 3 to 15 rad/(m s) on 0.3 m between the axles (an estimate)",
         source="first-order lag; Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model); largest "
         "steering rate: Althoff, Koschi & Manzinger 2017, CommonRoad",

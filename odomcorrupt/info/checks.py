@@ -66,7 +66,7 @@ class CovarianceCheck:
         if self.senseless:
             return "are negative or not numbers"
         if self.largest >= HUGE:
-            return f'say "not known" (up to {self.largest:.3g})'
+            return f'mean "unknown" (up to {self.largest:.3g})'
         if self.crooked:
             return "are not symmetric, or not positive"
         if never_changes and self.count > 1 and not self.changed:

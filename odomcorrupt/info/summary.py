@@ -122,7 +122,7 @@ def _source(scan: BagScan, asked: str | None) -> OdometryRecord | None:
     if not scan.odometry and any(plain(edge.topic) == plain(asked) for edge in scan.edges):
         return None
     topics = ", ".join(o.topic for o in scan.odometry) or "no topic"
-    raise TopicError(f"{asked}: is no nav_msgs/Odometry with messages ({topics} is); name another one")
+    raise TopicError(f"{asked}: is not a nav_msgs/Odometry topic with messages ({topics} is); name another one")
 
 
 def _frames(source: OdometryRecord | None, odom: str | None, base: str | None) -> Frames | None:

@@ -130,7 +130,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     against_tf_rad = 0.0
     if known is None:
         where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
-        said.append(f"{sweeps.topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot")
+        said.append(f"{sweeps.topic}: pose estimated as {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot")
     elif found is not None:
         yaw = float(wrap(np.asarray(found[2] - known[2])))
         against_tf_rad = yaw if abs(yaw) > _DIFFERS_RAD else 0.0

@@ -76,7 +76,7 @@ def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> S
     frame = rows[0][0].frame_id
     mount = _mount(tree, base_frame, frame)
     if mount is None:
-        notes.append(f"{name}: TF does not say where {frame!r} sits on the robot; found from the motion")
+        notes.append(f"{name}: TF does not contain the pose of {frame!r} on the robot; estimated from the motion")
     sweeps, view, more = _sweeps(rows, name)
     usual = float(np.median([len(s) for s in sweeps]))
     if usual < _LEAST_RETURNS:

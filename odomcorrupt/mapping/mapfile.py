@@ -125,7 +125,7 @@ def _keys(path: Path) -> dict[str, str]:
     with open_input(path, MapError) as file:
         raw = file.read(_YAML_BYTES + 1)
     if len(raw) > _YAML_BYTES or b"\0" in raw:
-        raise MapError(f"{path}: is no map's .yaml; name the .yaml that comes with the image")
+        raise MapError(f"{path}: is not a map's .yaml; name the .yaml that comes with the image")
     found: dict[str, str] = {}
     lines = raw.decode(errors="replace").splitlines()
     for i, line in enumerate(lines):
@@ -174,7 +174,7 @@ def _read_pgm(path: Path) -> NDArray[np.uint8]:
         raw = file.read()
     match = _HEADER.match(raw[:4096])
     if match is None:
-        raise MapError(f"{path}: begins with {raw[:8]!r}, which is no binary PGM (P5); convert the image to that")
+        raise MapError(f"{path}: begins with {raw[:8]!r}, which is not a binary PGM (P5); convert the image to that")
     columns, rows, most = (int(number) for number in match.groups())
     pixels = raw[match.end() :]
     if not (0 < most <= 255 and columns > 0 and rows > 0 and len(pixels) >= columns * rows):

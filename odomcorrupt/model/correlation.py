@@ -76,7 +76,7 @@ class Correlation:
         lowest = float(np.linalg.eigvalsh(matrix)[0]) if len(names) else 0.0
         if lowest < -_ROUNDED * len(names):
             raise ModelError(
-                f"fit.correlation.matrix: it is no correlation matrix (its smallest eigenvalue is {lowest:.3g}, "
+                f"fit.correlation.matrix: it is not a correlation matrix (its smallest eigenvalue is {lowest:.3g}, "
                 "below 0); move its numbers towards 0"
             )
         gone = [name for name in names if name not in known]

@@ -67,7 +67,7 @@ def hypothetical(xyt: Array, move: Move, noise: Noise) -> Array:
         If the noise has a step (`--step`), which is undefined for a motion to a pose.
     """
     if noise.step is not None:
-        raise ModelError("hypothetical: this noise has a step of its own (--step); the book's table has none")
+        raise ModelError("hypothetical: this noise has its own step (--step), which the book's table does not have")
     offset = rotate(xyt[:, :2] - move.start_xyt[:2], -move.start_xyt[2])
     turn = wrap(xyt[:, 2] - move.start_xyt[2])
     # increments are expressed at mid heading

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Variances
 
 _ARTICLE_CODE = (
-    "article-code: the listing passes sd*sd where a standard deviation is asked for, so what is drawn has deviation "
+    "article-code: the listing passes sd*sd where a standard deviation is expected, so what is drawn has deviation "
     "sd^2 (in numbers, whatever the unit), not sd"
 )
 

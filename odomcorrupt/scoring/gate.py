@@ -116,7 +116,7 @@ def parse_rule(text: str) -> Rule:
     try:
         amount = float(number) / (100.0 if percent else 1.0)
     except ValueError as error:
-        raise ScoreError(f"rule {text!r}: {number} is no number; {way_out}") from error
+        raise ScoreError(f"rule {text!r}: {number} is not a number; {way_out}") from error
     kind: Literal["rise", "above"] = "rise" if sign == "+" else "above"
     if kind == "rise" and not (percent and amount > 0.0):
         raise ScoreError(f"rule {text!r}: a rise is a percentage of more than 0; {way_out}")
@@ -260,7 +260,7 @@ def _verdict(rule: Rule, report: Mapping[str, Any], baseline: Mapping[str, Any] 
     old, new = np.array([p[0] for p in usable], dtype=float), np.array([p[1] for p in usable], dtype=float)
     found = compare_paired(old, new, rise=rule.amount, statistic=rule.statistic)
     left = len(keys) - len(usable)
-    beside = f"; {left} pairs left out, without a whole output in one of the two" if left else ""
+    beside = f"; {left} pairs left out, without a complete output in one of the two" if left else ""
     change = f"{rule.metric} {rule.statistic} changed by {100.0 * (found.statistic_ratio - 1.0):+.1f} %"
     sentence = (
         f"{rule.text}: {'FAILED' if found.rise else 'passed'}. {change}; a typical run by "

@@ -119,7 +119,7 @@ class ScoreReport:
     def values(self, metric: str) -> Array:
         """Return a metric of the scored runs (n,); NaN for runs without it."""
         if metric not in METRICS:
-            raise ScoreError(f"{metric}: is no metric; there are {', '.join(METRICS)}")
+            raise ScoreError(f"{metric}: is not a metric; there are {', '.join(METRICS)}")
         return np.array([run.metrics.get(metric, float("nan")) for run in self.runs if run.scored])
 
     def summary(self, metric: str) -> Summary:
@@ -337,7 +337,7 @@ def _notes(runs: Sequence[RunScore], truths: set[str], true_frames: set[str], al
     elif align == "none":
         notes.append("not aligned: estimate and truth are taken to be in one frame")
     if any(name.endswith("clean.tum") for name in truths):
-        notes.append("truth: the odometry before it was corrupted; name a topic with --truth where that is no truth")
+        notes.append("truth: the odometry before it was corrupted; name a topic with --truth if that is not a truth")
     said = [note for run in runs for note in run.notes]
     for note in dict.fromkeys(said):
         count = said.count(note)

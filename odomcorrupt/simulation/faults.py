@@ -302,7 +302,7 @@ def draw_fault(
         if isinstance(drawn[name], str) and value not in {"along", "yaw"}:
             raise EffectError(f"{cause}: {name} {value}; it can be along or yaw")
         if not isinstance(drawn[name], str) and isinstance(value, str):
-            raise EffectError(f"{cause}: {name} {value} is no number")
+            raise EffectError(f"{cause}: {name} {value} is not a number")
     drawn |= given or {}
     first = next(iter(drawn.values()))
     if fault.one_signed and not isinstance(first, str) and first < 0:
@@ -342,7 +342,7 @@ def names_of(cause: str | Sequence[str] | None) -> tuple[str, ...]:
     causes = (cause,) if isinstance(cause, str) else tuple(cause or ())
     for name in causes:
         if name not in EVERY:
-            raise EffectError(f"{name}: is no cause; there are {', '.join(sorted(EVERY))}")
+            raise EffectError(f"{name}: is not a cause; there are {', '.join(sorted(EVERY))}")
         if causes.count(name) > 1:
             raise EffectError(f"{name}: is there twice; name each cause once")
     return causes

@@ -42,7 +42,7 @@ def test_content_tells_the_format_not_the_name(source, kind, tmp_path):
         (bz2.compress(b"a bag"), "`bunzip2`"),
         (lzma.compress(b"a bag"), "`unxz`"),
         (lz4.frame.compress(b"a bag"), "`lz4 -d`"),
-        (b"PK\3\4 and so on", "no MCAP, ROS 1 bag or ROS 2 bag"),
+        (b"PK\3\4 and so on", "not an MCAP, a ROS 1 bag or a ROS 2 bag"),
     ],
 )
 def test_what_is_no_bag_is_refused_with_what_was_found(content, words, tmp_path):

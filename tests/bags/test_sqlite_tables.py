@@ -67,7 +67,7 @@ def test_text_that_is_none_is_reported_in_a_line(recovering, tmp_path):
     shutil.copyfile(OFFICE_DB, path)
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE topics SET type = CAST(? AS TEXT)", (BROKEN,))
-    with pytest.raises(BagError, match="sqlite3 says Could not decode to UTF-8") as caught:
+    with pytest.raises(BagError, match="sqlite3 reports Could not decode to UTF-8") as caught:
         open_reader(path, recover=recovering)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 500

@@ -154,7 +154,7 @@ def test_a_robot_that_never_reverses_has_gone_no_way_backwards_of_either_sign():
         (lambda c: c * 0, "are all zero"),
         (lambda c: c, "never change"),
         (lambda c: c * np.linspace(1, 2, 5)[:, None], None),
-        (lambda c: c * 1e9, 'say "not known" (up to 1e+07)'),
+        (lambda c: c * 1e9, 'mean "unknown" (up to 1e+07)'),
         (lambda c: -c, "are negative or not numbers"),
         (lambda c: c * np.nan, "are negative or not numbers"),
         (lambda c: c + np.eye(36)[1], "are not symmetric, or not positive"),

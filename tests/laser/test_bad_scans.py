@@ -38,8 +38,8 @@ def turned_too_far(recording):
 @pytest.mark.parametrize(
     ("faults", "said"),
     [
-        ({"mount": (0.1, 0.05, np.pi / 2)}, "found to sit at"),
-        ({"mount": (0.1, 0.0, np.pi / 2), "stated": (0.1, 0.0, 0.0)}, "turned by 90 deg against what TF says"),
+        ({"mount": (0.1, 0.05, np.pi / 2)}, "pose estimated as"),
+        ({"mount": (0.1, 0.0, np.pi / 2), "stated": (0.1, 0.0, 0.0)}, "turned by 90 deg from its pose in TF"),
         ({"flipped": True}, "mounted upside down"),
         ({"rate_hz": 1.0, "stated": (0.1, 0.0, 0.0)}, "one sweep in 1.0 s"),
         ({"jitter_s": 0.05, "stated": (0.1, 0.0, 0.0)}, "stamped on arrival"),

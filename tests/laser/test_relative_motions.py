@@ -47,7 +47,7 @@ def test_each_motion_has_an_error_of_its_own_and_a_turned_sensor_is_found(tmp_pa
     (recording,) = read_runs(Source(odometry_file(tmp_path / "odom.csv", simulated), relative=motions))
     assert recording.truth.relative
     assert not recording.matched
-    assert any("found to sit at 0.1" in note for note in recording.notes)
+    assert any("pose on the robot is estimated as 0.1" in note for note in recording.notes)
     real = between(simulated.truth_xyt[0], simulated.truth_xyt[-1])
     assert recording.truth.xyt[-1, 2] == pytest.approx(
         np.unwrap(simulated.truth_xyt[:, 2])[-1] - simulated.truth_xyt[0, 2], abs=0.1

@@ -54,7 +54,7 @@ def test_topic_without_a_scan_and_laser_without_a_place(tmp_path):
     with pytest.raises(RecordingError, match="/scan holds no scan"):
         read_rays(bag(tmp_path / "b.mcap", ("/scan", SCAN, [])), None, "base_link", MOUNT)
     path = bag(tmp_path / "c.mcap", ("/scan", SCAN, [scan([1.0])]))
-    with pytest.raises(TopicError, match=r"'laser' \(it knows nothing\); say where the laser sits"):
+    with pytest.raises(TopicError, match=r"'laser' \(it knows nothing\); give the laser's pose on the robot"):
         read_rays(path, "scan", "base_link", None)
 
 
@@ -158,5 +158,5 @@ def test_image_that_is_no_file_beside_its_map_is_reported(tmp_path, name):
 
 
 def test_file_that_is_too_long_for_a_map_is_none(tmp_path):
-    with pytest.raises(MapError, match=r"is no map's \.yaml"):
+    with pytest.raises(MapError, match=r"is not a map's \.yaml"):
         read_map(map_file(tmp_path, "image: m.pgm\n" * 10_000, b""))

@@ -88,7 +88,7 @@ def test_jitter_of_the_recording_is_not_blamed_on_the_law():
     shaken = CleanDrive("/odom", T, POSES + np.array([0.0, 0.0, 0.01]) * rng.standard_normal(POSES.shape))
     outlook = outlook_of(model(), drive=shaken)
     text = forecast_text(outlook, model(), "", 1)
-    assert "The noise does not depend on the message rate. This recording does: what jitters" in text
+    assert "The noise does not depend on the message rate. This recording does: jitter between messages" in text
     assert f"heading {outlook.half_rate_heading:.3g} times as uncertain" in text
     assert not forecast_json(outlook, model(), 1)["depends_on_rate"]
 
@@ -96,7 +96,7 @@ def test_jitter_of_the_recording_is_not_blamed_on_the_law():
 def test_a_robot_that_strafes_is_warned_of_a_law_that_does_not_know_it():
     aside = CleanDrive("/odom", T, np.column_stack((0.0 * T, np.linspace(0.0, 5.0, len(T)), 0.0 * T)))
     outlook = outlook_of(model("linear"), drive=aside)
-    assert "The robot moves sideways (5 m of 5 m), which the law linear does not know" in forecast_text(
+    assert "The robot moves sideways (5 m of 5 m), which the law linear does not model" in forecast_text(
         outlook, model("linear"), "", 1
     )
     assert forecast_json(outlook, model("linear"), 1)["warnings"]
@@ -122,7 +122,7 @@ def test_the_command_prints_a_table_or_values_and_draws(capsys, tmp_path):
     assert b"message rate" not in picture.read_bytes()
     rated = tmp_path / "rated.svg"
     assert run(["preview", "-v", office_bag, "--runs", "3", "--preset", "article", "-o", str(rated)]) == 0
-    assert b"at 50 Hz; at another message rate" in rated.read_bytes()
+    assert b"at 50 Hz; the noise depends on the message rate" in rated.read_bytes()
     assert run(["preview", office_bag, "-o", str(tmp_path / "fan.gif")]) == 2
     assert run(["preview", office_bag, "-o", str(picture)]) == 1
     assert "exists already" in capsys.readouterr().err
@@ -158,7 +158,7 @@ def test_damaged_bags_are_read_on_request_and_what_is_lost_is_said(capsys, tmp_p
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((FIXTURES / "office.mcap").read_bytes()[:200_000])
     assert run([command, str(cut)]) == 1
-    assert "--recover saves what is whole" in capsys.readouterr().err
+    assert "--recover saves the intact part" in capsys.readouterr().err
     assert run([command, str(cut), "--recover"]) == 3
     captured = capsys.readouterr()
     assert "Lost: " in captured.err

@@ -86,7 +86,7 @@ def test_control_has_no_causes(tmp_path):
 @pytest.mark.parametrize(
     ("options", "code", "says"),
     [
-        (["--effect", "wheel_skale"], 2, "is no cause"),
+        (["--effect", "wheel_skale"], 2, "is not a cause"),
         (["--effect", "slope", "--effect", "slope"], 2, "once"),
         (["--effect", "gyro_bias", "--heading", "wheels"], 2, "has no effect"),
         (["--effect", "gyro_bias", "--effect", "wheelbase"], 2, "different sources"),
@@ -96,7 +96,7 @@ def test_control_has_no_causes(tmp_path):
         (["--size", "huge"], 2, "weak, medium, strong"),
         (["--effect", "slope:crep=0.1"], 2, "it has creep, direction"),
         (["--effect", "side_slip:k=-0.1"], 2, "must not be negative"),
-        (["--effect", "slope:creep=much"], 2, "no number"),
+        (["--effect", "slope:creep=much"], 2, "is not a number"),
         (["--effect", "gauss_markov:channel=up"], 2, "along or yaw"),
     ],
 )

@@ -103,14 +103,14 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> tuple[list[int],
         if data[at] == 0 or len(starts) + len(others) >= MOST_RECORDS:
             raise BagError(
                 f"{what}: the record at byte {at} of the chunk has opcode 0, or is one of more than {MOST_RECORDS}; "
-                "damaged bag, --recover saves what is whole"
+                "damaged bag, --recover saves the intact part"
             )
         content = at + RECORD_HEADER_BYTES
         after = content + int.from_bytes(data[at + 1 : content], "little")
         if content > end or after > end or (data[at] == MESSAGE and after < at + MESSAGE_HEADER_BYTES):
             raise BagError(
                 f"{what}: the record at byte {at} of the chunk does not fit its {end} bytes; the bag is damaged, "
-                "--recover saves what is whole"
+                "--recover saves the intact part"
             )
         if data[at] == MESSAGE:
             starts.append(at)

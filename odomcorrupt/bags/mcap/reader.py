@@ -88,7 +88,7 @@ class McapReader(RecordReader):
             self.header = string("") + string("")
             next_record(source, len(MAGIC))
         if recover and not self._first_losses and not stands_here(source):
-            self.losses.append(f"{self.name}: its header is not as long as it says")
+            self.losses.append(f"{self.name}: its header does not have the stated length")
             self._first_losses = 1
             next_record(source, len(MAGIC))
         self._data_start = source.position

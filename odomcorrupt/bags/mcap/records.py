@@ -135,7 +135,7 @@ class Fields:
         if self._at > len(self._content):
             raise BagError(
                 f"{self._what}: a field of {size} bytes reaches beyond its record of {len(self._content)}; the bag is "
-                "damaged, --recover saves what is whole"
+                "damaged, --recover saves the intact part"
             )
         return self._content[begin : self._at]
 

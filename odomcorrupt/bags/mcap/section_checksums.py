@@ -13,7 +13,7 @@ from odomcorrupt.bags.mcap.records import FOOTER, HEADER, MAGIC, record
 from odomcorrupt.errors import BagError
 
 FOOTER_BYTES = 20
-_ADVICE = "outside of its chunks the bag is damaged; --recover saves what is whole"
+_ADVICE = "outside of its chunks the bag is damaged; --recover saves the intact part"
 
 
 def stated_data_crc(content: bytes, what: str) -> int:

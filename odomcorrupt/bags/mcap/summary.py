@@ -97,7 +97,7 @@ def read_summary(source: Source, size: int) -> Summary:
             return _read_section(source, tail[RECORD_HEADER_BYTES : -len(MAGIC)], size - tail_bytes)
     raise BagError(
         f"{source.name}: the file of {size} bytes has no MCAP footer at its end: it is truncated or was never closed; "
-        "--recover saves what is whole"
+        "--recover saves the intact part"
     )
 
 

@@ -158,7 +158,7 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> Contents:
         if header_end + 4 > end or after > end:
             raise BagError(
                 f"{what}: the record at byte {at} of the chunk does not fit its {end} bytes; the bag is damaged, "
-                "--recover saves what is whole"
+                "--recover saves the intact part"
             )
         header = bytes(data[at + 4 : header_end])
         fields = parse_fields(header, what)

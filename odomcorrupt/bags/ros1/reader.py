@@ -79,7 +79,7 @@ class Ros1Reader(RecordReader):
             self.losses.append(f"{self.name}: its header is damaged")
             next_record(source, len(MAGIC))
         if recover and not self.losses and not (source.at_end() or stands_here(source)):
-            self.losses.append(f"{self.name}: its header is not as long as it says")
+            self.losses.append(f"{self.name}: its header does not have the stated length")
             next_record(source, len(MAGIC))
         self._data_start = source.position
         self._first_losses = len(self.losses)
@@ -186,8 +186,8 @@ class Ros1Reader(RecordReader):
             self._seen += _counted(data)
         else:
             raise BagError(
-                f"{self.name}: {head.what} is of kind {head.op:#04x}, which belongs in a chunk or in the index; the "
-                "bag is damaged, --recover saves what is whole"
+                f"{self.name}: {head.what} has op {head.op:#04x}, which belongs in a chunk or in the index; the "
+                "bag is damaged, --recover saves the intact part"
             )
         return chunk
 
@@ -243,7 +243,7 @@ class Ros1Reader(RecordReader):
             elif head.op == CHUNK_INFO:
                 self._stated += _counted(data)
             else:
-                raise BagError(f"{self.name}: {head.what} is of kind {head.op:#04x} in the index; the bag is damaged")
+                raise BagError(f"{self.name}: {head.what} has op {head.op:#04x} in the index; the bag is damaged")
 
 
 def _counted(data: bytes) -> int:

@@ -71,7 +71,7 @@ class UnpackedFiles:
             except zstandard.ZstdError as error:
                 sentence = f"{file}: zstd cannot decompress it: {error}"
                 if not self._recover:
-                    raise BagError(f"{sentence}; --recover saves what is whole") from error
+                    raise BagError(f"{sentence}; --recover saves the intact part") from error
                 self.losses.append(sentence)
 
     def close(self) -> None:
@@ -131,7 +131,7 @@ def _decompress(data: memoryview, what: str, budget: Budget) -> bytes:
         out: bytes = zstandard.ZstdDecompressor().decompress(data)
     except (zstandard.ZstdError, MemoryError, ValueError) as error:
         raise BagError(
-            f"{what}: zstd cannot decompress it: {error}; the bag is damaged, --recover saves what is whole"
+            f"{what}: zstd cannot decompress it: {error}; the bag is damaged, --recover saves the intact part"
         ) from error
     return out
 

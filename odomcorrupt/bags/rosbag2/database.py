@@ -75,12 +75,12 @@ def reported(path: Path, *, writing: bool = False, recover: bool = False) -> Ite
         if isinstance(error, BagError):
             raise
         if writing:
-            reason = error.strerror if isinstance(error, OSError) else f"sqlite3 says {error}"
+            reason = error.strerror if isinstance(error, OSError) else f"sqlite3 reports {error}"
             raise BagError(f"{path}: cannot be written: {reason}") from error
         # sqlite3 quotes the whole text that it cannot decode
         reason = " ".join(str(error).split())[:_LONGEST] or type(error).__name__
-        advice = "" if recover else "; --recover saves what is whole"
-        raise BagError(f"{path}: sqlite3 says {reason}; the bag is truncated or damaged{advice}") from error
+        advice = "" if recover else "; --recover saves the intact part"
+        raise BagError(f"{path}: sqlite3 reports {reason}; the bag is truncated or damaged{advice}") from error
 
 
 def has_log(path: Path) -> bool:
@@ -132,7 +132,7 @@ def require_plain(connection: sqlite3.Connection, path: Path) -> None:
         if kind in ("trigger", "view"):
             fault = f"has a {kind}, {name!r}"
         elif kind == "table" and name in _TABLES and _RULES.search(str(text)):
-            fault = f"its table {name} has rules of its own ({' '.join(str(text).split())[:_LONGEST]})"
+            fault = f"its table {name} has constraints ({' '.join(str(text).split())[:_LONGEST]})"
         elif kind == "index" and table in _TABLES and text is not None and not _is_plain_index(connection, name):
             fault = f"its table {table} has an index that computes, {name!r}"
         elif kind == "table" and str(text).upper().startswith("CREATE VIRTUAL"):
@@ -192,7 +192,7 @@ def read_topics(connection: sqlite3.Connection, path: Path, losses: list[str] | 
         texts = (topic.name, topic.type, topic.encoding, topic.qos, topic.digest, topic.definition_encoding)
         sound = isinstance(topic.id, int) and all(isinstance(text, str) for text in texts)
         if not (sound and isinstance(topic.definition_text, bytes)):
-            raise BagError(f"{path}: topic {topic.name!r} with id {topic.id!r} is no topic; the bag is damaged")
+            raise BagError(f"{path}: topic {topic.name!r} with id {topic.id!r} is invalid; the bag is damaged")
         if not 0 <= topic.id < _IDS or topic.id in topics:
             raise BagError(
                 f"{path}: topic {topic.name!r} has the id {topic.id}, which is negative, too large or already used; "
@@ -213,7 +213,7 @@ def _readable(
     except sqlite3.Error as error:
         if losses is None:
             raise
-        losses.append(f"{path}: sqlite3 says {' '.join(str(error).split())[:_LONGEST]}: some {what} are lost")
+        losses.append(f"{path}: sqlite3 reports {' '.join(str(error).split())[:_LONGEST]}: some {what} are lost")
 
 
 def has_packed_messages(connection: sqlite3.Connection) -> bool:
@@ -249,6 +249,6 @@ def _require_whole(path: Path) -> None:
     size = (65536 if page == 1 else page) * pages
     if changes == valid_for and path.stat().st_size < size and not has_log(path):
         raise BagError(
-            f"{path}: has {path.stat().st_size} bytes, its header says {size}; it is truncated, --recover "
-            "saves what is whole"
+            f"{path}: has {path.stat().st_size} bytes, its header states {size}; it is truncated, --recover "
+            "saves the intact part"
         )

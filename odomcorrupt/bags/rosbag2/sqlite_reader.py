@@ -74,7 +74,9 @@ def salvaged_rows(connection: sqlite3.Connection, name: str, losses: list[str]) 
             first = _next(connection, last)
             until = "the end" if first is None else f"row {first - 1}"
             since = "the first row" if last == -(1 << 63) else f"row {last}"
-            losses.append(f"{name}: sqlite3 says {error}: messages from {since} to {until} are lost, if there were any")
+            losses.append(
+                f"{name}: sqlite3 reports {error}: messages from {since} to {until} are lost, if there were any"
+            )
         else:
             return
     losses.append(f"{name}: has more than {_GAPS} gaps, messages after them were not read")
@@ -223,7 +225,7 @@ class SqliteReader:
             for row, channel, log_ns, blob, large in self._rows(connection, only):
                 if row <= last:
                     # Cyclic pages could be read for ever.
-                    raise BagError(f"{self.path}: message {row} comes behind message {last}; the bag is damaged")
+                    raise BagError(f"{self.path}: message {row} comes after message {last}; the bag is damaged")
                 last = row
                 unread = only is not None and channel not in only and blob is None
                 if large and not unread and channel in self.channels:
@@ -235,7 +237,7 @@ class SqliteReader:
                 ):
                     sentence = f"{self.path}: message {row} has no data, no time or no topic; the bag is damaged"
                     if not self._recover:
-                        raise BagError(f"{sentence}; --recover saves what is whole")
+                        raise BagError(f"{sentence}; --recover saves the intact part")
                     first_unusable = first_unusable or sentence
                     unusable += 1
                     self.lost_rows.append(row)

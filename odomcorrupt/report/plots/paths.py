@@ -169,7 +169,7 @@ def draw_fan(outlook: Forecast, title: str) -> Figure:
             plane.plot(path[-1, 0], path[-1, 1], ".", color=BLUE, alpha=0.6, markersize=4)
         plane.plot([], [], color=BLUE, label=f"{outlook.runs} runs, ends as dots")
         plane.plot(outlook.clean_xy[:, 0], outlook.clean_xy[:, 1], color=BLACK, linewidth=1.4, label="clean")
-        plane.set(xlabel="x in odom (m)", ylabel="y in odom (m)", title="Where odometry would say the robot went")
+        plane.set(xlabel="x in odom (m)", ylabel="y in odom (m)", title="Paths by the corrupted odometry")
         plane.set_aspect("equal", adjustable="datalim")
         plane.legend(loc="best", fontsize=9)
         distance = [row.after_m for row in outlook.rows]

@@ -222,7 +222,7 @@ def draw_spread(report: SpreadReport) -> Figure:
             plane.plot(path[:, 0], path[:, 1], color=RED, alpha=0.2, linewidth=0.8)
         plane.plot([], [], color=RED, label=f"{len(report.runs_xy)} of {report.runs} runs")
         plane.plot(report.clean_xy[:, 0], report.clean_xy[:, 1], color=BLUE, linewidth=2.0, label="true path")
-        plane.set(xlabel="x in odom, m", ylabel="y in odom, m", title="Where odometry says the robot went")
+        plane.set(xlabel="x in odom, m", ylabel="y in odom, m", title="Paths by the corrupted odometry")
         plane.set_aspect("equal", adjustable="datalim")
         plane.legend(loc="best", fontsize=9)
         for row, (column, factor, label) in enumerate(

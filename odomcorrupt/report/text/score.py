@@ -114,7 +114,7 @@ def sentences(report: ScoreReport) -> list[str]:
     lines = [f"{len(report.runs)} runs, {failed} of {len(report.counted)} counted ones failed{parts}."]
     left = len(report.runs) - len(report.counted)
     if left:
-        lines.append(f"Not counted, without a whole output: {left}; --count-missing makes them failures.")
+        lines.append(f"Not counted, without a complete output: {left}; --count-missing makes them failures.")
     lines.append(_breakdown_sentence(report))
     grown = report.growth
     if grown is not None:

@@ -127,7 +127,7 @@ def _beside(drives: Drives, effect: Effect) -> list[Effect]:
 def _short_of(candidate: Candidate) -> str:
     """Return which parameter is too uncertain, for a candidate without missing motions."""
     if not candidate.score.separable:
-        return "it looks like other effects on this drive"
+        return "on this drive it resembles other effects"
     own = amplitudes(candidate.score.effect)
     p, error = max(
         zip(own, candidate.score.standard_error, strict=True),

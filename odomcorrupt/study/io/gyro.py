@@ -130,7 +130,7 @@ def read_gyro(path: Path, place: str, topic: str) -> Gyro:
     if len(stamps) < _MIN_SAMPLES:
         raise RecordingError(f"{where} holds {len(stamps)} angular velocities; leave --imu out, or record it longer")
     if not rates.any():
-        raise RecordingError(f"{where}: all angular velocities are zero: there is no gyro behind it; leave --imu out")
+        raise RecordingError(f"{where}: all angular velocities are zero: it contains no gyro; leave --imu out")
     return Gyro(where, topic, stamps, rates)
 
 

@@ -178,8 +178,8 @@ def alerts_of(run: LaserRun) -> list[str]:
     said, path, motion = [], run.path, run.calibration.motion
     if yaw := run.calibration.against_tf_rad:
         said.append(
-            f"the laser is turned by {np.degrees(yaw):.0f} deg against what TF says; its mounting is taken from the "
-            "motion"
+            f"the laser is turned by {np.degrees(yaw):.0f} deg from its pose in TF; its mounting is estimated from "
+            "the motion"
         )
     breaks = np.flatnonzero(np.diff(path.part))
     for k in breaks[:_BREAKS_SAID]:
@@ -196,7 +196,7 @@ def alerts_of(run: LaserRun) -> list[str]:
             # what an odometry with errors of 5 % may be off by
             if length < _MOVED_M + 0.05 * gone_m and turn < _MOVED_DEG + 0.05 * np.degrees(turned_rad):
                 what = "the odometry agrees with the scans on both sides, so the robot was not moved"
-        said.append(f"at {t_s[1]:.1f} s scans do not connect: {what}; each side is a run of its own")
+        said.append(f"at {t_s[1]:.1f} s scans do not connect: {what}; each side is treated as a separate run")
     if len(breaks) > _BREAKS_SAID:
         said.append(f"scans do not connect at {len(breaks) - _BREAKS_SAID} more times")
     return said

@@ -47,8 +47,8 @@ def check_pair(odometry: Samples, truth: Samples) -> None:
     for part, whole in ((here, odometry), (there, truth)):
         if len(part) < _MIN_POSES:
             raise RecordingError(
-                f"{whole.place}: only {len(part)} of its {len(whole)} poses lie in the time that odometry and truth "
-                f"share; {_MIN_POSES} and more are needed: record longer"
+                f"{whole.place}: only {len(part)} of its {len(whole)} poses are in the common time of odometry and "
+                f"truth; {_MIN_POSES} and more are needed: record longer"
             )
     _check_motion(here, there)
     check_plane(here, there)

@@ -233,7 +233,7 @@ def _on_robot(motions: Motions, odometry: Samples) -> _OnRobot:
     if mount is not None and abs(float(wrap(mount[2]))) > _TURNED_RAD:
         seen = compose(compose(np.broadcast_to(mount, seen.shape), seen), inverse(mount))
         where = f"{mount[0]:.3f} m, {mount[1]:.3f} m, {np.degrees(mount[2]):.1f} deg"
-        said.append(f"its sensor is found to sit at {where} on the robot; taken out")
+        said.append(f"its sensor's pose on the robot is estimated as {where}; removed")
     miss = seen[inside] - own
     away, turned = np.hypot(miss[:, 0], miss[:, 1]), np.abs(wrap(miss[:, 2]))
     gross = inside[(away > _GROSS * np.median(away) + 1e-6) | (turned > _GROSS * np.median(turned) + 1e-6)]

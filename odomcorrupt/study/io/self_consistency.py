@@ -23,7 +23,7 @@ _READINGS = (
     (-1.0, "its headings turn the other way than its path does: an axis is mirrored, or they are compass headings; {}"),
     (_DEGREE, "its headings are degrees, not radians; {}"),
     (-_DEGREE, "its headings are degrees of a compass (clockwise), not radians counter-clockwise; {}"),
-    (1.0 / _DEGREE, "its headings were taken for degrees, but are radians; {}"),
+    (1.0 / _DEGREE, "its headings were read as degrees, but are radians; {}"),
 )
 
 

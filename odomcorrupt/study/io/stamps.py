@@ -135,7 +135,7 @@ def jitter_warnings(path: Samples, off_s: float) -> list[str]:
     if not off_s:
         return []
     seen = "the intervals between them vary, the steps between its poses do not"
-    what = "what is learned as noise holds that, too; stamp poses when they are taken"
+    what = "the learned noise includes that; stamp poses when they are measured"
     return [f"{path.name}: its stamps are off by about {off_s * 1e3:.2g} ms each ({seen}), and {what}"]
 
 

@@ -151,13 +151,17 @@ class Row(NamedTuple):
         try:
             return float(cell) if cell.strip() else float("nan")
         except ValueError as error:
-            raise RecordingError(f"{self.place}: {cell[:40]!r} in line {self.line} is no number; mend it") from error
+            raise RecordingError(
+                f"{self.place}: {cell[:40]!r} in line {self.line} is not a number; correct it"
+            ) from error
 
     def nanoseconds(self, at: int, tick_ns: int) -> int:
         """Return the exact stamp in a cell; float64 seconds since 1970 would lose 100 ns and more."""
         rough = self.number(at) * tick_ns
         if not abs(rough) < _LATEST_NS:
-            raise RecordingError(f"{self.place}: {self.cells[at][:40]!r} in line {self.line} is no stamp; mend it")
+            raise RecordingError(
+                f"{self.place}: {self.cells[at][:40]!r} in line {self.line} is not a stamp; correct it"
+            )
         return round(Decimal(self.cells[at].strip()) * tick_ns) if rough else 0
 
 
@@ -167,7 +171,9 @@ def read_lines(stream: TextIO, place: str) -> Iterator[Row]:
     while line := stream.readline(_MAX_LINE):
         count += 1
         if len(line) == _MAX_LINE:
-            raise RecordingError(f"{place}: line {count} has more than {_MAX_LINE} letters; this is no TUM or CSV file")
+            raise RecordingError(
+                f"{place}: line {count} has more than {_MAX_LINE} characters; this is not a TUM or CSV file"
+            )
         if line.strip():
             yield Row(place, count, [line.strip()])
 
@@ -184,7 +190,7 @@ def whole_rows(rows: Iterable[Row], count: int, notes: list[str]) -> Iterator[Ro
     for row in rows:
         if short is not None:
             raise RecordingError(
-                f"{short.place}: line {short.line} has {len(short.cells)} columns, {count} are promised; mend it"
+                f"{short.place}: line {short.line} has {len(short.cells)} columns instead of {count}; correct it"
             )
         if len(row.cells) == count:
             yield row

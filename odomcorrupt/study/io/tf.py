@@ -110,7 +110,7 @@ def read_tree(reader: BagReader, moving: Iterable[Channel], static: Iterable[Cha
             for layout in locate(block, channel):
                 found[still] |= {Edge(plain(i.frame_id), plain(i.child_frame_id)) for i in layout.items}
                 if len(found[still]) > _MAX_EDGES:
-                    raise RecordingError(f"{channel.topic}: more than {_MAX_EDGES} edges; this is no robot's TF")
+                    raise RecordingError(f"{channel.topic}: more than {_MAX_EDGES} edges; this is not a robot's TF")
     return Tree(frozenset(found[False]), frozenset(found[True] - found[False]))
 
 

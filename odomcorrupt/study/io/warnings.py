@@ -60,7 +60,9 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
         what = "localisation on top of it, or a simulation without noise"
         return [f"{truth.name}: {share:.0%} of its steps are those of the odometry: {what}"]
     if _FUSED.search(truth.name.lower()):
-        return [f"{truth.name}: its name says localisation, which may have used this odometry and repeat its errors"]
+        return [
+            f"{truth.name}: it is a localisation by its name, which may have used this odometry and repeat its errors"
+        ]
     return []
 
 
@@ -117,7 +119,7 @@ def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> li
     if last in _WORLD:
         signs.append(f"its frame is {odometry.frame}")
     if _FUSED.search(odometry.name.lower()):
-        signs.append("its name says so")
+        signs.append("its name")
     shrinks = _shrinks(odometry.variance_m2)
     if shrinks:
         signs.append(f"its covariance shrinks {shrinks} times")

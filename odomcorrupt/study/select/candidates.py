@@ -198,7 +198,7 @@ def _imitated_by_noise(fit: Fit, score: Score, *, still: bool) -> str:
     """Return the kind of noise that may imitate a significant effect, as a reason for refusal; "" if there is none."""
     columns = score.term.columns(fit.problem)
     if _shows_at_rest_only(fit, score, columns):
-        return "shows only while the robot stands, where this effect by itself causes no motion"
+        return "shows only while the robot stands, where this effect alone causes no motion"
     corrections = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
     steered = corrections or (still and acts_in_curves_only(fit, score.effect))
     return "turns no larger than the noise: a driver's steering corrections may cause them" if steered else ""

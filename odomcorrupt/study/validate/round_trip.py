@@ -125,8 +125,8 @@ def bound_notes(model: MotionModel) -> tuple[str, ...]:
             factor = 1.0 / (1.0 + getattr(effect, "e", 0.0))
             if not 1.0 / _MAX_NOMINAL < factor < _MAX_NOMINAL:
                 notes.append(
-                    f"the robot turns {factor:.2g} times as far as its odometry says: its nominal track or gear ratio "
-                    f"is wrong by a factor of {factor:.2g}, unless its wheels skid as it turns"
+                    f"the robot turns {factor:.2g} times as far as its odometry reports: its nominal track or gear "
+                    f"ratio is wrong by a factor of {factor:.2g}, unless its wheels skid as it turns"
                 )
     return tuple(notes)
 
@@ -146,8 +146,8 @@ def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str
         return []
     said = (
         f"`correct` with this model leaves {robot * 1e3:.1f} mm after 10 s on the fitted data, the fit "
-        f"{both * 1e3:.1f} mm: {' and '.join(names)} (where the truth's tracked point sits) is no part of `correct`; "
-        "give it with --effect to have it taken out, too"
+        f"{both * 1e3:.1f} mm: {' and '.join(names)} (the position of the truth's tracked point) is not part of "
+        "`correct`; give it with --effect to have it taken out, too"
     )
     return [said]
 
@@ -268,7 +268,7 @@ def _correctable(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tup
     names = " and ".join(effect.name for effect in reading)
     why = "reads accelerations or places, and from one pose to the next these are rougher than the fit's smooth ones"
     if all(effect.reads_places for effect in reading):
-        why = "acts at places, which odometry that drifts meets too early or too late; corruption follows the true path"
+        why = "acts at places, which drifting odometry reaches too early or too late; corruption follows the true path"
     return model, [f"`correct` with this model {errors}: {names} {why}"]
 
 

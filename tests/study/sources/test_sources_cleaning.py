@@ -245,7 +245,7 @@ def test_localisation_on_top_of_the_odometry_is_noticed(tmp_path):
 @pytest.mark.parametrize(
     ("name", "odom", "sign"),
     [
-        ("/odometry/filtered", {}, "its name says so"),
+        ("/odometry/filtered", {}, "its name"),
         ("/odom", {"frame": "map"}, "its frame is map"),
         ("/odom", {"variance": 0.1 * (1 + np.arange(600) % 100)}, "its covariance shrinks 5 times"),
     ],

@@ -55,7 +55,7 @@ def test_every_real_recording_says_so_when_its_truth_is_mirrored(path, monkeypat
     ("name", "asked", "said"),
     [
         ("evo/nav2_turtlebot.mcap", {"truth": "/tf:map.base_link"}, "the truth is taken at its 133 corrections alone"),
-        ("evo/nav2_turtlebot.mcap", {}, "/amcl_pose: its name says localisation"),
+        ("evo/nav2_turtlebot.mcap", {}, "/amcl_pose: it is a localisation by its name"),
         ("evo/nav2_turtlebot.mcap", {}, "/odom: a gap of 1.8 s"),
         ("robot_localization/test1.bag", {}, "/fix: metres east and north of its first fix"),
     ],

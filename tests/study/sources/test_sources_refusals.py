@@ -56,7 +56,7 @@ def test_too_short(refused):
 
 def test_too_few_poses_in_common(refused):
     line = refused(real=truth().only(slice(None, None, 66)))
-    assert "/truth: only 15 of its 15 poses lie in the time that odometry and truth share; 20 and more" in line
+    assert "/truth: only 15 of its 15 poses are in the common time of odometry and truth; 20 and more" in line
 
 
 def test_no_motion(refused):
@@ -193,7 +193,7 @@ def test_radians_under_the_name_of_degrees(tmp_path, capsys):
     bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()))
     gt = csv_file(tmp_path / "gt.csv", truth(), "t,x,y,yaw_deg")
     line = ending(["fit", str(bag), "--truth-bag", str(gt)], capsys)
-    assert "gt.csv: its headings were taken for degrees, but are radians" in line
+    assert "gt.csv: its headings were read as degrees, but are radians" in line
 
 
 def test_compass_headings_in_a_table(tmp_path, capsys):

@@ -106,7 +106,7 @@ def test_a_last_line_that_was_cut_is_left_out_and_a_short_one_elsewhere_is_not(t
     assert len(samples) == 2
     assert samples.notes == ("t.csv: its last line is cut and left out",)
     path.write_text("\n".join([*lines, "0.3,3,0,0"]))
-    with pytest.raises(RecordingError, match="line 4 has 2 columns, 4 are promised"):
+    with pytest.raises(RecordingError, match="line 4 has 2 columns instead of 4"):
         read_text(path, "t.csv")
 
 
@@ -119,15 +119,15 @@ def test_a_last_line_that_was_cut_is_left_out_and_a_short_one_elsewhere_is_not(t
         ("tiem,x,y\n", r"no column for time \(did you mean tiem\?"),
         ("t,x,y,x\n", "'x' and 'x' could both be x"),
         ("t,x,y\n", "holds no line of numbers"),
-        ("t,x,y\n0,1,one\n", "'one' in line 2 is no number"),
-        ("t,x,y\n1e30,1,1\n", "'1e30' in line 2 is no stamp"),
-        ("t,x,y\n1e999999999,1,1\n", "is no stamp"),
-        ("t,x,y\n1e300,1,1\n2,1,1\n3,1,1\n", "'1e300' in line 2 is no stamp"),
-        ("t,x,y\n1,1,1\n-1e300,1,1\n1e308,1,1\n", "'-1e300' in line 3 is no stamp"),
-        ("1e300 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n", "'1e300' in line 1 is no stamp"),
-        ("t,x,y\n,1,1\n", "is no stamp"),
+        ("t,x,y\n0,1,one\n", "'one' in line 2 is not a number"),
+        ("t,x,y\n1e30,1,1\n", "'1e30' in line 2 is not a stamp"),
+        ("t,x,y\n1e999999999,1,1\n", "is not a stamp"),
+        ("t,x,y\n1e300,1,1\n2,1,1\n3,1,1\n", "'1e300' in line 2 is not a stamp"),
+        ("t,x,y\n1,1,1\n-1e300,1,1\n1e308,1,1\n", "'-1e300' in line 3 is not a stamp"),
+        ("1e300 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n", "'1e300' in line 1 is not a stamp"),
+        ("t,x,y\n,1,1\n", "is not a stamp"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", "12 numbers in line 1; KITTI poses have no stamps"),
-        ("x" * 70_000, "more than 65536 letters"),
+        ("x" * 70_000, "more than 65536 characters"),
     ],
 )
 def test_text_that_is_no_trajectory_says_why(tmp_path, text, words):
