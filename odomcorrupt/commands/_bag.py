@@ -29,15 +29,15 @@ ODOM_TOPIC = ("--odom-topic", "--odom", "odom_topic")
 """Names of the option that selects the odometry."""
 
 frame_options = added(
-    click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry to corrupt."),
-    click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]"),
+    click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry topic to modify."),
+    click.option("--odom-frame", metavar="FRAME", help="Odom frame. [default: that of the odometry]"),
     click.option("--base-frame", metavar="FRAME", help="Robot's frame. [default: the odometry's child frame]"),
 )
 """Adds the options that select odometry and frames."""
 
 keeping_options = added(
     one_of("--twist", among=["model", "keep"], text="Twists: recomputed with the poses, or unchanged."),
-    one_of("--covariance", among=["model", "keep"], text="Likewise covariances."),
+    one_of("--covariance", among=["model", "keep"], text="Covariances: recomputed, or unchanged."),
 )
 """Adds the options that leave twists or covariances unchanged."""
 
@@ -46,7 +46,7 @@ moving_options = added(
     keeping_options,
     click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this additional topic."),
     click.option(
-        "--keep-localisation", is_flag=True, help="Correct map -> odom for the drift, so that map -> base is unchanged."
+        "--keep-localisation", is_flag=True, help="Apply the inverse change to map -> odom, so that map -> base is unchanged."
     ),
     one_of(
         "--tf", among=["odometry", "correction", "subtraction"],

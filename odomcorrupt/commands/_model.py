@@ -37,11 +37,11 @@ def _completing(module: str, table: str) -> Callable[..., list[str]]:
 model_options = added(
     click.option(
         "--alpha", metavar="A1 A2 A3 A4",
-        help="Noise: as 0.05, 5deg (after 1 rad), 10deg/m (after 1 m). [omni: 4 or 5, velocity: 4 to 6]",
+        help="Noise coefficients, as 0.05, 5deg (after 1 rad), 10deg/m (after 1 m). [omni: 4 or 5, velocity: 4 to 6]",
     ),
     click.option(
         "--law", metavar="NAME", shell_complete=_completing("model.noise_laws", "LAWS"),
-        help="What A1... mean: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
+        help="Noise law of A1...: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
     ),
     click.option(
         "--twist-noise", nargs=2, type=float, metavar="V W", help="White noise on every twist, m/s and rad/s."
@@ -52,7 +52,7 @@ model_options = added(
     ),
     click.option(
         "--preset", metavar="NAME", shell_complete=_completing("model.presets", "PRESETS"),
-        help="Ready-made numbers: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
+        help="Ready-made noise: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
         "[default: typical]",
     ),
     click.option(

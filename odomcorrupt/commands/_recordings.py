@@ -115,11 +115,12 @@ _options = added(
     ),
     click.option(
         "--joints", nargs=2, metavar="LEFT RIGHT",
-        help="Wheels in JointState whose angles are to be the odometry. [default: wheels by name, for the track]",
+        help="Wheel joints in JointState whose angles replace the odometry. [default: joints named as wheels, for the "
+        "track alone]",
     ),
     click.option(
         "--gyro-scale-accuracy", type=Share("a share as in 1% or 0.01", 0.0, 20.0), metavar="SHARE", default="1%",
-        help="How far the gyro's own scale may be off (one standard deviation), where it is the truth. [default: 1%]",
+        help="Standard deviation of the gyro's own scale error, if the gyro is the truth. [default: 1%]",
     ),
     click.option(
         "--imu", metavar="TOPIC",

@@ -33,7 +33,9 @@ from odomcorrupt.errors import EffectError
     "they were learned]",
 )  # fmt: skip
 @click.option(
-    "--keep-localisation", is_flag=True, help="Correct map -> odom for the drift, so that map -> base is unchanged."
+    "--keep-localisation",
+    is_flag=True,
+    help="Apply the inverse change to map -> odom, so that map -> base is unchanged.",
 )
 @container_options
 @standard_options

@@ -32,8 +32,8 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
     help="Wheel multipliers, amcl's alphas, or covariances.",
 )  # fmt: skip
 @click.option("--track", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]")
-@_number("--update-min-d", Number("metres", 0.0, 1e3, above=True, else_=_EVERY), 0.25, "M", "Of amcl.")
-@_number("--update-min-a", Number("radians", 0.0, 1e3, above=True, else_=_EVERY), 0.2, "RAD", "Of amcl.")
+@_number("--update-min-d", Number("metres", 0.0, 1e3, above=True, else_=_EVERY), 0.25, "M", "amcl's update distance.")
+@_number("--update-min-a", Number("radians", 0.0, 1e3, above=True, else_=_EVERY), 0.2, "RAD", "amcl's update angle.")
 @click.option(
     "--turn", type=click.Choice(["rolling", "spot"]), default="rolling", show_default=True,
     help="Turn on which amcl's noise is matched to the model's: along an arc, or on the spot.",

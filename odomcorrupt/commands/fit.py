@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 @click.option(
     "--returns",
     is_flag=True,
-    help="The drives ended where they began, or at --end, or where their last scans (--scan) fit the first: the only "
-    "truth, as in a square test (UMBmark).",
+    help="Square test (UMBmark): the only truth is that the drives ended where they began, at --end, or where their "
+    "last scans (--scan) match the first.",
 )
 @click.option(
     "--end", "ends", multiple=True, metavar="X,Y,YAW",

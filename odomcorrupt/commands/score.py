@@ -69,9 +69,9 @@ _BASELINE_BYTES = 1 << 28
 )
 @click.option(
     "--fail-if", "rules", multiple=True, metavar="RULE",
-    help='Exit with 1 where it holds, as in "ate_p90 +20%", "lost +5%", "ate_median > 0.3" (repeatable).',
+    help='Exit with 1 if this rule holds, as in "ate_p90 +20%", "lost +5%", "ate_median > 0.3" (repeatable).',
 )  # fmt: skip
-@click.option("--each", is_flag=True, help="A line for every run, not only for those that failed.")
+@click.option("--each", is_flag=True, help="Print a line for every run, not only for those that failed.")
 @click.option("--save", type=FILE, help="Write the result as JSON: a baseline for later.")
 @click.option("--report", type=FILE, help="Write the full result as one HTML page.")
 @click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")

@@ -100,9 +100,18 @@ def _size(text: str) -> float:
     type=click.Choice(["wheels", "gyro"]),
     help="Source of the odometry's heading. [default: as the fault requires]",
 )
-@click.option("--drive-type", type=click.Choice(["differential", "skid"]), default="differential", show_default=True)
 @click.option(
-    "--duration", "duration_s", type=Number("seconds", 10.0, 1e6), help="Seconds. [default: 600, or as long as --drive]"
+    "--drive-type",
+    type=click.Choice(["differential", "skid"]),
+    default="differential",
+    show_default=True,
+    help="Wheel layout.",
+)
+@click.option(
+    "--duration",
+    "duration_s",
+    type=Number("seconds", 10.0, 1e6),
+    help="Duration of the drive, seconds. [default: 600, or that of --drive]",
 )
 @click.option("--answer", type=FILE, help="File for the true faults. [default: OUTPUT.answer.toml]")
 @overwrite_option("existing files")
