@@ -46,7 +46,7 @@ moving_options = added(
     keeping_options,
     click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this additional topic."),
     click.option(
-        "--keep-localisation", is_flag=True, help="Apply the inverse change to map -> odom, so that map -> base is unchanged."
+        "--keep-localisation", is_flag=True, help="Invert the change in map -> odom, so that map -> base is unchanged."
     ),
     one_of(
         "--tf", among=["odometry", "correction", "subtraction"],

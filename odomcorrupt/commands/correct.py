@@ -35,7 +35,7 @@ from odomcorrupt.errors import EffectError
 @click.option(
     "--keep-localisation",
     is_flag=True,
-    help="Apply the inverse change to map -> odom, so that map -> base is unchanged.",
+    help="Invert the change in map -> odom, so that map -> base is unchanged.",
 )
 @container_options
 @standard_options

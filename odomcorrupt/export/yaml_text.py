@@ -81,7 +81,7 @@ def amcl_text(model: MotionModel, alphas: AmclAlphas, update_min_d: float, updat
     lines = _comment(
         f"amcl's alphas (variance = alpha x motion^2 per update) with the variances of {law_words(model.noise)}; "
         f"matched after one update on a straight drive of {update_min_d:g} m and on a turn of {update_min_a:g} rad "
-        f"{reference}. They hold at these update distances alone. Derived in docs/export.md."
+        f"{reference}. They are valid at these update distances only. Derived in docs/export.md."
     )
     if alphas.depends_on is not None:
         drive = alphas.depends_on
@@ -112,7 +112,7 @@ def twists_text(model: MotionModel, variances: TwistVariances, drive: Steady, co
         f"Variances of the velocities in one message at {drive.speed:g} m/s, {drive.yaw_rate:g} rad/s and "
         f"{drive.rate_hz:g} Hz, of {law_words(model.noise)}. robot_localization reads them from the odometry's "
         f"messages, so they go to the node that publishes these; {unknown} stands for what is not measured. They are "
-        "right at this speed and rate alone. Derived in docs/export.md."
+        "valid at this speed and rate only. Derived in docs/export.md."
     )
     lines += _left_out(model, frozenset(), "the filter assumes unbiased odometry with independent noise")
     return _yaml(
@@ -123,8 +123,8 @@ def twists_text(model: MotionModel, variances: TwistVariances, drive: Steady, co
         f"      [{', '.join(_number(value) for value in diagonal)}]",
         "ekf_filter_node:",
         "  ros__parameters:",
-        "    # velocities, not poses: the errors of poses add up, and a filter takes",
-        "    # every message for an independent measurement",
+        "    # velocities, not poses: the errors of poses accumulate, and a filter treats",
+        "    # every message as an independent measurement",
         "    odom0_config: [false, false, false, false, false, false,",
         "                   true, true, false, false, false, true,",
         "                   false, false, false]",

@@ -253,7 +253,7 @@ def _about(o: dict[str, Any], *, source: bool) -> list[str]:
     return lines + [f"  {sentence}" for sentence in o["oddities"]]
 
 
-_COUNTS = {"restarts": "restarts of time", "swapped": "messages in swapped order", "jumps": "jumps of the pose"}
+_COUNTS = {"restarts": "restarts of time", "swapped": "messages out of order", "jumps": "jumps of the pose"}
 
 
 def _table(rows: list[tuple[str, ...]]) -> list[str]:

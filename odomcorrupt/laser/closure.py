@@ -50,11 +50,13 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
     t_s = sweeps.middle_s(motion.origin_ns)
     full = np.array([k for k in range(len(sweeps)) if len(sweeps.sweeps[k]) >= _COARSE])
     if len(full) < 2 * _SWEEPS:
-        raise RecordingError(f"{sweeps.place}: {len(full)} sweeps with {_COARSE} returns; too few to find the end by")
+        raise RecordingError(
+            f"{sweeps.place}: {len(full)} sweeps with {_COARSE} returns; too few to estimate the end pose"
+        )
     first = int(full[0])
     surface = surface_of(*lines_of(scans[first]))
     if len(surface.points) < _COARSE:
-        raise RecordingError(f"{sweeps.place}: its first sweep sees no walls; begin the drive beside some")
+        raise RecordingError(f"{sweeps.place}: its first sweep contains no walls; begin the drive near walls")
     found, overlaps = [], []
     for last in full[-_SWEEPS:].tolist():
         scan = scans[last]

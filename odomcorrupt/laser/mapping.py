@@ -45,7 +45,7 @@ def largest_part(run: LaserRun) -> tuple[LaserRun, str]:
     others = ", ".join(words for part, words in said.items() if part != largest)
     kept = replace(run, path=path.only(path.part == largest))
     return kept, others and (
-        f"{len(said)} parts that no scan connects: the map is of {said[largest]} alone; left out: {others}"
+        f"{len(said)} parts that no scan connects: the map covers {said[largest]} only; left out: {others}"
     )
 
 

@@ -71,7 +71,7 @@ def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> S
     name = channels[0].topic
     where = f"{place}: {name}"
     if len(rows) < _LEAST_SWEEPS:
-        raise RecordingError(f"{where} holds {len(rows)} sweeps; scan matching takes {_LEAST_SWEEPS} and many more")
+        raise RecordingError(f"{where} holds {len(rows)} sweeps; scan matching needs many more than {_LEAST_SWEEPS}")
     rows, notes = _ordered(rows, name)
     frame = rows[0][0].frame_id
     mount = _mount(tree, base_frame, frame)
@@ -81,8 +81,8 @@ def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> S
     usual = float(np.median([len(s) for s in sweeps]))
     if usual < _LEAST_RETURNS:
         raise RecordingError(
-            f"{where}: {usual:.0f} returns in the usual sweep ({'; '.join(more) or 'the rest met nothing'}); scan "
-            f"matching takes {_LEAST_RETURNS} and more that are not the robot itself: name another topic with --scan"
+            f"{where}: {usual:.0f} returns in a typical sweep ({'; '.join(more) or 'the others have no return'}); scan "
+            f"matching needs {_LEAST_RETURNS} or more that are not the robot itself: name another topic with --scan"
         )
     logs = np.array([log for _, log in rows], dtype=np.int64)
     first = rows[0][0]

@@ -308,7 +308,7 @@ class _Walk:
             if not len(alive):
                 x, y = pose[:, :2].mean(axis=0)
                 raise NoFreePoseError(
-                    f"the map and the drive do not fit: about ({x:.2f} m, {y:.2f} m) none of {self._within.tries} "
+                    f"the map and the drive do not match: about ({x:.2f} m, {y:.2f} m) none of {self._within.tries} "
                     f"tries of any of {len(pose)} paths ends where the map is free; check --map-pose, --robot-radius "
                     "and --unknown, or leave out --map"
                 )

@@ -112,7 +112,7 @@ def whole_path(
     astray = 1.0 - float(np.mean(within.space.free(clean_xyt[:, :2])))
     if astray > _MOST_OUTSIDE:
         raise MapError(
-            f"the map and the drive do not fit: {astray:.0%} of the odometry's own poses are not free; check "
+            f"the map and the drive do not match: {astray:.0%} of the odometry's own poses are not free; check "
             "--map-pose, --robot-radius and --unknown, or leave out --map"
         )
     try:
@@ -131,9 +131,9 @@ def _refuse_held_back(samples: PathSamples) -> None:
     drift = meter.result()
     if drift is not None and drift.end_drawn_m > _MOST_SIGMAS * drift.end_expected_m > 0.0:
         raise NoFreePoseError(
-            f"the map and the drive do not fit: within the map the odometry ends {drift.end_drawn_m:.3g} m from where "
-            f"it was recorded, and noise of this model makes about {drift.end_expected_m:.2g} m; check --map-pose, "
-            "--robot-radius and --unknown, or leave out --map"
+            f"the map and the drive do not match: within the map the odometry ends {drift.end_drawn_m:.3g} m from "
+            f"where it was recorded, and noise of this model accounts for about {drift.end_expected_m:.2g} m; check "
+            "--map-pose, --robot-radius and --unknown, or leave out --map"
         )
 
 
@@ -250,7 +250,7 @@ class FreePath:
                     return samples
         x, y = self._pose[:2]
         raise NoFreePoseError(
-            f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries ends "
+            f"the map and the drive do not match: at ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries ends "
             "where the map is free; check --map-pose, --robot-radius and --unknown, or leave out --map"
         )
 

@@ -65,7 +65,7 @@ class FrameTree:
         if whole is None:
             known = ", ".join(sorted({*self._static, *self._moving})) or "nothing"
             raise TopicError(
-                f"{bag}: TF does not lead from {plain(base)!r} to the laser's frame {plain(laser)!r} (it knows "
+                f"{bag}: TF does not lead from {plain(base)!r} to the laser's frame {plain(laser)!r} (TF contains "
                 f"{known}); give the laser's pose on the robot with --laser-pose x,y,yaw"
             )
         return Mount(whole[:2, 3].copy(), whole[:2, :2].copy())

@@ -86,7 +86,7 @@ def _choose(channels: list[Channel], topic: str | None, bag: str) -> list[Channe
         return chosen
     if not scans:
         there = ", ".join(sorted({c.topic for c in channels})) or "no topic at all"
-        raise TopicError(f"{bag}: no sensor_msgs/LaserScan topic (found {there}); a map takes a laser")
+        raise TopicError(f"{bag}: no sensor_msgs/LaserScan topic (found {there}); a map needs laser scans")
     if len({c.topic for c in scans}) > 1:
         raise TopicError(f"{bag}: topics of sensor_msgs/LaserScan: {found}; name one with --scan")
     return scans
@@ -108,5 +108,5 @@ def _rays(scans: list[ScanMessage], mount: Mount, frame: str) -> Rays:
         stamps.append(scan.stamp_ns + np.rint(hit * scan.time_step_s * 1e9).astype(np.int64))
     every, xy = np.concatenate(stamps), np.concatenate(ends)
     usable = np.isfinite(xy).all(axis=1)
-    notes = (f"{lost} of {total} rays met nothing within the laser's range",) if lost else ()
+    notes = (f"{lost} of {total} rays have no return within the laser's range",) if lost else ()
     return Rays(every[usable], mount.position_xy, xy[usable], len(scans), frame, notes)

@@ -63,7 +63,9 @@ def _number(text: str, part: str, value: str, unit: str) -> float:
     percent = _PERCENT.match(value)
     if percent is not None:
         if unit:
-            raise EffectError(f"effect {text}: {part!r} is a share, and it is given in {unit}; write a number")
+            raise EffectError(
+                f"effect {text}: {part!r} is a share, but the parameter has the unit {unit}; write a number"
+            )
         return float(percent[1]) / 100.0
     try:
         return parse_alpha(value)

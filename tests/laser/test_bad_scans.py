@@ -124,7 +124,7 @@ def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missin
     cut = replace(matched, path=replace(matched.path, part=later.astype(np.int64)))
     kept, said = largest_part(cut)
     assert kept.path.t_s.max() < 22.0
-    assert "2 parts that no scan connects: the map is of 0-20 s alone; left out: 24-" in said
+    assert "2 parts that no scan connects: the map covers 0-20 s only; left out: 24-" in said
     (alert,) = alerts_of(cut)
     assert "s scans do not connect" in alert
     assert "was not moved" in alert

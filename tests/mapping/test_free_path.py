@@ -99,9 +99,9 @@ def test_path_that_is_never_stuck_has_the_bits_of_the_single_increments():
 def test_drive_through_a_wall_is_refused():
     stamps, xyt = drive()
     within = Constraint(free_space(room((2.0, -5.0, 2.2, 5.0)), 0.1), "path", 20)
-    with pytest.raises(MapError, match="the map and the drive do not fit"):
+    with pytest.raises(MapError, match="the map and the drive do not match"):
         FreePath(MODEL, within, 1).feed(stamps, xyt)
-    with pytest.raises(MapError, match="the map and the drive do not fit"):
+    with pytest.raises(MapError, match="the map and the drive do not match"):
         whole_path(stamps, xyt, MODEL, within, 1)
 
 
@@ -131,5 +131,5 @@ def test_drive_that_begins_in_a_wall_and_effects_are_refused():
     with pytest.raises(MapError, match=r"begins at \(0.000 m"):
         FreePath(MODEL, inside, 1).feed(stamps, xyt)
     wide = MotionModel(MODEL.noise, (effect_from_values("wheel_scale", {"e": 0.01}),))
-    with pytest.raises(ModelError, match="wheel_scale is no noise"):
+    with pytest.raises(ModelError, match="wheel_scale is not noise"):
         FreePath(wide, inside, 1)

@@ -108,7 +108,7 @@ def test_runs_before_a_closed_wall_are_refused_and_at_a_gap_all_pass():
     stamps, xyt = drive()
     given = {"seed": 1, "runs": range(30), "places": np.arange(300)}
     quiet = MotionModel(Noise("diffusion", Coefficients(0.02, 0.01, 0.01, 0.01)))
-    with pytest.raises(MapError, match="the map and the drive do not fit"):
+    with pytest.raises(MapError, match="the map and the drive do not match"):
         free_paths(stamps, xyt, quiet, Constraint(free_space(room((2.0, -5.0, 2.2, 5.0)), 0.1), "path", 3), **given)
     gap = Constraint(free_space(room((2.0, -5.0, 2.2, 0.0), (2.0, 0.1, 2.2, 5.0)), 0.0), "path", 3)
     paths = free_paths(stamps, xyt, MODEL, gap, **given)

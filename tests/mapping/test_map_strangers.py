@@ -54,14 +54,14 @@ def test_topic_without_a_scan_and_laser_without_a_place(tmp_path):
     with pytest.raises(RecordingError, match="/scan holds no scan"):
         read_rays(bag(tmp_path / "b.mcap", ("/scan", SCAN, [])), None, "base_link", MOUNT)
     path = bag(tmp_path / "c.mcap", ("/scan", SCAN, [scan([1.0])]))
-    with pytest.raises(TopicError, match=r"'laser' \(it knows nothing\); give the laser's pose on the robot"):
+    with pytest.raises(TopicError, match=r"'laser' \(TF contains nothing\); give the laser's pose on the robot"):
         read_rays(path, "scan", "base_link", None)
 
 
 def test_rays_that_met_nothing_or_no_number_are_left_out_and_counted(tmp_path):
     ranges = [1.0, np.nan, np.inf, 10.0, 0.05, 2.0]
     rays = read_rays(bag(tmp_path / "b.mcap", ("/scan", SCAN, [scan(ranges)])), None, "base_link", MOUNT)
-    assert rays.notes == ("4 of 6 rays met nothing within the laser's range",)
+    assert rays.notes == ("4 of 6 rays have no return within the laser's range",)
     np.testing.assert_allclose(np.hypot(*rays.to_xy.T), [1.0, 2.0])
     np.testing.assert_allclose(rays.to_xy[0], [np.cos(-0.5), np.sin(-0.5)])
     assert (rays.stamps_ns - 5_000_000_007).tolist() == [0, 5_000_000]  # a millisecond from ray to ray

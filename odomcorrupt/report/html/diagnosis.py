@@ -88,11 +88,11 @@ _ERROR = (
 )
 _CANDIDATES = (
     "Log likelihood that each effect would gain, step by step, less what its parameters gain by chance. Dark blue was "
-    "added; light blue explains these data as well; grey was refused, and why."
+    "added; light blue explains these data as well; grey was refused, with the reason."
 )
 _RESIDUALS = (
     "Growth of the error per metre driven, odometry minus truth, before and after. Bars that miss zero all along a "
-    "curve show on what the error depends; of a right model one in twenty misses it."
+    "curve show on what the error depends; of a right model one in twenty does so by chance."
 )
 _REJECTED = (
     "The last model is still rejected: predicted errors do not include slowly varying noise or bursts, and there may "
@@ -108,7 +108,7 @@ def _verdict(story: SearchReport) -> str:
         names = [_named(name, rivals, learned) for name, rivals in steps if name not in learned.of_setup]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
-        parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
+        parts.append(f"noise found: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
     if learned.unknown:
         parts.append(evidence_words(learned.unknown[0]))
     # the sequence contains no noise term: its lack of fit may be due to the noise found
@@ -159,9 +159,9 @@ def _detectable(advice: Advice) -> list[str]:
 
 def _legend(version: str) -> str:
     return (
-        "Held-out: every model on the way was refitted on one half of each recording and evaluated on the other, both "
-        "ways. Nats: log likelihood; 10 nats are odds of twenty thousand to one. Detectable is what is "
-        f"4.2 standard errors large. Made by odomcorrupt {version}."
+        "Held-out: every model of the sequence was refitted on one half of each recording and evaluated on the other, "
+        "both ways. Nats: log likelihood; 10 nats correspond to odds of twenty thousand to one. The detectable "
+        f"size is 4.2 standard errors. Made by odomcorrupt {version}."
     )
 
 

@@ -45,8 +45,8 @@ def explorer(comparison: Comparison) -> str:
     """Return the section of the page: an empty frame, its data and its script."""
     content = json.dumps(_content(comparison), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (
-        '<h2>Explore</h2><noscript><p class="quiet">With scripts switched on, path, residuals and errors can be '
-        "explored here; everything below is complete without.</p></noscript>"
+        '<h2>Explore</h2><noscript><p class="quiet">With JavaScript enabled, path, residuals and errors can be '
+        "explored here; the text and figures below do not need it.</p></noscript>"
         '<div id="explorer" hidden></div>'
         f'<script type="application/json" id="explorer-data">{content}</script>'
         f"<script>{resource('explorer.js')}</script>"

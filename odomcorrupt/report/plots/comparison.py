@@ -142,7 +142,8 @@ def draw_nees(comparison: Comparison) -> Figure:
             right.plot(distance, inside, **style)
         left.axhline(1.0, color=BLACK, linewidth=1.0)
         left.set(
-            yscale="log", title="NEES per degree of freedom\n(1: errors are as large as expected; bars: 95 % chance)"
+            yscale="log",
+            title="NEES per degree of freedom\n(1: errors are as large as expected; bars: 95 % range by chance)",
         )
         plain_logarithm(left.yaxis)
         right.axhline(90.0, color=BLACK, linewidth=1.0)
@@ -309,7 +310,7 @@ PICTURES: Mapping[str, Picture] = {
     "residuals": Picture(
         "What the error depends on",
         "Growth of the error per metre driven, odometry minus truth, in parts of the drive. Bars that miss zero all "
-        "along a curve show on what the error depends; of a right model one in twenty misses it.",
+        "along a curve show on what the error depends; of a right model one in twenty does so by chance.",
         draw_residuals,
     ),
     "map": Picture(
@@ -320,7 +321,7 @@ PICTURES: Mapping[str, Picture] = {
     ),
     "pit": Picture(
         "Distribution of the errors",
-        "How many whitened innovations fell below each predicted quantile, less how many should have. Outside the "
+        "Fraction of the whitened innovations below each predicted quantile, minus the predicted fraction. Outside the "
         "band: S-shaped where the noise has the wrong size, one bump where there is a bias.",
         draw_pit,
     ),

@@ -193,7 +193,7 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
             draw_ellipse(axes, sample_moments(points), edgecolor=colour, linewidth=1.6, zorder=4)
         axes.plot(*cloud.path_xyt[:, :2].T, color=BLACK, linewidth=1.3, zorder=5, label="odometry")
         axes.plot(*cloud.path_xyt[0, :2], "s", color=BLACK, markersize=7, zorder=6, label="start")
-        axes.scatter([], [], s=14, color=BLUE, label=f"{len(cloud.xyt)} runs, after so many metres")
+        axes.scatter([], [], s=14, color=BLUE, label=f"{len(cloud.xyt)} runs, after the stated distances")
         if space is None:
             axes.plot([], [], color=BLUE, linewidth=1.6, label=f"their {SIGMAS:g} sigma ellipse")
         axes.set(xlabel="x (m)", ylabel="y (m)", title=title)

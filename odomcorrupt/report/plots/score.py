@@ -65,7 +65,7 @@ def drift(axes: Axes, report: ScoreReport) -> None:
             plain_logarithm(axis)
             axis.set_minor_locator(NullLocator())
     axes.set(xlabel="drift of the odometry, % of the way (rms over 10 m)", ylabel="ATE of the estimate, m")
-    axes.set_title("Error against the drift that was put in")
+    axes.set_title("Error against the added drift")
     axes.legend(loc="upper left", fontsize=9)
 
 

@@ -100,7 +100,7 @@ def findings_brief(
     at = max(next((i for i, line in enumerate(lines) if line.label), len(lines)), 1)
     mounted = _mounting_words(search, fit or search.fit)
     apart = ", and ".join([*_clock_words(search), *([mounted] if mounted else [])])
-    none = "nothing that matters is missing" if negligible else "no known effect explains more than chance"
+    none = "no relevant effect is missing" if negligible else "no known effect explains more than chance"
     none = f"the robot's model is complete; {apart}" if apart else none
     named = verdict != "COMPLETE" and bool(lines)
     if named and mounted:
@@ -108,7 +108,7 @@ def findings_brief(
     label = lines[0].label if named and lines[0].label != _PERHAPS else ""
     first = ": ".join(filter(None, (label, lines[0].text))) if named else none
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
-        verdict, tone, first = "MISSING", "warning", "slip_burst or push: what the fit left out as outliers"
+        verdict, tone, first = "MISSING", "warning", "slip_burst or push: intervals that the fit left out as outliers"
     lines = [Line(verdict, first, tone), *lines[named:]]
     lines += _hidden_noise(robot) if robot is not None else []
     lines += [*_track_lines(search, failed=comparison.judgements[-1].verdict.fails), *negligible]

@@ -155,7 +155,7 @@ def measures_words(comparison: Comparison, *, most: int | None = None) -> str:
 def _trajectory_lines(comparison: Comparison) -> list[str]:
     cut = len(comparison.judgements[0].pieces) > len(comparison.recordings)
     which = "paths, in halves" if cut else "whole paths"
-    lines = [f"{which}, each model's effects taken out (ATE, RPE as evo has them, RMS):"]
+    lines = [f"{which}, each model's effects removed (ATE and RPE as in evo, RMS):"]
     steps: list[tuple[str, TrajectoryError]] = [("odometry, clock corrected", comparison.clock_trajectory)]
     steps += [(j.name, j.trajectory) for j in comparison.judgements]
     for name, e in steps:
@@ -306,11 +306,11 @@ def reproduction_sentence(one: Reproduction) -> str:
     drifts += size("along", one.measured_m)
     stretches = "1 stretch" if one.outliers == 1 else f"{one.outliers} stretches"
     carry = (
-        f"{stretches} ({one.outlier_s:.1f} s) left out of the fit {'carries' if one.outliers == 1 else 'carry'} "
+        f"{stretches} ({one.outlier_s:.1f} s) left out of the fit {'makes up' if one.outliers == 1 else 'make up'} "
         f"{100.0 * one.outlier_share:.0f} % of the squared 10 s error"
     )
     if one.too_small:
-        why = f"{carry} (slip_burst or push)" if one.by_outliers else "something that makes it drift is not in it"
+        why = f"{carry} (slip_burst or push)" if one.by_outliers else "a cause of its drift is not in the model"
         return f"{drifts}: {why}"
     if one.too_large:
         if one.long is not None and one.long.too_large:
@@ -318,7 +318,7 @@ def reproduction_sentence(one: Reproduction) -> str:
             drifts = f"a truth corrupted with this model has an error of {size('along', drawn)} after a quarter of the "
             drifts += f"drive ({after}), the recording "
             drifts += size("along", measured)
-        return f"{drifts}: its noise is too large, that of the truth may be in it"
+        return f"{drifts}: its noise is too large and may include that of the truth"
     return carry if one.by_outliers else ""
 
 

@@ -55,7 +55,7 @@ def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None 
     """
     lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
     if learned.added:
-        lines += ["missing, in the order of evidence, each on top of the ones before:", _sequence_text(learned)]
+        lines += ["missing, in the order of evidence, each added to those before:", _sequence_text(learned)]
     for gain in learned.noise:
         values = ", ".join(noise_text(gain.effect))
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
@@ -128,15 +128,15 @@ def _disagreement_line(one: ParameterDifference, learned: Learned) -> str:
     noise = f" ({slow[0]} may be caused by that)" if slow else ""
     return (
         f"the recordings disagree about {one.effect}: {says}. The robot changed between them{noise}: "
-        "learn from recordings of one state"
+        "learn from recordings of one state of the robot"
     )
 
 
 def contradiction(one: Candidate) -> str:
     """Return a sentence that the data contradict a physical bound, and what to check."""
     return (
-        f"the data contradict physics: {one.name} would explain {one.score.nats:.0f} nats, but {one.refused}. Look at "
-        "how odometry and truth are stamped and integrated, which point the truth follows, and the signs of the axes"
+        f"the data contradict physics: {one.name} would explain {one.score.nats:.0f} nats, but {one.refused}. Check "
+        "stamps and integration of odometry and truth, the point that the truth follows, and the signs of the axes"
     )
 
 
