@@ -90,7 +90,7 @@ class ErrorGate:
         try:
             errors: dict[str, float] = json.loads(self.path.read_text(encoding="utf8"))["errors"]
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise AssertionError(f"{self.path}: is no baseline; write it again with --odomcorrupt-update") from error
+            raise AssertionError(f"{self.path}: is not a baseline; write it again with --odomcorrupt-update") from error
         return errors
 
 

@@ -71,7 +71,7 @@ def test_the_gate_says_what_it_lacks(tmp_path):
     with pytest.raises(AssertionError, match="no baseline yet"):
         gate(errors_of(0.1))
     (tmp_path / "none.json").write_text("[]")
-    with pytest.raises(AssertionError, match="is no baseline"):
+    with pytest.raises(AssertionError, match="is not a baseline"):
         gate(errors_of(0.1))
     with pytest.raises(AssertionError, match="finite numbers"):
         gate({"seed 7 run 0": float("nan")})

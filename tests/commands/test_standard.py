@@ -118,7 +118,7 @@ def test_a_wrong_file_of_defaults_is_an_error(text, said, tmp_path, monkeypatch,
         ),
         (["a.bga"], "a.bga: .bga is not a bag format (did you mean .bag?)"),
         (["a.mcap", "--effect", "wheel_scale=0.01"], "write wheel_scale:e=0.01"),
-        (["a.mcap", "--effect", "unequal_wheels:curvature=1%"], "is a share, and it is given in rad/m"),
+        (["a.mcap", "--effect", "unequal_wheels:curvature=1%"], "is a share, but the parameter has the unit rad/m"),
         (["a.mcap", "--alpha", "0.05,0.02,0.05,0.01"], "put spaces between the numbers: --alpha 0.05 0.02 0.05 0.01"),
     ],
 )

@@ -72,8 +72,8 @@ def test_a_class_of_this_folder_acts_as_the_same_words_in_a_model_file_do(folder
     [
         ("sway_in_folder.Wobble:k=7", "effect wobble, k: 7; it must lie in"),
         ("sway_in_folder.Wobble:q=7", "effect wobble has no parameter 'q'"),
-        ("sway_in_folder.Plain", "sway_in_folder.Plain: is no effect"),
-        ("sway_in_folder.Missing", "sway_in_folder.Missing: is no effect"),
+        ("sway_in_folder.Plain", "sway_in_folder.Plain: is not an effect class"),
+        ("sway_in_folder.Missing", "sway_in_folder.Missing: is not an effect class"),
         ("sway_nowhere.Wobble", "sway_nowhere cannot be imported (ModuleNotFoundError"),
         ("sway_broken.Wobble", "sway_broken cannot be imported (ZeroDivisionError: division by zero)"),
         (".Wobble", "cannot be imported"),

@@ -73,7 +73,7 @@ def test_a_number_beyond_its_bounds_is_written_within_them_and_named(drive):
 def test_a_robot_that_turns_4_times_as_far_is_informed_that_its_nominal_values_are_wrong(drive):
     found = verified_model(MotionModel(NOISE, (effect_from_values("wheelbase", {"e": 1.0 / 4.4 - 1.0}),)), [drive])
     assert len(found.changes) == 1
-    assert "turns 4.4 times as far as its odometry says" in found.changes[0]
+    assert "turns 4.4 times as far as its odometry reports" in found.changes[0]
     assert np.isfinite(corrupted(found.model, drive)).all()
 
 
@@ -127,7 +127,7 @@ def test_a_patch_that_drifting_odometry_meets_too_late_stays_for_corruption(monk
     monkeypatch.setattr(round_trip, "_fitted_error", lambda model, _: 0.0153 if model.effects else 0.0202)
     found, said = round_trip._correctable(MotionModel(NOISE, (patch,)), [], 1)
     assert bool(found.effects) == kept
-    assert ("drifts" in said[0]) == kept
+    assert ("drifting odometry" in said[0]) == kept
 
 
 def test_all_runs_but_the_first_are_of_minutes_and_together_reach_both_ends():
