@@ -35,7 +35,7 @@ def test_another_packages_effect_is_found(plugged):
     ("value", "complaint"),
     [
         ("test_contract:Missing", "cannot be loaded"),
-        ("json:dumps", "no effect"),
+        ("json:dumps", "not an effect class"),
         ("odomcorrupt.effects.wheelbase:Wheelbase", "taken"),
     ],
 )
