@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 BAGS = ("turtlebot4_mac_floor", "cmu_wean_1", "cmu_wean_3", "mines_rover_exp1", "intel_1hz")
 PAIRS = (("cmu_wean_1", "cmu_wean_3"),)
-ALWAYS = ("wheel_scale", "gyro_scale", "unequal_wheels")
-"""Scale of travel, scale of turns, and turns for each metre."""
+ALWAYS = (("wheel_scale", {"heading": "gyro"}), ("gyro_scale", {}), ("unequal_wheels", {}))
+"""Scale of travel (which must not scale turns, too), scale of turns, and turns for each metre."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ def held_out(learning: Sequence[Recording], judging: Sequence[Recording]) -> Hel
             name: fit_robot(learning, effects, law_name="diffusion", clocks=learned.clocks)
             for name, effects in (
                 ("noise alone", []),
-                ("calibrated", [effect_from_values(name, {}) for name in ALWAYS]),
+                ("calibrated", [effect_from_values(*each) for each in ALWAYS]),
                 ("learned", list(learned.fit.effects)),
             )
         }
@@ -109,7 +109,7 @@ def against_the_laser(runs: Sequence[Recording]) -> list[str]:
     approach = choose_approach(runs)
     clocks = find_clocks(runs, approach)
     setup = [effect_from_values(name, {}) for name in ("lever_arm", "mount_yaw")]
-    effects = [*(effect_from_values(name, {}) for name in ALWAYS), *setup]
+    effects = [*(effect_from_values(*each) for each in ALWAYS), *setup]
     found = with_robust_errors(
         fit(runs, effects, approach=approach, clocks=clocks.clocks, free_clocks=clocks.free, start=clocks.noise)
     )
