@@ -130,15 +130,18 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
         sweeps, motion, found, why = evenly
         said.append(why)
     against_tf_rad = 0.0
-    if known is None and found is None:
-        said.append(f"{sweeps.topic}: this drive does not show its pose on the robot, taken as 0 m, 0 m, 0 deg")
-    elif known is None:
-        where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
-        said.append(f"{sweeps.topic}: pose estimated as {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot")
+    if known is None:
+        said.append(f"{sweeps.topic}: {_estimated(motion.mount, shown=found is not None)}")
     elif found is not None:
         yaw = float(wrap(np.asarray(found[2] - known[2])))
         against_tf_rad = yaw if abs(yaw) > _DIFFERS_RAD else 0.0
     return Calibration(sweeps, motion, mirrored, tuple(said), turn_s, against_tf_rad)
+
+
+def _estimated(mount: Array, *, shown: bool) -> str:
+    """Return the message on the mounting (3,) of a laser without TF, and whether the drive shows it."""
+    pose = f"{mount[0]:.2f} m, {mount[1]:.2f} m, {np.degrees(mount[2]):.1f} deg"
+    return f"pose estimated as {pose} on the robot" if shown else f"this drive does not show its pose, taken as {pose}"
 
 
 def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, certain: bool) -> tuple[_Pairs, bool]:
