@@ -17,6 +17,7 @@ from odomcorrupt.laser.scans import read_sweeps
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.laser_truth import alerts_of, laser_run, truth_of
 from odomcorrupt.study.io.reader import read_odometry
+from odomcorrupt.study.select.stepwise import learn
 
 
 def read(path, scan=None):
@@ -53,6 +54,17 @@ def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path
     recording, notes = read(raycaster.drive(tmp_path / "run.mcap", **faults), topic)
     assert said in notes
     assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)
+
+
+@pytest.mark.slow
+def test_the_track_is_learned_from_scans_stamped_on_arrival_and_so_is_their_mean_delay(tmp_path):
+    (recording,) = read_runs(Source(raycaster.drive(tmp_path / "run.mcap", jitter_s=0.05, stated=(0.1, 0.0, 0.0))))
+    found = learn([recording]).fit
+    (track,) = (effect for effect in found.effects if effect.kind != "setup")
+    assert track.name == "wheelbase"
+    assert track.e == pytest.approx(0.02, abs=0.003)
+    # the mean of |N(0, 50 ms)| is 40 ms
+    assert found.problem.clocks[0].offset_s == pytest.approx(-0.04, abs=0.005)
 
 
 @pytest.mark.slow
