@@ -1,7 +1,7 @@
 """Model comparison: library effects against basis functions that replace one effect or several at once.
 
-The most similar library effect may be selected for a cause outside the library. So each included effect is removed, to
-first order, and every basis function is scored in its place.
+The most similar library effect may be selected for a cause outside the library, or several effects together. So each
+included effect, and all of them at once, are removed, to first order, and every basis function is scored instead.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects import registry
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
     Candidate,
@@ -21,7 +22,7 @@ from odomcorrupt.study.select.candidates import (
     with_shape_refined,
 )
 from odomcorrupt.study.select.closed_loop import hardly_turns
-from odomcorrupt.study.select.decisions import penalty
+from odomcorrupt.study.select.decisions import equal_candidates, penalty
 from odomcorrupt.study.select.dependence import BasisScore, basis_scores, dependences
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
@@ -32,7 +33,10 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.motion import Motion
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.result import Step
@@ -40,6 +44,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.screening import CoarseDesign
 
 
+_VARIED_S = 5.0
+"""Time between independent changes of the speeds at which copies are recognised, s: several a minute, and slower than
+accelerations."""
 _NEAR_FORM = 0.05
 """Fraction of the best form's gain that another form may recover by refinement of its threshold."""
 
@@ -58,7 +65,7 @@ class ModelComparison:
 
     effects : the compared effects of the fit
     bare : the fit without them, see `drop_term`
-    nats, penalty : their joint gain minus the sum of their penalties, and that sum
+    nats, penalty : their joint gain minus their penalty, and that penalty
     scores : the best basis function of each regressor and channel, except copies of the effects and functions that a
         refit refutes
     """
@@ -68,6 +75,11 @@ class ModelComparison:
     nats: float
     penalty: float
     scores: list[BasisScore]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the compared effects."""
+        return tuple(effect.name for effect in self.effects)
 
     @property
     def margin(self) -> float:
@@ -86,7 +98,11 @@ class ModelComparison:
 def compare_with_basis(
     fit: Fit, effects: Sequence[Effect], decisions: Decisions, design: CoarseDesign
 ) -> ModelComparison:
-    """Compare effects of a fit, taken together, with every basis function in their place."""
+    """Compare effects of a fit, taken together, with every basis function in their place.
+
+    Each further effect pays for the number of those from which it was selected (Chen & Chen, Biometrika 95, 2008), as
+    basis functions do: one cause is likelier than several that imitate it together.
+    """
     bare = fit
     for effect in effects:
         bare = drop_term(bare, effect)
@@ -94,21 +110,28 @@ def compare_with_basis(
     (own,) = score_columns(bare, [columns])
     motions, count = fit.problem.motions, len(fit.problem.intervals)
     penalties = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
+    penalties += (len(effects) - 1) * float(np.log(equal_candidates(_library_names(), decisions)))
     nats = 0.5 * own.statistic - penalties
     rest, whiten = project_out(bare), bare.noise.whitener.whiten
-    explained = rest.of(whiten(columns))
-    explained = explained @ np.linalg.lstsq(explained, rest.residual, rcond=None)[0]
+    whitened = rest.of(whiten(columns))
+    sizes = np.linalg.lstsq(whitened, rest.residual, rcond=None)[0]
+    other = _at_other_speeds(bare.problem)
+    elsewhere = np.concatenate([other.columns(effect) for effect in effects], axis=2)
 
     def copies(score: Score) -> bool:
-        """Return whether a basis function copies the effects: if it fits better, then by chance."""
-        if score.nats < nats - decisions.replacement_nats:  # too small a gain to matter
-            return False
-        basis = np.linalg.qr(rest.of(whiten(score.term.columns(bare.problem))))[0]
-        share = float(np.sum((basis.T @ explained) ** 2)) / max(float(explained @ explained), 1e-300)
-        return share > decisions.copy_share
+        """Return whether a basis function is the same as the effects on any drive: if it fits better, then by chance.
 
-    found = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
-    scores = sorted(found, key=lambda one: -one.score.nats)
+        If it is the same only at the speeds of this drive, the data do not separate the two.
+        """
+        term = score.term
+        return (
+            score.nats > nats - decisions.replacement_nats  # else too small a gain to matter
+            and _share(rest.of(whiten(term.columns(bare.problem))), whitened @ sizes) > decisions.copy_share
+            and _share(whiten(term.columns(other)), whiten(elsewhere) @ sizes) > decisions.copy_share
+        )
+
+    found = [one.without(copies) for one in basis_scores(bare, decisions, design)]
+    scores = sorted((one for one in found if one is not None), key=lambda one: -one.score.nats)
     others = [e for e in fit.effects if e not in effects]
 
     def refuted(score: Score) -> bool:
@@ -123,6 +146,43 @@ def compare_with_basis(
     while scores and scores[0].score.nats > nats - decisions.replacement_nats and refuted(scores[0].score):
         del scores[0]
     return ModelComparison(tuple(effects), bare, nats, penalties, scores)
+
+
+def _library_names() -> list[str]:
+    """Return the names of all effects that compete in a selection."""
+    return [name for name, kind in registry().items() if kind.kind != "noise"]
+
+
+def _at_other_speeds(problem: Problem) -> Problem:
+    """Return the problem of a drive whose speeds, yaw rates and headings vary slowly and independently around its own.
+
+    Speeds and yaw rates are between half and twice those driven. Only functions that are the same on any drive are the
+    same there, while on a drive with all turns alike a function of the yaw rate equals a constant.
+    """
+    rng = np.random.default_rng(0)
+    return replace(problem, motions=tuple(_varied(motion, rng) for motion in problem.motions))
+
+
+def _varied(motion: Motion, rng: np.random.Generator) -> Motion:
+    knots = np.arange(motion.t_s[0], motion.t_s[-1] + 2.0 * _VARIED_S, _VARIED_S)
+    speed, turn, heading = (np.interp(motion.t_s, knots, rng.uniform(-1.0, 1.0, len(knots))) for _ in range(3))
+    factors = np.stack((2.0**speed, 2.0**speed, 2.0**turn), axis=1)
+    return replace(
+        motion,
+        v=motion.v * factors[:, 0],
+        vy=motion.vy * factors[:, 1],
+        omega=motion.omega * factors[:, 2],
+        theta=motion.theta + np.pi * heading,
+        acceleration=motion.acceleration * factors,
+        trail=None if motion.trail is None else motion.trail * factors,
+        before=None if motion.before is None else motion.before * factors[:, None],
+    )
+
+
+def _share(columns: Array, explained: Array) -> float:
+    """Return the fraction of the square of a contribution (n,) that columns (n, p) can explain."""
+    basis = np.linalg.qr(columns)[0]
+    return float(np.sum((basis.T @ explained) ** 2)) / max(float(explained @ explained), 1e-300)
 
 
 def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | None:

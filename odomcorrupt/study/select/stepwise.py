@@ -131,7 +131,7 @@ def learn(
         noise=tuple(one for one in found.noise if not are_its_steps(final, one.effect)),
         unknown=(*included, *found.open, *found.rivals()),
         laws=included,
-        margins={name: own.margin for name, own in found.compared.items()},
+        margins=found.margins(),
         fit=final,
         error_m=ten_second_error(final),
         disagreements=disagreements(final, decisions.heterogeneity_level),
@@ -152,7 +152,8 @@ class _Selection:
     included, open : dependences in the model, and those that it does not explain
     contradictions : effects that fit the data only with a physically impossible sign
     withdrawn : names of effects that were admitted to the current model and removed again
-    compared, compared_at : comparisons of library effects with basis functions, and the fit in which they were made
+    compared, compared_at : comparisons of library effects, and of all together, with basis functions, and the fit in
+        which they were made
     seen : terms of all models so far
     over_lag : gain of the clock over a lag in its place, prior odds included, nats; None if not tested
     """
@@ -168,7 +169,7 @@ class _Selection:
     open: list[Dependence] = field(default_factory=list)
     contradictions: list[Candidate] = field(default_factory=list)
     withdrawn: set[str] = field(default_factory=set)
-    compared: dict[str, ModelComparison] = field(default_factory=dict)
+    compared: list[ModelComparison] = field(default_factory=list)
     compared_at: Fit | None = None
     seen: set[frozenset[str]] = field(default_factory=set)
     over_lag: float | None = None
@@ -279,11 +280,7 @@ class _Selection:
             self._compare(design)
         if len(self.included) >= decisions.max_dependences:
             return None
-        compared = list(self.compared.values()) if alone else []
-        if len(compared) > 1:
-            # several effects may explain one cause together; replacing only one of them would then gain nothing
-            together = [e for own in compared for e in own.effects]
-            compared.append(compare_with_basis(self.fit, together, decisions, design))
+        compared = self.compared if alone else []
         # no replacement on contradicted channels either: it would be included and removed in turn
         replacement = best_replacement(self.fit, compared, decisions, self._contradicted())
         proposal = replacement or best_dependence(self.fit, self.open, decisions)
@@ -299,7 +296,11 @@ class _Selection:
         return [e for e in self.fit.effects if e.name in added]
 
     def _compare(self, design: CoarseDesign) -> None:
-        self.compared = {e.name: compare_with_basis(self.fit, [e], self.decisions, design) for e in self._selected()}
+        own = self._selected()
+        # several effects may explain one cause together; replacing only one of them would then gain nothing
+        together = [own] if len(own) > 1 else []
+        groups = [*([e] for e in own), *together]
+        self.compared = [compare_with_basis(self.fit, group, self.decisions, design) for group in groups]
         self.compared_at = self.fit
 
     def _include_correlated(self, one: DetectedRandomEffect, explained: float) -> bool:
@@ -329,11 +330,17 @@ class _Selection:
         if self.compared_at is not self.fit:
             self._compare(CoarseDesign(self.fit.problem, least_thresholds(self.fit)))
 
+    def margins(self) -> dict[str, float]:
+        """Return the gain of each included effect, alone or with all others, over the best basis function, nats."""
+        names = dict.fromkeys(name for own in self.compared for name in own.names)
+        return {name: min(own.margin for own in self.compared if name in own.names) for name in names}
+
     def rivals(self) -> list[Dependence]:
-        """Return for each included effect the dependence that explains about as much in its place, if there is one."""
-        nearly = -self.decisions.alternative_nats
-        found = {name: own.better(self.decisions, nearly)[:1] for name, own in self.compared.items()}
-        return [replace(one, instead_of=name) for name, nearest in found.items() for one in nearest]
+        """Return for included effects, alone and together, the dependence that may explain them, if there is one."""
+        decisions = self.decisions
+        nearly = -(decisions.prior.dependence_nats + decisions.alternative_nats)
+        found = [(own.names, own.better(decisions, nearly)[:1]) for own in self.compared]
+        return [replace(one, instead_of=names) for names, nearest in found for one in nearest]
 
     def _replace_clock_by_lag(self, *, first: bool = False) -> bool:
         """Replace the offset of the odometry's clock by a lag with a larger gain; return whether it was replaced."""
