@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
+from odomcorrupt.effects.region_slip import RegionSlip
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
     Candidate,
@@ -27,6 +28,7 @@ from odomcorrupt.study.select.dependence import BasisScore, basis_scores, depend
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.score import project_out, score_columns
+from odomcorrupt.study.terms.basis.place import rectangle_of
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -42,11 +44,14 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.result import Step
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.select.screening import CoarseDesign
+    from odomcorrupt.study.terms.term import BasisTerm
 
 
 _VARIED_S = 5.0
 """Time between independent changes of the speeds at which copies are recognised, s: several a minute, and slower than
 accelerations."""
+_MOST_SPARED = 15.0
+"""Largest additional penalty, nats, of an effect that is the same function as a basis function: four parameters."""
 _NEAR_FORM = 0.05
 """Fraction of the best form's gain that another form may recover by refinement of its threshold."""
 
@@ -148,6 +153,19 @@ def compare_with_basis(
     return ModelComparison(tuple(effects), bare, nats, penalties, scores)
 
 
+def margins(compared: Sequence[ModelComparison]) -> dict[str, float]:
+    """Return the gain of each effect, alone or with all others, over the best basis function, nats."""
+    names = dict.fromkeys(name for own in compared for name in own.names)
+    return {name: min(own.margin for own in compared if name in own.names) for name in names}
+
+
+def rivals(compared: Sequence[ModelComparison], decisions: Decisions) -> list[Dependence]:
+    """Return for effects, alone and together, the dependence that may explain them, if there is one."""
+    nearly = -(decisions.prior.dependence_nats + decisions.alternative_nats)
+    found = [(own.names, own.better(decisions, nearly)[:1]) for own in compared]
+    return [replace(one, instead_of=names) for names, nearest in found for one in nearest]
+
+
 def _library_names() -> list[str]:
     """Return the names of all effects that compete in a selection."""
     return [name for name, kind in registry().items() if kind.kind != "noise"]
@@ -189,17 +207,28 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     """Return the library effect that can replace an included dependence with about the same gain, if there is one.
 
     Beside terms that were included later, a known effect may explain as much, and a known cause is likelier a priori.
-    An effect that fits only with a physically impossible sign is returned as a refused candidate.
+    One that is the same function of this drive, as a patch of floor may be, is the same cause: it does not pay for more
+    shape parameters. An effect that fits only with a physically impossible sign is returned as a refused candidate.
     """
     effect = next((e for e in fit.effects if e.name == law.name), None)
     if effect is None or law.best is None:
         return None
     bare, others = drop_term(fit, effect), [e for e in fit.effects if e is not effect]
     still = hardly_turns(bare)
-    column_score = score_columns(bare, [law.best.term.columns(bare.problem)])[0]
-    least = 0.5 * column_score.statistic - law.best.score.penalty - decisions.replacement_nats
-    search = LibrarySearch(bare, library(bare), decisions)
-    near = sorted(search.scores_above(max(least, 0.0)), key=lambda s: -s.nats)
+    own = law.best.term.columns(bare.problem)
+    column_score, own_penalty = score_columns(bare, [own])[0], law.best.score.penalty
+    least = 0.5 * column_score.statistic - own_penalty - decisions.replacement_nats
+    search = LibrarySearch(bare, _with_place(library(bare), law.best.term, bare), decisions)
+    explained = bare.noise.whitener.whiten(own) @ column_score.estimate
+
+    def spared(score: Score) -> float:
+        """Return the additional penalty of an effect, nats, if it is the same function of this drive; else 0."""
+        columns = bare.noise.whitener.whiten(score.term.columns(bare.problem))
+        same = _share(columns, explained) > decisions.copy_share
+        return max(score.penalty - own_penalty, 0.0) if same else 0.0
+
+    likely = search.scores_above(max(least - _MOST_SPARED, 0.0))
+    near = sorted((s for s in likely if s.nats + spared(s) > max(least, 0.0)), key=lambda s: -s.nats - spared(s))
     levels = levels_of(search.scores, decisions)
     for score in near[: decisions.shortlist]:
         refused = objection(bare, score, decisions, level=levels[score.term.name], still=still)
@@ -209,11 +238,31 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
                 return candidate
             continue
         with_it = fit.refit((*others, score.estimated), weights_of=fit)
-        gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + law.best.score.penalty
+        gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + own_penalty + spared(score)
         found = tried(fit, with_it, score, decisions, gain=gain, least=-decisions.replacement_nats)
         if not found.refused:
             return replace(found, fit=with_it.refit(), gain=score.nats)
     return None
+
+
+def _with_place(
+    families: Sequence[tuple[LibraryTerm, ...]], term: BasisTerm, fit: Fit
+) -> list[tuple[LibraryTerm, ...]]:
+    """Return families of effects, that of patches with the strip or rectangle of a basis function as a further start.
+
+    A grid of discs hardly leads to a strip that the path crosses far apart.
+    """
+    rectangle = rectangle_of(term.function)
+    if rectangle is None:
+        return list(families)
+    angle, x, y, half, side = rectangle
+    patch = RegionSlip.in_rectangle(angle, (x, y), half, side, fit.problem.motions)
+    if term.action.by_wheel:
+        patch = replace(patch, contact="wheels", heading=term.action.heading)
+    return [
+        (*family, LibraryTerm(patch, family[0].trials)) if family[0].name == RegionSlip.name else family
+        for family in families
+    ]
 
 
 def with_final_rivals(steps: Sequence[Step], fit: Fit, decisions: Decisions) -> list[Step]:
