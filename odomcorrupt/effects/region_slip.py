@@ -13,6 +13,8 @@ from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_tra
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
 
 _MOST_DISCS = 400
@@ -112,7 +114,7 @@ class RegionSlip(Effect):
         """
         if not self.width:
             return self
-        ahead, left = (np.concatenate(both) for both in zip(*(self._inside_axes(m.x, m.y) for m in motions), strict=True))
+        ahead, left = self._inside_axes(*(np.concatenate([getattr(m, axis) for m in motions]) for axis in ("x", "y")))
         low, high = _free_edges(ahead, np.abs(left) <= self.width, self.radius)
         right, top = _free_edges(left, np.abs(ahead) <= self.radius, self.width)
         forward, sideways = 0.5 * (low + high), 0.5 * (right + top)
@@ -174,7 +176,7 @@ def _within(start: Array, way: Array, half: Array | float) -> tuple[Array, Array
     return np.clip(np.minimum(*ends), 0.0, 1.0), np.clip(np.maximum(*ends), 0.0, 1.0)
 
 
-def _free_edges(along: Array, beside: Array, half: float) -> tuple[float, float]:
+def _free_edges(along: Array, beside: NDArray[np.bool_], half: float) -> tuple[float, float]:
     """Return the middle of the range of each edge, -half and half, in which the data are the same.
 
     along : positions (n,) on the axis that the edges cut; beside : which of them are within the other two edges
