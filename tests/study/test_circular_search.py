@@ -25,7 +25,7 @@ class Scored:
 
 def model(*names):
     effects = tuple(SimpleNamespace(name=name) for name in names)
-    fit = SimpleNamespace(effects=effects, random=(), free_clocks=((False, False),))
+    fit = SimpleNamespace(effects=effects, random=(), free_clocks=((False, False),), log_likelihood=0.0)
     fit.refit = lambda *_, **__: fit
     fit.for_reports = lambda: fit
     return fit
