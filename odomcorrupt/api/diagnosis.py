@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from odomcorrupt.api.model import ModelLike, as_model
-from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, refuse_turns_alone
 from odomcorrupt.api.result import Result
 from odomcorrupt.result_files import refuse_existing, write_bytes
 from odomcorrupt.summary import Line, Summary
@@ -186,7 +186,7 @@ def diagnose(
     'missing'
     """
     known = None if model is None else as_model(model).motion_model
-    runs = as_recordings(recordings)
+    runs = refuse_turns_alone(as_recordings(recordings))
     if known is not None:
         runs = runs.on_track(known.track_m).of_drive_type(known.setup.drive_type).in_frame(known.setup.origin)
     from odomcorrupt.study.pipeline import diagnose_model

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.drive_types import AUTO
+from odomcorrupt.geometry.increments import increments
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -135,6 +136,16 @@ class Recording:
     def odometry_s(self) -> Array:
         """Times of the odometry (n,), seconds since the origin."""
         return self.odometry.seconds_since(self.origin_ns)
+
+    @property
+    def travel_m(self) -> float:
+        """Largest distance between two positions on the signed path of the odometry along its own axes, m.
+
+        Noise adds up to little, however long the robot turns on the spot.
+        """
+        steps = increments(self.odometry.xyt)
+        along, across = (float(np.ptp(np.cumsum(own))) for own in (steps.ds_m, steps.dl_m))
+        return float(np.hypot(along, across))
 
 
 def shared_frame(recordings: Sequence[Recording]) -> str | None:

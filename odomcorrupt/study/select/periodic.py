@@ -132,7 +132,8 @@ def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> l
 
 
 def _smooth(strength: Array) -> Array:
-    width = max(len(strength) // 20, 1)
+    # of a short drive, the spectrum has few bins
+    width = min(max(len(strength) // 20, 1), (len(strength) - 1) // 2)
     kernel = np.ones(2 * width + 1)
     level: Array = np.convolve(strength, kernel, "same") / np.convolve(np.ones_like(strength), kernel, "same")
     return np.maximum(level, 1e-300)

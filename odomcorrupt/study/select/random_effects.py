@@ -246,7 +246,7 @@ class _Evidence:
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
-        self._known: dict[tuple[Callable[[Motion], Array], bytes], tuple[Array, Array]] = {}
+        self._known: dict[tuple[Callable[[Motion], Array], int, bytes], tuple[Array, Array]] = {}
 
     def of(self, root: Root, process: Process) -> tuple[float, float]:
         """Return the gain at the best scale of a process, nats, and that scale."""
@@ -262,7 +262,8 @@ class _Evidence:
 
     def _of_knots(self, spread: csr_array, process: Process) -> tuple[Array, Array]:
         """Return information (k, k) and score (k,) of the knots beside the model."""
-        key = process.unit, spread.data.tobytes()
+        # the number of knots too: without travel, all weights of a gain of travel are zero
+        key = process.unit, spread.shape[1], spread.data.tobytes()
         if key not in self._known:
             # the mean of a bias, and the start of a walk, are not part of the process
             unit = unit_column(self._fit.problem, process)[:, :, None]
