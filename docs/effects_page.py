@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
 
-_PLACE = "## Definition\n"
+_PLACE = "The site of this documentation has a table of all effects here, made from the code.\n"
 _KINDS = {
     "effect": "Systematic errors",
     "noise": "Random errors",
@@ -22,8 +22,8 @@ _KINDS = {
 
 
 def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
-    """Return a page as it is, and that of the effects with tables of the library before their definition."""
-    return markdown.replace(_PLACE, f"{library()}\n\n{_PLACE}", 1) if page.file.src_uri == "effects.md" else markdown
+    """Return a page as it is, and that of the effects with tables of the library."""
+    return markdown.replace(_PLACE, f"{library()}\n", 1) if page.file.src_uri == "effects.md" else markdown
 
 
 def library() -> str:
