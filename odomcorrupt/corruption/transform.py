@@ -146,8 +146,9 @@ class Transform:
         return self._patcher.changes
 
     def blocks(self, reader: BagReader, name: str, writer: BagWriter | None = None) -> Iterator[Block]:
-        """Yield the blocks of a bag, patched, in file order.
+        """Yield the blocks of a bag with changed messages, in file order.
 
+        name : name of the bag in messages
         writer : receives added channels, if options request some
 
         Raises

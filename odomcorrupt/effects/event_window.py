@@ -29,7 +29,10 @@ def duration_parameter(typical_s: float) -> Any:
 
 
 def part_inside(motion: Motion, begin_s: float, end_s: float) -> Array:
-    """Return the fraction (n,) of each interval that lies between two times; 0 for an interval of no length."""
+    """Return the fraction (n,) of each interval that lies between two times; 0 for an interval of no length.
+
+    begin_s, end_s : seconds after the first odometry stamp
+    """
     inside = np.minimum(motion.t_s, end_s) - np.maximum(motion.t_s - motion.dt_s, begin_s)
     part: Array = np.divide(
         np.maximum(inside, 0.0), motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0

@@ -55,7 +55,11 @@ def on_every_axle_distance(effect: E, motions: Sequence[Motion]) -> tuple[E, ...
 
 
 def steepness(v: Array, omega: Array, axles_m: float) -> Array:
-    """Return the tangent (n,) of the steering angle, clipped to 0..1; 0 if the robot hardly travels."""
+    """Return the tangent (n,) of the steering angle, clipped to 0..1; 0 if the robot hardly travels.
+
+    v, omega : (n,) speed, m/s, and yaw rate, rad/s
+    axles_m : distance between the axles
+    """
     tangent = np.divide(axles_m * np.abs(omega), np.abs(v), out=np.zeros_like(v), where=np.abs(v) > CREEP_MPS)
     steep: Array = np.minimum(tangent, 1.0)
     return steep

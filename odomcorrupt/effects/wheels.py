@@ -70,13 +70,22 @@ def needed_track_m(name: str, track_m: float | None) -> float:
 
 
 def rims_of(along: Array, yaw: Array, track_m: float) -> Rims:
-    """Return the wheels' speeds or travel for a body that moves forward and turns."""
+    """Return the speeds (m/s) or travel (m) of both rims for a body that moves forward and turns.
+
+    along, yaw : (n,) forward speed and yaw rate, or travel and turn
+    track_m : distance between the wheels
+    """
     half = 0.5 * track_m * yaw
     return Rims(along + half, along - half)
 
 
 def body_of(rims: Rims, track_m: float, heading: str = "wheels") -> Array:
-    """Return the odometry's motion (n, 3) for given motions of the wheels."""
+    """Return the odometry's motion (n, 3), forwards, to the left and of the yaw, for motions of the rims.
+
+    rims : speeds (m/s) or travel (m)
+    track_m : distance between the wheels
+    heading : source of the odometry's heading, "wheels" or "gyro"; with a gyro the yaw is zero
+    """
     yaw = turning(heading, (rims.right - rims.left) / track_m)
     return stacked(0.5 * (rims.right + rims.left), 0.0, yaw, rims.right)
 
@@ -84,7 +93,9 @@ def body_of(rims: Rims, track_m: float, heading: str = "wheels") -> Array:
 def error_of_each_wheel(error: Callable[[Array], Array], motion: Motion, track_m: float | None) -> Array:
     """Return f (n, 3) of an error of each wheel by its speed; without a track, its limit for the body.
 
-    error : function of rim speeds (n,), m/s
+    error : function of rim speeds (n,), m/s, to their errors (n,), m/s
+    motion : the odometry's motion
+    track_m : distance between the wheels; None if it is not known
     """
     if track_m is not None:
         return body_of(Rims(*(error(u) for u in rims_of(motion.v, motion.omega, track_m))), track_m)
