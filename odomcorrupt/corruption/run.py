@@ -59,13 +59,13 @@ class TeeReader:
         self._recording = True
 
     def read(self, size: int = -1) -> bytes:
-        """Read bytes."""
+        """Return at most `size` bytes."""
         data = self._stream.read(size)
         self._take(data)
         return data
 
     def readinto(self, view: memoryview) -> int:
-        """Read bytes into a buffer."""
+        """Read bytes into a buffer; return how many."""
         got: int = self._stream.readinto(view)  # type: ignore[attr-defined] # a buffered stream has it
         self._take(view[:got])
         return got

@@ -223,7 +223,7 @@ class Transform:
                 watcher.add(samples)
 
     def _ready(self, held: _Held) -> bool:
-        """Whether C(t) at a block's messages is final."""
+        """Return whether C(t) at a block's messages is final."""
         age_ns = self._now_ns - held.seen_ns
         if age_ns >= WAIT_NS or not held.parts or (self.odometry.frames is not None and not self._targets(held)):
             return True

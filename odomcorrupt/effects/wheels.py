@@ -23,7 +23,7 @@ E = TypeVar("E", bound=Effect)
 
 
 def track_parameter() -> Any:
-    """Declare the track of an effect of single wheels, a nuisance that is estimated if the robot's is unknown."""
+    """Return the field of the track of an effect of single wheels, a nuisance that is estimated if it is unknown."""
     return parameter(
         "m", "distance between the wheels, where that of the robot is not known; 0: the robot's own", low=0.0, high=3.0,
         typical=0.3, amplitude=False, optional=True,
@@ -31,7 +31,7 @@ def track_parameter() -> Any:
 
 
 def brings_track(kind: type[Effect] | Effect) -> bool:
-    """Tell whether an effect of single wheels can be tried without a known track, i.e. has a parameter `track`."""
+    """Return whether an effect of single wheels can be tried without a known track, i.e. has a parameter `track`."""
     return any(p.name == "track" and p.optional for p in parameters(kind))
 
 
@@ -43,7 +43,7 @@ def on_every_track(effects: Sequence[E], motions: Sequence[Motion]) -> tuple[E, 
 
 
 def heading_choice() -> Any:
-    """Declare the source of the odometry's heading: with a gyro, wheel errors change only the forward motion."""
+    """Return the field of the source of the heading: with a gyro, wheel errors change only the forward motion."""
     return choice("source of the odometry's heading; wheel errors do not affect a gyro", "wheels", "gyro")
 
 

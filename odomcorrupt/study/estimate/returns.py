@@ -79,7 +79,9 @@ def closed_drive(name: str, odometry: Trajectory, end_xyt: Array, track_m: float
 
 
 def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> ReturnsFit:
-    """Fit effects to the ends of drives by generalised least squares, undone exactly at each iteration to convergence.
+    """Return the effects fitted to the ends of drives by generalised least squares, iterated to convergence.
+
+    Each iteration removes the effects of the one before exactly.
 
     Raises
     ------

@@ -86,7 +86,7 @@ class ModelComparison:
 def compare_with_basis(
     fit: Fit, effects: Sequence[Effect], decisions: Decisions, design: CoarseDesign
 ) -> ModelComparison:
-    """Compare effects of a fit, taken together, with every basis function in their place."""
+    """Return the comparison of effects of a fit, taken together, with every basis function in their place."""
     bare = fit
     for effect in effects:
         bare = drop_term(bare, effect)
