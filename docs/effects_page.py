@@ -28,7 +28,7 @@ def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
 
 def library() -> str:
     """Return a section with a table for each kind of effect, in Markdown."""
-    lines = ["## The library"]
+    lines = ["## The library", "", "`track` is the distance between the wheels, if that of the robot is not known."]
     for kind, title in _KINDS.items():
         lines += [
             "",
@@ -43,7 +43,10 @@ def library() -> str:
 
 def _row(name: str, kind: type[Effect]) -> str:
     """Return the row of an effect."""
-    numbers = [f"`{p.name}`: {p.meaning}; typically {p.typical:g} {p.unit}".rstrip() for p in parameters(kind)]
+    numbers = [
+        f"`{p.name}`" if p.name == "track" else f"`{p.name}`: {p.meaning}; typically {p.typical:g} {p.unit}".rstrip()
+        for p in parameters(kind)
+    ]
     words = [f"`{word}`: {' or '.join(options)}" for word, options in choices(kind).items()]
     summary = kind.summary + (f"; equals `{kind.aliased_with}` in every recording" if kind.aliased_with else "")
     equation = kind.about.equation if kind.about is not None else ""
