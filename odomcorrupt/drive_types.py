@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 AUTO = "auto"
-"""Inferred from the motion, see `study.terms.drive_type`."""
+"""Inferred from the motion, see `study.estimate.drive_type`."""
 DRIVE_TYPES = ("differential", "skid", "car", "tricycle", "omni")
 STEERED = frozenset({"car", "tricycle"})
 """Drive types with a steering angle: the odometry is one travel and one angle, without a comparison of two wheels."""

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.laser.even_stamps import even_stamps
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -15,8 +17,6 @@ if TYPE_CHECKING:
 
 MOST_RETURNS = 720
 """Number of returns to which denser sweeps are thinned: more cost time and add little information."""
-_EVEN_OVER, _GAP = 10, 2.5
-"""Number of sweeps on each side over which the rate is taken as constant; and a gap, in usual sweep periods."""
 _LEAST_S = 2e-3
 """Median deviation from even spacing below which stamps are kept, s: a robot moves a millimetre or two in that time."""
 
@@ -73,19 +73,11 @@ class Sweeps:
     def evened(self) -> Sweeps | None:
         """Return the sweeps with evenly spaced stamps, as of a laser at constant rate; None if they nearly are already.
 
-        Stamps of arrival include each sweep's delay. The mean over as many sweeps before as after has the same mean
-        delay for all.
+        Stamps of arrival include each sweep's delay; see `even_stamps`.
         """
-        stamps, rows = self.stamps_ns, np.arange(len(self))
-        if not len(self):
-            return None
-        broken = np.flatnonzero(np.diff(stamps) > _GAP * 1e9 * self.period_s)
-        first, last = np.append(0, broken + 1), np.append(broken, len(self) - 1)
-        stretch = np.searchsorted(last, rows)
-        half = np.minimum(_EVEN_OVER, np.minimum(rows - first[stretch], last[stretch] - rows))
-        total = np.concatenate(([0], np.cumsum(stamps - stamps[0])))
-        even = stamps[0] + (total[rows + half + 1] - total[rows - half]) // (2 * half + 1)
-        if np.median(np.abs(even - stamps)) < _LEAST_S * 1e9 or np.any(np.diff(even) <= 0):
+        stamps = self.stamps_ns
+        even = even_stamps(stamps)
+        if not len(self) or np.median(np.abs(even - stamps)) < _LEAST_S * 1e9 or np.any(np.diff(even) <= 0):
             return None
         moved = zip(self.sweeps, even.tolist(), strict=True)
         return replace(self, sweeps=tuple(replace(sweep, stamp_ns=stamp) for sweep, stamp in moved))

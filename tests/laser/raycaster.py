@@ -84,11 +84,12 @@ def with_people(walls, pose, start_s, people_m):
 
 def drive(
     where, *, mount=(0.1, 0.0, 0.0), stated=None, rate_hz=5.0, sweep_s=0.15, flipped=False, corridor=False,
-    jitter_s=0.0, blind=False, cloud=False, twice=False, off=1.02, spin=False, backwards=False, gyro=False,
+    jitter_s=0.0, blind=False, cloud=False, twice=False, off=1.02, spin=None, backwards=False, gyro=False,
     returns=False, scan_time_s=None, missing_s=(0.0, 0.0), people_m=(), field=False,
 ):  # fmt: skip
     """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them.
 
+    spin : whether the robot turns steadily "while driving" or "on the spot"
     scan_time_s : what the scans say in scan_time, with a time_increment of 0
     missing_s : when no scans are recorded, from and to
     people_m : distances ahead of the laser at which people walk with it
@@ -97,8 +98,8 @@ def drive(
     t_s, poses, fine, every = path(straight=corridor)
     if returns:
         t_s, poses, fine, every = there_and_back(fine, every)
-    if spin:
-        every = every.copy()
+    if spin is not None:
+        every = every * (spin == "while driving")
         every[:, 2] = 0.1 + 1.2 * fine
         poses = np.stack([np.interp(t_s, fine, column) for column in every.T], axis=1)
 

@@ -17,6 +17,7 @@ from odomcorrupt.laser.scans import read_sweeps
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.laser_truth import alerts_of, laser_run, truth_of
 from odomcorrupt.study.io.reader import read_odometry
+from odomcorrupt.study.select.stepwise import learn
 
 
 def read(path, scan=None):
@@ -44,15 +45,47 @@ def turned_too_far(recording):
         ({"rate_hz": 1.0, "stated": (0.1, 0.0, 0.0)}, "one sweep in 1.0 s"),
         ({"jitter_s": 0.05, "stated": (0.1, 0.0, 0.0)}, "stamped on arrival"),
         ({"cloud": True, "stated": (0.1, 0.0, 0.0), "sweep_s": 0.001}, "a horizontal slice"),
-        ({"spin": True, "sweep_s": 0.19, "stated": (0.1, 0.0, 0.0)}, "ruler"),
         ({"backwards": True, "sweep_s": 0.19, "stated": (0.1, 0.0, 0.0)}, "times within a sweep run the wrong way"),
     ],
-    ids=["no TF, 90 deg", "wrong TF", "upside down", "1 Hz", "arrival stamps", "cloud", "spinning", "clockwise"],
+    ids=["no TF, 90 deg", "wrong TF", "upside down", "1 Hz", "arrival stamps", "cloud", "clockwise"],
 )
 def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path, faults, said):
     topic = "/points" if "cloud" in faults else None
     recording, notes = read(raycaster.drive(tmp_path / "run.mcap", **faults), topic)
     assert said in notes
+    assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)
+
+
+@pytest.mark.slow
+def test_the_track_is_learned_from_scans_stamped_on_arrival_and_so_is_their_mean_delay(tmp_path):
+    (recording,) = read_runs(Source(raycaster.drive(tmp_path / "run.mcap", jitter_s=0.05, stated=(0.1, 0.0, 0.0))))
+    found = learn([recording]).fit
+    (track,) = (effect for effect in found.effects if effect.kind != "setup")
+    assert track.name == "wheelbase"
+    assert track.e == pytest.approx(0.02, abs=0.003)
+    # the mean of |N(0, 50 ms)| is 40 ms
+    assert found.problem.clocks[0].offset_s == pytest.approx(-0.04, abs=0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("spin", "stated", "mount"),
+    [
+        ("while driving", (0.1, 0.0, 0.0), (0.1, 0.0, 0.0)),
+        ("while driving", None, (0.1, 0.0, 0.0)),
+        ("on the spot", (0.1, 0.0, 0.0), (0.1, 0.0, 0.0)),
+        ("on the spot", None, (0.0, 0.0, 0.0)),
+    ],
+)
+def test_steady_turning_gives_the_turns_but_no_lag_and_no_mounting_of_its_own(tmp_path, spin, stated, mount):
+    path = raycaster.drive(tmp_path / "run.mcap", spin=spin, sweep_s=0.19, stated=stated)
+    motion = laser_run(path, "run", None, "/scan").calibration.motion
+    assert motion.lag_s == pytest.approx(0.0, abs=0.005)
+    assert motion.mount == pytest.approx(mount, abs=0.02)
+    recording, notes = read(path)
+    assert "in TF" not in notes
+    assert "against odometry" not in notes
+    assert ("does not show its pose" in notes) == (spin == "on the spot" and stated is None)
     assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.laser.deskewing import Motion
+from odomcorrupt.laser.even_stamps import even_stamps
 from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_view_errors, without_spikes
 from odomcorrupt.laser.sweep import Sweep, Sweeps
 from odomcorrupt.laser.trajectory import UNKNOWN_M, LaserPath
@@ -85,6 +86,15 @@ def test_stamps_of_arrival_are_evened_on_both_sides_of_a_gap():
     late_s = np.random.default_rng(0).uniform(0.0, 0.08, len(taken_s))
     off_s = 1e-9 * stamped(taken_s + late_s).evened().stamps_ns - taken_s - 0.04
     assert np.median(np.abs(off_s)) < 0.3 * np.median(np.abs(late_s - 0.04))
+
+
+def test_even_stamps_average_over_the_drive_if_the_rate_is_constant_and_follow_it_if_not():
+    late_s = np.abs(0.05 * np.random.default_rng(0).standard_normal(600))
+    steady_s = 0.2 * np.arange(600)
+    drifting_s = steady_s + 0.3 * np.sin(steady_s / 15.0)
+    for taken_s, largest_s in ((steady_s, 0.005), (drifting_s, 0.02)):
+        off_s = 1e-9 * even_stamps(np.sort(np.round(1e9 * (taken_s + late_s)).astype(np.int64))) - taken_s
+        assert np.abs(off_s - late_s.mean()).max() < largest_s
 
 
 def test_a_clock_that_is_even_already_is_left_alone_gaps_or_not():

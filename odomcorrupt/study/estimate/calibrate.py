@@ -179,7 +179,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
             "recordings": [r.name for r in problem.recordings],
             **({"odometry": topics.pop()} if len(topics) == 1 else {}),
             **({"frame": frame} if (frame := shared_frame(problem.recordings)) else {}),
-            "drivers": problem.approach.side,
+            "regressors": problem.approach.side,
             "log_likelihood_nats": fitted.log_likelihood,
         },
     )

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mountings
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
 
@@ -184,7 +184,7 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
             clock = best.onward.clocks[0]
             errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
             last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
-            if not free[1] and _of_stamps(runs, clock, errors[0]) and _harmless(runs, clock):
+            if not free[1] and _of_stamps(runs, clock, errors[0]) and _harmless(runs, clock, best.onward.effects):
                 return _Found(clock, free, errors, best)
             if not abs(last) > _CLOCK_LIMIT * error > 0.0:
                 break
@@ -213,9 +213,12 @@ def _of_stamps(runs: Sequence[Recording], clock: Clock, error_s: float) -> bool:
     return 0.0 < error_s < hidden_s and abs(clock.offset_s) < np.sqrt(12.0) * hidden_s
 
 
-def _harmless(runs: Sequence[Recording], clock: Clock) -> bool:
-    """Return whether a clock does not increase the 10 s error: on a steady circle an offset only rotates the frame."""
-    before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
+def _harmless(runs: Sequence[Recording], clock: Clock, effects: Sequence[Effect] = ()) -> bool:
+    """Return whether a clock does not increase the 10 s error: on a steady circle an offset only rotates the frame.
+
+    effects : removed from both; an error of turns and an offset may hide each other in a few windows
+    """
+    before, after = (phased_rmse([undo(aligned(run, c), effects) for run in runs]) for c in (Clock(), clock))
     return after < _CLOCK_HARM * before
 
 
