@@ -82,7 +82,7 @@ def _offered(learned: Learned, judged: Recording) -> float | None:
     try:
         offered = learned.unknown[0]
         effect = user_effect("offered", offered.expression, {})
-        others = (e for e in learned.fit.effects if e.name != offered.instead_of)
+        others = (e for e in learned.fit.effects if e.name not in offered.instead_of)
         return ten_second_error([judged], (*others, effect), learned.fit.problem.clocks[0])
     except EffectError:
         return float(np.inf)

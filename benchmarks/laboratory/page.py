@@ -87,7 +87,7 @@ def page(rows: Rows, advice: Rows) -> str:
     ])  # fmt: skip
     lines += ["## Causes outside the library", "", *outside(arm["outside"])]
     lines += ["## Two causes", "", *mixtures(arm["mixtures"])]
-    lines += ["A systematic and a random cause together:", "", *mixtures(arm["noisy_mixtures"])]
+    lines += ["A systematic and a random cause together:", "", *mixtures(arm["noisy_mixtures"], goals=())]
     lines += ["## Noise causes", "", *noise(arm["noise"])]
     lines += [
         "## Calibration of the confidence",

@@ -37,7 +37,11 @@ def part(hits: Sequence[bool], goal: str = "") -> str:
     if not len(hits):
         return "none ran"
     share = f"{sum(hits)} of {len(hits)} ({100.0 * np.mean(hits):.0f} %)"
-    return f"{share}; goal {goal}" if goal else share
+    return _with_goal(share, goal)
+
+
+def _with_goal(figure: str, goal: str) -> str:
+    return f"{figure}; goal {goal}" if goal else figure
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> Lines:
@@ -167,16 +171,18 @@ def outside(rows: Rows) -> Lines:
     return [*lines, *(f"- {_drive(row)}: depends on {row.get('depends_on')}; {_said(row)}" for row in rows), ""]
 
 
-def mixtures(rows: Rows) -> Lines:
-    """Return a table of how many of two causes were named, including noise causes."""
+def mixtures(rows: Rows, goals: Sequence[str] = ("97 %", "80 %", "0.2")) -> Lines:
+    """Return a table of how many of two causes were named, including noise causes; `goals` may be empty."""
+    one, both, extra = goals or ("", "", "")
     hits = []
     for row in rows:
         found = [*names(row), *(n for n, _ in row.get("answer", {"noise": []})["noise"])]
         hits.append(sum(any(right(n, {"case": {"causes": [cause]}}) for n in found) for cause in row["case"]["causes"]))
+    more = f"{np.mean([len(extras(row)) for row in rows]):.2f}" if rows else ""
     lines = table(("measure", "result"), [
-        ["one right", part([h >= 1 for h in hits], "97 %")],
-        ["both right", part([h == 2 for h in hits], "80 %")],
-        ["false extras a drive", f"{np.mean([len(extras(row)) for row in rows]):.2f}; goal 0.2" if rows else "none"],
+        ["one right", part([h >= 1 for h in hits], one)],
+        ["both right", part([h == 2 for h in hits], both)],
+        ["false extras a drive", _with_goal(more, extra) if rows else "none"],
     ])  # fmt: skip
     wrong = [(row, h) for row, h in zip(rows, hits, strict=True) if h < 2 or extras(row)]
     return [*lines, *(f"- {_drive(row)}: {h} right; {_said(row)}" for row, h in wrong), ""]

@@ -100,6 +100,27 @@ class RegionSlip(Effect):
         every = -(-len(found) // _MOST_DISCS) or 1
         return tuple(found[::every])
 
+    @classmethod
+    def in_rectangle(
+        cls, angle: float, at_xy: tuple[float, float], half_m: float, side_m: float, motions: Sequence[Motion]
+    ) -> Self:
+        """Return a rectangle; an infinite one ends beyond the path that it contains.
+
+        angle : of the first axis, rad; at_xy : a point on both centre lines, m
+        half_m, side_m : half the sides along the first and the second axis, m; the latter may be infinite
+        """
+        c, s = np.cos(angle), np.sin(angle)
+        x, y = np.concatenate([np.stack((m.x, m.y)) for m in motions], axis=1) - np.array(at_xy)[:, None]
+        beside = (c * y - s * x)[np.abs(c * x + s * y) < half_m]
+        middle = 0.0
+        if not np.isfinite(side_m):
+            low, high = (beside.min(), beside.max()) if len(beside) else (-half_m, half_m)
+            middle, side_m = 0.5 * (low + high), 0.5 * (high - low) + half_m
+        return cls(
+            x=float(at_xy[0] - s * middle), y=float(at_xy[1] + c * middle), radius=float(side_m), width=half_m,
+            angle=float(np.arctan2(c, -s)) or _ANGLES[0],
+        )  # fmt: skip
+
     def related(self) -> tuple[Self, ...]:
         """Return rectangles of the area of the disc, at three angles; a search tries them around the best disc."""
         half = 0.5 * np.sqrt(np.pi) * self.radius

@@ -210,7 +210,7 @@ def test_only_a_sign_that_is_as_significant_in_the_final_model_contradicts_physi
 
 
 def test_what_explains_about_as_much_as_a_name_is_said_beside_it(rich):
-    rival = replace(UNKNOWNS[0], instead_of="unequal_wheels")
+    rival = replace(UNKNOWNS[0], instead_of=("unequal_wheels",))
     both = replace(rich, unknown=(rival,), laws=())
     text = found_text(both, ADVICE)
     assert "or instead of unequal_wheels: the yaw error depends on speed (40 nats), and these data do not" in text

@@ -128,8 +128,8 @@ def test_expected_nats_are_those_that_a_drive_then_gives():
     recordings = [met("wheel_scale", steady(0.5, 0.0, 120.0), 3)]
     fitted = fit(recordings, [one], approach=Approach())
     plan = plan_of(next(m for m in MANOEUVRES if m.name == "two_speeds"), Limits(0.5, 0.5), 120.0)
-    alone = separation(one, other, [], [recorded_field(fitted)])
-    expected = separation(one, other, [], [planned_field(fitted, plan)])
+    alone = separation((one,), (other,), [], [recorded_field(fitted)])
+    expected = separation((one,), (other,), [], [planned_field(fitted, plan)])
     assert alone < 0.1 * expected
     run = as_recording(
         simulate(4, "wheel_scale", route=as_commands(plan), duration_s=120.0, robot_seed=3, parameters={"e": 0.01})

@@ -1,4 +1,4 @@
-"""A basis function that is almost the same as a known effect is not its rival and does not lower its confidence."""
+"""A basis function that is the same as a known effect on any drive is not its rival; one that is so only here, is."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden import as_recording
 from wandering import recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.simulation import simulate
+from odomcorrupt.study.design.advise import advise
+from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.stepwise import learn
 
 
@@ -27,3 +31,28 @@ def test_a_track_that_is_wrong_is_not_doubted_for_turns_that_hardly_turn():
     learned = learn([replace(run, track_m=0.4)])
     assert learned.added == ("wheelbase",)
     assert learned.margins["wheelbase"] > 8.2
+
+
+@pytest.mark.slow
+def test_scrub_in_fast_turns_is_a_rival_of_the_track_where_all_turns_are_equally_fast():
+    # breaks where a function of the yaw rate that equals a constant on this drive alone counts as a copy of the track
+    run = simulate(331_410, "turn_scrub", duration_s=600.0, route="umbmark", size=2.0)
+    learned = learn([as_recording(run)])
+    assert learned.added == ("wheelbase",)
+    (rival,) = learned.unknown
+    assert (rival.channel, rival.regressor, rival.instead_of) == ("yaw", "yaw_rate", ("wheelbase",))
+    (step,) = learned.steps
+    assert confidence(evidence_of(step, learned)) < 0.95
+    choice = next(one for one in advise(learned).choices if "a dependence of yaw on yaw rate" in one.names)
+    assert choice.plan is not None
+    assert choice.nats > 8.0
+
+
+@pytest.mark.slow
+def test_a_strip_of_floor_is_a_patch_that_slips():
+    # breaks where only a grid of discs leads to rectangles
+    learned = learn([as_recording(simulate(
+        9_735, "wet_strip", duration_s=300.0, route="yard", yaw_from="gyro", drive_type="skid", size=2.0
+    ))])  # fmt: skip
+    assert learned.added == ("region_slip",)
+    assert not learned.unexplained

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -14,9 +15,21 @@ from odomcorrupt.study.select.model_comparison import (
     ModelComparison,
     best_dependence,
     best_replacement,
+    margins,
+    rivals,
     with_final_rivals,
 )
 from odomcorrupt.study.select.result import Step
+
+
+@dataclass(frozen=True)
+class Found:
+    """A dependence with its best basis function."""
+
+    best: SimpleNamespace
+    nats: float
+    score: SimpleNamespace
+    instead_of: tuple[str, ...] = ()
 
 
 class Unfit:
@@ -50,6 +63,21 @@ def test_a_basis_function_that_explains_nearly_as_much_is_a_rival_and_replaces_n
     assert ModelComparison(effects=(), bare=None, nats=30.0, penalty=3.0, scores=[near]).better(
         DECISIONS, DECISIONS.replacement_nats
     ) == [near]
+
+
+def test_effects_that_together_imitate_a_dependence_share_its_margin(monkeypatch):
+    monkeypatch.setattr(model_comparison, "dependences", lambda _, scores, __: scores)
+    slip, scale = (effect_from_values(name, {}) for name in ("accel_slip", "wheel_scale"))
+
+    def compared(effects, nats, *gains):
+        bases = [SimpleNamespace(score=SimpleNamespace(nats=gain)) for gain in gains]
+        found = [Found(basis, basis.score.nats, basis.score) for basis in bases]
+        return ModelComparison(effects=effects, bare=None, nats=nats, penalty=3.0, scores=found)
+
+    every = [compared((slip,), 96.0), compared((scale,), 39.0, 20.0), compared((slip, scale), 150.0, 148.0)]
+    assert margins(every) == {"accel_slip": 2.0, "wheel_scale": 2.0}
+    (rival,) = rivals(every, DECISIONS)
+    assert (rival.nats, rival.instead_of) == (148.0, ("accel_slip", "wheel_scale"))
 
 
 class Weighted:

@@ -239,7 +239,7 @@ def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: b
             for name, number in numbers.items()
         },
         "in_model": fitted,
-        "instead_of": unknown.instead_of or None,
+        "instead_of": ", ".join(unknown.instead_of) or None,
     }
 
 

@@ -59,6 +59,8 @@ _PERHAPS = "perhaps"
 """Label of names below even odds."""
 _Rank = tuple[int, int, float]
 """Place of a finding: kind, whether it is not in the model, negative evidence in nats."""
+_OF_ONE_DRIVE = ("time", "distance")
+"""Regressors that no manoeuvre varies: another drive shows whether an error recurs."""
 _SHOWN_MODELS = 4
 """Largest number of models with a line each in a comparison."""
 
@@ -243,9 +245,10 @@ def _found_lines(
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
         if unknown in search.unexplained or unknown.instead_of:
-            other = f"or, instead of {unknown.instead_of}, " if unknown.instead_of else ""
+            other = f"or, instead of {' and '.join(unknown.instead_of)}, " if unknown.instead_of else ""
             said = f"{other}{dependence(unknown)}: {expression}{_left_out(unknown, search, held_out)}"
-            rank = ranks.get(unknown.instead_of, (0, unknown not in search.laws, -unknown.nats))
+            beside = [ranks[name] for name in unknown.instead_of if name in ranks]
+            rank = max(beside, default=(0, unknown not in search.laws, -unknown.nats))
             ranked.append((rank, Line("", said, weight=SPARE if rank[0] else USUAL)))
         else:
             small.append(expression)
@@ -267,10 +270,12 @@ def _found_lines(
 
 
 def _left_out(unknown: Dependence, search: Learned, held_out: JudgedOn) -> str:
-    """Return that a dependence is reported only, not in the model, and what another drive showed; "" if it is in it."""
-    if unknown in search.laws or unknown.instead_of:
+    """Return that a dependence is reported only, not in the model, and what decides; "" if nothing is to be said."""
+    if unknown in search.laws:
         return ""
-    other = "to decide, validate on another drive (--validate OTHER)" if unknown.regressor == "time" else ""
+    other = "to decide, validate on another drive (--validate OTHER)" if unknown.regressor in _OF_ONE_DRIVE else ""
+    if unknown.instead_of:
+        return f" ({other})" if other else ""
     if held_out == "recordings":
         other = search.left_out.get(unknown.name, "")
     mean = search.mean_of(unknown)

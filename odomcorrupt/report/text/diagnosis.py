@@ -149,7 +149,8 @@ def unnamed(why: str, *, found: bool) -> str:
 
 
 def _unknown_lines(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: bool) -> list[str]:
-    finding = f"{f'or instead of {other}' if (other := unknown.instead_of) else 'unknown'}: {evidence_words(unknown)}"
+    other = " and ".join(unknown.instead_of)
+    finding = f"{f'or instead of {other}' if other else 'unknown'}: {evidence_words(unknown)}"
     spread = ", ".join(f"{name} {value_text(*number)}" for name, number in numbers.items())
     shown = f"{fitted_expression(unknown, numbers)}{f'  ({spread})' if spread else ''}"
     return [finding, f"  {'fitted' if fitted else 'suggested'}: {shown}"]
@@ -159,7 +160,7 @@ def evidence_words(unknown: Dependence) -> str:
     """Return on what an error depends, how plainly, and whether an effect may explain it as well, as a clause."""
     rest = "no known effect explains it"
     if unknown.instead_of:
-        rest = f"these data do not separate that from {unknown.instead_of}"
+        rest = f"these data do not separate that from {' and '.join(unknown.instead_of)}"
     return f"{dependence(unknown)} ({unknown.nats:.0f} nats), and {rest}"
 
 

@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from odomcorrupt.study.design.ambiguities import Ambiguity, clock_ambiguities, open_ambiguities, undetermined_clocks
+from odomcorrupt.study.design.ambiguities import (
+    Ambiguity,
+    clock_ambiguities,
+    dependence_ambiguities,
+    open_ambiguities,
+    undetermined_clocks,
+)
 from odomcorrupt.study.design.drives import Drives, most_useful
 from odomcorrupt.study.design.identifiability import (
     DetectionLimit,
@@ -37,7 +43,7 @@ class Advice:
 def advise(learned: Learned) -> Advice:
     """Return the questions that these data leave open, and the drives that would answer them."""
     drives = Drives(learned)
-    choices, gains = [], []
+    choices, gains = dependence_ambiguities(drives)
     for step in learned.steps:
         for asked in (open_ambiguities, clock_ambiguities):
             found, gains_found = asked(drives, step)

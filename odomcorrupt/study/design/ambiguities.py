@@ -16,6 +16,7 @@ from odomcorrupt.study.design.identifiability import FOUND, MASKED, UntestableEf
 from odomcorrupt.study.design.information import clock_errors, separation
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.drive_type import readings_of
+from odomcorrupt.study.terms.basis import VALUES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -64,7 +65,9 @@ def open_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list[
     equivalents = [c.score.effect.name for c in _equivalents(drives, step) if c.score.effect.name not in names]
     found, gains_found = [], []
     for name in (*names, *equivalents):
-        gain = _gain_of(drives, rivals[step.added], rivals[name])
+        pair = (rivals[step.added], rivals[name])
+        one, other = ((_as_fitted(c),) for c in pair)
+        gain = _gain_of(drives, one, other, max(c.score.inflation for c in pair))
         plan, nats = best_plan(drives, gain)
         if nats < TOO_FEW_NATS and name in equivalents:
             continue
@@ -110,18 +113,40 @@ def _equivalents(drives: Drives, step: Step) -> list[Candidate]:
     return [
         c
         for c in possible
-        if separation(effect, c.score.effect, [e for e in beside if e.name != c.score.effect.name], [drives.recorded])
+        if separation((effect,), (c.score.effect,), [e for e in beside if e.name != c.name], [drives.recorded])
         < drives.learned.decisions.alternative_nats * max(added.score.inflation, c.score.inflation)
     ]
 
 
-def _gain_of(drives: Drives, one: Candidate, other: Candidate) -> Gain:
-    """Return a function of a drive: the expected nats it adds to the separation of two names, in the worse case."""
-    a, b = (_as_fitted(c) for c in (one, other))
-    beside = [e for e in drives.learned.fit.effects if e.name not in {a.name, b.name}]
-    inflation = max(one.score.inflation, other.score.inflation)
+def dependence_ambiguities(drives: Drives) -> tuple[list[Ambiguity], list[Gain]]:
+    """Return effects that a dependence on the motion may explain, and for those that a drive resolves, its information.
+
+    Whether an error depends on time or place is not a question of the manoeuvre, so no drive is planned for it.
+    """
+    effects = drives.learned.fit.effects
+    found, gains_found = [], []
+    for rival in drives.learned.unknown:
+        one = [effect for effect in effects if effect.name in rival.instead_of]
+        if not one or rival.best is None or rival.regressor not in VALUES.keys() - {"time", "distance"}:
+            continue
+        gain = _gain_of(drives, one, (rival.best.score.estimated,), rival.best.score.inflation)
+        plan, nats = best_plan(drives, gain)
+        if nats >= TOO_FEW_NATS:
+            words = f"a dependence of {rival.channel} on {rival.regressor.replace('_', ' ')}"
+            names = (" and ".join(effect.name for effect in one), words)
+            found.append(Ambiguity(names, missing_motion(drives, gain, nats), plan, nats))
+            gains_found.append(gain)
+    return found, gains_found
+
+
+def _gain_of(drives: Drives, one: Sequence[Effect], other: Sequence[Effect], inflation: float) -> Gain:
+    """Return a function of a drive: the expected nats it adds to the separation of two models, in the worse case."""
+    beside = [e for e in drives.learned.fit.effects if e.name not in {own.name for own in (*one, *other)}]
     pairs = [
-        pair for x in _variants(drives, a, beside) for y in _variants(drives, b, beside) for pair in ((x, y), (y, x))
+        pair
+        for x in _variants(drives, one, beside)
+        for y in _variants(drives, other, beside)
+        for pair in ((x, y), (y, x))
     ]
 
     def nats(*drive: Field) -> float:
@@ -132,14 +157,18 @@ def _gain_of(drives: Drives, one: Candidate, other: Candidate) -> Gain:
     return lambda drive: nats(drive) - known
 
 
-def _variants(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Effect]:
-    """Return an effect with every heading source that these data leave open, its own first.
+def _variants(drives: Drives, effects: Sequence[Effect], beside: Sequence[Effect]) -> list[Sequence[Effect]]:
+    """Return a single effect with every heading source that these data leave open, its own first; others as they are.
 
     Straights do not show whether wheels or a gyro give the heading; the information of a turn depends on it.
     """
+    if len(effects) > 1:
+        return [effects]
+    (effect,) = effects
     words = choices(effect).get("heading", ())
     others = [replace(effect, heading=word) for word in words if word != getattr(effect, "heading", word)]  # type: ignore[type-var]
-    return [effect, *(o for o in others if separation(effect, o, beside, [drives.recorded]) < ENOUGH_NATS)]
+    unseen = [o for o in others if separation((effect,), (o,), beside, [drives.recorded]) < ENOUGH_NATS]
+    return [(variant,) for variant in (effect, *unseen)]
 
 
 def _as_fitted(candidate: Candidate) -> Effect:
@@ -200,12 +229,12 @@ def clock_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list
         return [], []
     beside = [e for e in drives.learned.fit.effects if e is not own]
     inflation = step.candidates[0].score.inflation
-    known = separation(own, None, beside, [drives.with_clocks]) / inflation
+    known = separation((own,), (), beside, [drives.with_clocks]) / inflation
     if known >= drives.learned.decisions.alternative_nats:
         return [], []
 
     def separation_gain(drive: Field) -> float:
-        return separation(own, None, beside, [drives.with_clocks, drive]) / inflation - known
+        return separation((own,), (), beside, [drives.with_clocks, drive]) / inflation - known
 
     names = (step.added, CLOCKS[0])
     plan, nats = best_plan(drives, separation_gain)

@@ -79,14 +79,16 @@ def planned_field(fit: Fit, plan: Plan) -> Field:
     return Field(problem, with_random(noise, problem, clocks, fit.random).whitener, clocks)
 
 
-def separation(one: Effect, other: Effect | None, beside: Sequence[Effect], fields: Sequence[Field]) -> float:
-    """Return the expected log likelihood ratio, nats, in favour of `one` with its present amplitudes if it is true.
+def separation(
+    one: Sequence[Effect], other: Sequence[Effect], beside: Sequence[Effect], fields: Sequence[Field]
+) -> float:
+    """Return the expected log likelihood ratio, nats, in favour of effects with their present amplitudes if true.
 
-    other : None if the alternative is the drives' clocks
+    other : effects of the alternative; none if it is the drives' clocks
     beside : effects that are free in both models
     """
-    away = np.array([getattr(one, p.name) - p.identity for p in amplitudes(one)])
-    signal, rest = _stacked((one,), beside if other is None else (other, *beside), fields)
+    away = np.array([getattr(effect, p.name) - p.identity for effect in one for p in amplitudes(effect)])
+    signal, rest = _stacked(one, (*other, *beside), fields)
     return 0.5 * float(np.sum(_without(rest, signal @ away) ** 2))
 
 

@@ -72,6 +72,11 @@ class BasisScore:
         """Regressor and channel."""
         return self.term.function.regressor, self.term.action.channel
 
+    def without(self, excluded: Callable[[Score], bool]) -> BasisScore | None:
+        """Return the best form that is not excluded, with the other forms; None if all are."""
+        forms = [score for score in (self.score, *self.others) if not excluded(score)]
+        return BasisScore(forms[0], tuple(forms[1:])) if forms else None
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Dependence:
@@ -84,7 +89,7 @@ class Dependence:
     nats : gain in log likelihood minus the penalty
     best : the basis function with the largest gain, if any
     expression : a simple effect of that shape, for the user to edit
-    instead_of : name of the included effect that it could replace with about the same gain; else ""
+    instead_of : names of the included effects that it may replace; empty if none
 
     Equality is identity of objects.
     """
@@ -99,7 +104,7 @@ class Dependence:
     nats: float
     best: BasisScore | None
     expression: str
-    instead_of: str = ""
+    instead_of: tuple[str, ...] = ()
 
     @property
     def follows_acceleration(self) -> bool:
@@ -212,7 +217,8 @@ def _kind(screened: Screened) -> tuple[str, str]:
 def _with_others(scores: Sequence[Score], decisions: Decisions) -> BasisScore:
     """Return the best score of a kind, with other forms that come close to it."""
     best = max(scores, key=lambda s: s.nats)
-    return BasisScore(best, tuple(s for s in scores if s is not best and s.nats > decisions.form_share * best.nats))
+    near = [s for s in scores if s is not best and s.nats > decisions.form_share * best.nats]
+    return BasisScore(best, tuple(sorted(near, key=lambda s: -s.nats)))
 
 
 def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:

@@ -1,7 +1,7 @@
 """Model comparison: library effects against basis functions that replace one effect or several at once.
 
-The most similar library effect may be selected for a cause outside the library. So each included effect is removed, to
-first order, and every basis function is scored in its place.
+The most similar library effect may be selected for a cause outside the library, or several effects together. So each
+included effect, and all of them at once, are removed, to first order, and every basis function is scored instead.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.region_slip import RegionSlip
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
     Candidate,
@@ -21,25 +23,35 @@ from odomcorrupt.study.select.candidates import (
     with_shape_refined,
 )
 from odomcorrupt.study.select.closed_loop import hardly_turns
-from odomcorrupt.study.select.decisions import penalty
+from odomcorrupt.study.select.decisions import equal_candidates, penalty
 from odomcorrupt.study.select.dependence import BasisScore, basis_scores, dependences
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.score import project_out, score_columns
+from odomcorrupt.study.terms.basis.place import rectangle_of
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.motion import Motion
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.result import Step
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.select.screening import CoarseDesign
+    from odomcorrupt.study.terms.term import BasisTerm
 
 
+_VARIED_S = 5.0
+"""Time between independent changes of the speeds at which copies are recognised, s: several a minute, and slower than
+accelerations."""
+_MOST_SPARED = 15.0
+"""Largest additional penalty, nats, of an effect that is the same function as a basis function: four parameters."""
 _NEAR_FORM = 0.05
 """Fraction of the best form's gain that another form may recover by refinement of its threshold."""
 
@@ -58,7 +70,7 @@ class ModelComparison:
 
     effects : the compared effects of the fit
     bare : the fit without them, see `drop_term`
-    nats, penalty : their joint gain minus the sum of their penalties, and that sum
+    nats, penalty : their joint gain minus their penalty, and that penalty
     scores : the best basis function of each regressor and channel, except copies of the effects and functions that a
         refit refutes
     """
@@ -68,6 +80,11 @@ class ModelComparison:
     nats: float
     penalty: float
     scores: list[BasisScore]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the compared effects."""
+        return tuple(effect.name for effect in self.effects)
 
     @property
     def margin(self) -> float:
@@ -86,7 +103,11 @@ class ModelComparison:
 def compare_with_basis(
     fit: Fit, effects: Sequence[Effect], decisions: Decisions, design: CoarseDesign
 ) -> ModelComparison:
-    """Return the comparison of effects of a fit, taken together, with every basis function in their place."""
+    """Return the comparison of effects of a fit, taken together, with every basis function in their place.
+
+    Each further effect pays for the number of those from which it was selected (Chen & Chen, Biometrika 95, 2008), as
+    basis functions do: one cause is likelier than several that imitate it together.
+    """
     bare = fit
     for effect in effects:
         bare = drop_term(bare, effect)
@@ -94,21 +115,28 @@ def compare_with_basis(
     (own,) = score_columns(bare, [columns])
     motions, count = fit.problem.motions, len(fit.problem.intervals)
     penalties = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
+    penalties += (len(effects) - 1) * float(np.log(equal_candidates(_library_names(), decisions)))
     nats = 0.5 * own.statistic - penalties
     rest, whiten = project_out(bare), bare.noise.whitener.whiten
-    explained = rest.of(whiten(columns))
-    explained = explained @ np.linalg.lstsq(explained, rest.residual, rcond=None)[0]
+    whitened = rest.of(whiten(columns))
+    sizes = np.linalg.lstsq(whitened, rest.residual, rcond=None)[0]
+    other = _at_other_speeds(bare.problem)
+    elsewhere = np.concatenate([other.columns(effect) for effect in effects], axis=2)
 
     def copies(score: Score) -> bool:
-        """Return whether a basis function copies the effects: if it fits better, then by chance."""
-        if score.nats < nats - decisions.replacement_nats:  # too small a gain to matter
-            return False
-        basis = np.linalg.qr(rest.of(whiten(score.term.columns(bare.problem))))[0]
-        share = float(np.sum((basis.T @ explained) ** 2)) / max(float(explained @ explained), 1e-300)
-        return share > decisions.copy_share
+        """Return whether a basis function is the same as the effects on any drive: if it fits better, then by chance.
 
-    found = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
-    scores = sorted(found, key=lambda one: -one.score.nats)
+        If it is the same only at the speeds of this drive, the data do not separate the two.
+        """
+        term = score.term
+        return (
+            score.nats > nats - decisions.replacement_nats  # else too small a gain to matter
+            and _share(rest.of(whiten(term.columns(bare.problem))), whitened @ sizes) > decisions.copy_share
+            and _share(whiten(term.columns(other)), whiten(elsewhere) @ sizes) > decisions.copy_share
+        )
+
+    found = [one.without(copies) for one in basis_scores(bare, decisions, design)]
+    scores = sorted((one for one in found if one is not None), key=lambda one: -one.score.nats)
     others = [e for e in fit.effects if e not in effects]
 
     def refuted(score: Score) -> bool:
@@ -125,21 +153,82 @@ def compare_with_basis(
     return ModelComparison(tuple(effects), bare, nats, penalties, scores)
 
 
+def margins(compared: Sequence[ModelComparison]) -> dict[str, float]:
+    """Return the gain of each effect, alone or with all others, over the best basis function, nats."""
+    names = dict.fromkeys(name for own in compared for name in own.names)
+    return {name: min(own.margin for own in compared if name in own.names) for name in names}
+
+
+def rivals(compared: Sequence[ModelComparison], decisions: Decisions) -> list[Dependence]:
+    """Return for effects, alone and together, the dependence that may explain them, if there is one."""
+    nearly = -(decisions.prior.dependence_nats + decisions.alternative_nats)
+    found = [(own.names, own.better(decisions, nearly)[:1]) for own in compared]
+    return [replace(one, instead_of=names) for names, nearest in found for one in nearest]
+
+
+def _library_names() -> list[str]:
+    """Return the names of all effects that compete in a selection."""
+    return [name for name, kind in registry().items() if kind.kind != "noise"]
+
+
+def _at_other_speeds(problem: Problem) -> Problem:
+    """Return the problem of a drive whose speeds, yaw rates and headings vary slowly and independently around its own.
+
+    Speeds and yaw rates are between half and twice those driven. Only functions that are the same on any drive are the
+    same there, while on a drive with all turns alike a function of the yaw rate equals a constant.
+    """
+    rng = np.random.default_rng(0)
+    return replace(problem, motions=tuple(_varied(motion, rng) for motion in problem.motions))
+
+
+def _varied(motion: Motion, rng: np.random.Generator) -> Motion:
+    knots = np.arange(motion.t_s[0], motion.t_s[-1] + 2.0 * _VARIED_S, _VARIED_S)
+    speed, turn, heading = (np.interp(motion.t_s, knots, rng.uniform(-1.0, 1.0, len(knots))) for _ in range(3))
+    factors = np.stack((2.0**speed, 2.0**speed, 2.0**turn), axis=1)
+    return replace(
+        motion,
+        v=motion.v * factors[:, 0],
+        vy=motion.vy * factors[:, 1],
+        omega=motion.omega * factors[:, 2],
+        theta=motion.theta + np.pi * heading,
+        acceleration=motion.acceleration * factors,
+        trail=None if motion.trail is None else motion.trail * factors,
+        before=None if motion.before is None else motion.before * factors[:, None],
+    )
+
+
+def _share(columns: Array, explained: Array) -> float:
+    """Return the fraction of the square of a contribution (n,) that columns (n, p) can explain."""
+    basis = np.linalg.qr(columns)[0]
+    return float(np.sum((basis.T @ explained) ** 2)) / max(float(explained @ explained), 1e-300)
+
+
 def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | None:
     """Return the library effect that can replace an included dependence with about the same gain, if there is one.
 
     Beside terms that were included later, a known effect may explain as much, and a known cause is likelier a priori.
-    An effect that fits only with a physically impossible sign is returned as a refused candidate.
+    One that is the same function of this drive, as a patch of floor may be, is the same cause: it does not pay for more
+    shape parameters. An effect that fits only with a physically impossible sign is returned as a refused candidate.
     """
     effect = next((e for e in fit.effects if e.name == law.name), None)
     if effect is None or law.best is None:
         return None
     bare, others = drop_term(fit, effect), [e for e in fit.effects if e is not effect]
     still = hardly_turns(bare)
-    column_score = score_columns(bare, [law.best.term.columns(bare.problem)])[0]
-    least = 0.5 * column_score.statistic - law.best.score.penalty - decisions.replacement_nats
-    search = LibrarySearch(bare, library(bare), decisions)
-    near = sorted(search.scores_above(max(least, 0.0)), key=lambda s: -s.nats)
+    own = law.best.term.columns(bare.problem)
+    column_score, own_penalty = score_columns(bare, [own])[0], law.best.score.penalty
+    least = 0.5 * column_score.statistic - own_penalty - decisions.replacement_nats
+    search = LibrarySearch(bare, _with_place(library(bare), law.best.term, bare), decisions)
+    explained = bare.noise.whitener.whiten(own) @ column_score.estimate
+
+    def spared(score: Score) -> float:
+        """Return the additional penalty of an effect, nats, if it is the same function of this drive; else 0."""
+        columns = bare.noise.whitener.whiten(score.term.columns(bare.problem))
+        same = _share(columns, explained) > decisions.copy_share
+        return max(score.penalty - own_penalty, 0.0) if same else 0.0
+
+    likely = search.scores_above(max(least - _MOST_SPARED, 0.0))
+    near = sorted((s for s in likely if s.nats + spared(s) > max(least, 0.0)), key=lambda s: -s.nats - spared(s))
     levels = levels_of(search.scores, decisions)
     for score in near[: decisions.shortlist]:
         refused = objection(bare, score, decisions, level=levels[score.term.name], still=still)
@@ -149,11 +238,31 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
                 return candidate
             continue
         with_it = fit.refit((*others, score.estimated), weights_of=fit)
-        gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + law.best.score.penalty
+        gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + own_penalty + spared(score)
         found = tried(fit, with_it, score, decisions, gain=gain, least=-decisions.replacement_nats)
         if not found.refused:
             return replace(found, fit=with_it.refit(), gain=score.nats)
     return None
+
+
+def _with_place(
+    families: Sequence[tuple[LibraryTerm, ...]], term: BasisTerm, fit: Fit
+) -> list[tuple[LibraryTerm, ...]]:
+    """Return families of effects, that of patches with the strip or rectangle of a basis function as a further start.
+
+    A grid of discs hardly leads to a strip that the path crosses far apart.
+    """
+    rectangle = rectangle_of(term.function)
+    if rectangle is None:
+        return list(families)
+    angle, x, y, half, side = rectangle
+    patch = RegionSlip.in_rectangle(angle, (x, y), half, side, fit.problem.motions)
+    if term.action.by_wheel:
+        patch = replace(patch, contact="wheels", heading=term.action.heading)
+    return [
+        (*family, LibraryTerm(patch, family[0].trials)) if family[0].name == RegionSlip.name else family
+        for family in families
+    ]
 
 
 def with_final_rivals(steps: Sequence[Step], fit: Fit, decisions: Decisions) -> list[Step]:

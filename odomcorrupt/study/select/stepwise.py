@@ -49,7 +49,9 @@ from odomcorrupt.study.select.model_comparison import (
     best_dependence,
     best_replacement,
     compare_with_basis,
+    margins,
     name_for,
+    rivals,
     with_final_rivals,
 )
 from odomcorrupt.study.select.random_effects import (
@@ -129,9 +131,9 @@ def learn(
         first_clocks=clocks if same_data else None,
         rounds=tuple(with_final_rivals(found.steps, found.fit, decisions)),
         noise=tuple(one for one in found.noise if not are_its_steps(final, one.effect)),
-        unknown=(*included, *found.open, *found.rivals()),
+        unknown=(*included, *found.open, *rivals(found.compared, decisions)),
         laws=included,
-        margins={name: own.margin for name, own in found.compared.items()},
+        margins=margins(found.compared),
         fit=final,
         error_m=ten_second_error(final),
         disagreements=disagreements(final, decisions.heterogeneity_level),
@@ -152,8 +154,9 @@ class _Selection:
     included, open : dependences in the model, and those that it does not explain
     contradictions : effects that fit the data only with a physically impossible sign
     withdrawn : names of effects that were admitted to the current model and removed again
-    compared, compared_at : comparisons of library effects with basis functions, and the fit in which they were made
-    seen : terms of all models so far
+    compared, compared_at : comparisons of library effects, and of all together, with basis functions, and the fit in
+        which they were made
+    seen : terms of all models so far, with their largest log likelihood
     over_lag : gain of the clock over a lag in its place, prior odds included, nats; None if not tested
     """
 
@@ -168,9 +171,9 @@ class _Selection:
     open: list[Dependence] = field(default_factory=list)
     contradictions: list[Candidate] = field(default_factory=list)
     withdrawn: set[str] = field(default_factory=set)
-    compared: dict[str, ModelComparison] = field(default_factory=dict)
+    compared: list[ModelComparison] = field(default_factory=list)
     compared_at: Fit | None = None
-    seen: set[frozenset[str]] = field(default_factory=set)
+    seen: dict[frozenset[str], float] = field(default_factory=dict)
     over_lag: float | None = None
 
     def run(self) -> _Selection:
@@ -195,7 +198,7 @@ class _Selection:
         """Replace a dependence by a known effect with about the same gain; return whether the model changed."""
         for law in list(self.included):
             name = name_for(self.fit, law, self.decisions)
-            if name is None or self._already_seen(name.fit):
+            if name is None or self._already_seen(name.fit, self.decisions.replacement_nats):
                 continue
             self.included.remove(law)
             if name.fit is None:
@@ -219,7 +222,8 @@ class _Selection:
     def _step(self) -> bool:
         """Include the term with the largest gain, and return whether the selection goes on."""
         decisions, self.open = self.decisions, []
-        self.seen.add(terms_of(self.fit))
+        terms = terms_of(self.fit)
+        self.seen[terms] = max(self.fit.log_likelihood, self.seen.get(terms, -np.inf))
         self.work.begin_step()
         candidates = library_candidates(self.fit, decisions, self.withdrawn)
         best = candidates[0] if candidates and not candidates[0].refused else None
@@ -279,19 +283,16 @@ class _Selection:
             self._compare(design)
         if len(self.included) >= decisions.max_dependences:
             return None
-        compared = list(self.compared.values()) if alone else []
-        if len(compared) > 1:
-            # several effects may explain one cause together; replacing only one of them would then gain nothing
-            together = [e for own in compared for e in own.effects]
-            compared.append(compare_with_basis(self.fit, together, decisions, design))
+        compared = self.compared if alone else []
         # no replacement on contradicted channels either: it would be included and removed in turn
         replacement = best_replacement(self.fit, compared, decisions, self._contradicted())
         proposal = replacement or best_dependence(self.fit, self.open, decisions)
         return None if proposal is None or self._already_seen(proposal.candidate.fit) else proposal
 
-    def _already_seen(self, fit: Fit | None) -> bool:
-        """Return whether a model has the terms of an earlier one: to return to it would be an endless loop."""
-        return fit is not None and terms_of(fit) in self.seen
+    def _already_seen(self, fit: Fit | None, likelier_nats: float = np.inf) -> bool:
+        """Return whether a model has the terms of an earlier one and is not likelier by so much: an endless loop."""
+        known = self.seen.get(terms_of(fit)) if fit is not None else None
+        return fit is not None and known is not None and fit.log_likelihood < known + likelier_nats
 
     def _selected(self) -> list[Effect]:
         """Return the library effects of the model that were not given."""
@@ -299,7 +300,11 @@ class _Selection:
         return [e for e in self.fit.effects if e.name in added]
 
     def _compare(self, design: CoarseDesign) -> None:
-        self.compared = {e.name: compare_with_basis(self.fit, [e], self.decisions, design) for e in self._selected()}
+        own = self._selected()
+        # several effects may explain one cause together; replacing only one of them would then gain nothing
+        together = [own] if len(own) > 1 else []
+        groups = [*([e] for e in own), *together]
+        self.compared = [compare_with_basis(self.fit, group, self.decisions, design) for group in groups]
         self.compared_at = self.fit
 
     def _include_correlated(self, one: DetectedRandomEffect, explained: float) -> bool:
@@ -328,12 +333,6 @@ class _Selection:
             self.fit = self.fit.refit((*self.fit.effects, *bursts))
         if self.compared_at is not self.fit:
             self._compare(CoarseDesign(self.fit.problem, least_thresholds(self.fit)))
-
-    def rivals(self) -> list[Dependence]:
-        """Return for each included effect the dependence that explains about as much in its place, if there is one."""
-        nearly = -self.decisions.alternative_nats
-        found = {name: own.better(self.decisions, nearly)[:1] for name, own in self.compared.items()}
-        return [replace(one, instead_of=name) for name, nearest in found.items() for one in nearest]
 
     def _replace_clock_by_lag(self, *, first: bool = False) -> bool:
         """Replace the offset of the odometry's clock by a lag with a larger gain; return whether it was replaced."""

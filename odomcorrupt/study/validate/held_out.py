@@ -127,7 +127,9 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
         gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or gain.effect.name in kept
     )
     # a dependence that was selected instead of a dropped effect names no effect any more
-    unknown = tuple(one if one.instead_of in {"", *kept} else replace(one, instead_of="") for one in learned.unknown)
+    unknown = tuple(
+        replace(one, instead_of=tuple(name for name in one.instead_of if name in kept)) for one in learned.unknown
+    )
     learned = replace(learned, laws=laws, noise=noise, unknown=unknown, means=tuple(m for m in means if m in kept))
     left_out = {one.name: one.failure for one in said if one.failure}
     return replace(learned, fit=fitted, error_m=ten_second_error(fitted), left_out=left_out), tuple(said)

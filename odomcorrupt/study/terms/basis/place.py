@@ -25,6 +25,8 @@ _STRIP_APART_M, _MOST_STRIPS = 0.8, 25  # spacing of parallel strips, m, and the
 _THIN = 10
 """One of this many poses is used to find where strips contain the path."""
 _HALF_WIDTHS_M = (0.4, 0.8)  # of strips, m
+_STRIP_SHAPE, _BOX_SHAPE = 4, 5
+"""Number of shape parameters of a strip and of a rectangle."""
 _BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)  # of rectangles, rad
 
 
@@ -134,6 +136,17 @@ def _box(shape: tuple[float, ...]) -> BasisFunction:
         with_shape=_box,
         place=f"in a rectangle of {2.0 * half:.2g} by {2.0 * side:.2g} m around ({x:.1f}, {y:.1f})",
     )
+
+
+def rectangle_of(function: BasisFunction) -> tuple[float, float, float, float, float] | None:
+    """Return angle of the first axis, centre and half sides of a strip or rectangle, rad and m; None for others.
+
+    The second side of a strip is infinite.
+    """
+    if function.regressor != "position" or len(function.shape) not in (_STRIP_SHAPE, _BOX_SHAPE):
+        return None
+    angle, x, y, half, side = (*function.shape, np.inf)[:_BOX_SHAPE]
+    return angle, x, y, half, side
 
 
 def _axis(angle: float) -> tuple[float, float]:
