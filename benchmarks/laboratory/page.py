@@ -53,7 +53,7 @@ def page(rows: Rows, advice: Rows) -> str:
     good = {name: [row for row in own if "failed" not in row] for name, own in arm.items()}
     excited = [row for row in good["single"] if is_excited(row)]
     lines = [HEAD, FINDINGS.read_text(), "## Cases", ""]
-    lines += table(("arm", "planned", "ran", "failed"), [
+    lines += table(("arm", "planned by the present protocol", "ran", "failed"), [
         [name, LENGTHS[name], len(arm[name]), len(arm[name]) - len(good[name])] for name in ARMS
     ])  # fmt: skip
     lines += [
