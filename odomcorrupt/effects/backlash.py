@@ -156,19 +156,20 @@ def _first_touch(travel: Array, gear: _Gear) -> tuple[float, int, float]:
 
 def _bounded(start: float, travel: Array, top: float) -> Array:
     """Return positions (n + 1,) that follow the travel, clipped to +- top after every step."""
-    place, places, steps = start, [start], travel.tolist()
-    turns = {sign: np.flatnonzero(sign * travel < 0.0).tolist() for sign in (1, -1)}
+    count, step, places = len(travel), travel.item, np.empty(len(travel) + 1)
+    backward, forward = np.flatnonzero(travel < 0.0), np.flatnonzero(travel > 0.0)
+    places[0] = place = start
     i = 0
-    while i < len(steps):
-        place += steps[i]
+    while i < count:
+        place += step(i)
         i += 1
         if -top <= place <= top:
-            places.append(place)
+            places[i] = place
             continue
         # at the bound until the travel reverses
-        place, back = (top, turns[1]) if place > top else (-top, turns[-1])
+        place, back = (top, backward) if place > top else (-top, forward)
         after = bisect_left(back, i)
-        until = back[after] if after < len(back) else len(steps)
-        places += [place] * (until - i + 1)
+        until = int(back[after]) if after < len(back) else count
+        places[i : until + 1] = place
         i = until
-    return np.array(places)
+    return places

@@ -13,6 +13,8 @@ from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_tra
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
 
 _MOST_DISCS = 400
@@ -133,7 +135,7 @@ class RegionSlip(Effect):
         """
         if not self.width:
             return self
-        ahead, left = (np.concatenate(both) for both in zip(*map(self._inside_axes, motions), strict=True))
+        ahead, left = self._inside_axes(*(np.concatenate([getattr(m, axis) for m in motions]) for axis in ("x", "y")))
         low, high = _free_edges(ahead, np.abs(left) <= self.width, self.radius)
         right, top = _free_edges(left, np.abs(ahead) <= self.radius, self.width)
         forward, sideways = 0.5 * (low + high), 0.5 * (right + top)
@@ -158,10 +160,14 @@ class RegionSlip(Effect):
 
     def _ratio(self, motion: Motion) -> Array:
         """Return the relative speed error (n,): -slip times the part of each interval's path inside the patch."""
-        # most intervals are too far away to reach the patch
-        reach = np.hypot(self.radius, self.width) + np.abs(motion.v * motion.dt_s) + np.abs(motion.vy * motion.dt_s)
-        near = (motion.x - self.x) ** 2 + (motion.y - self.y) ** 2 <= reach**2
-        ahead, left = (part[near] for part in self._inside_axes(motion))
+        # most intervals are inside or outside as a whole; only the others are cut at the edge
+        way_m = np.abs(motion.v * motion.dt_s) + np.abs(motion.vy * motion.dt_s)
+        square = (motion.x - self.x) ** 2 + (motion.y - self.y) ** 2
+        inner, outer = min(self.radius, self.width or self.radius), np.hypot(self.radius, self.width)
+        inside = square < np.maximum(inner - way_m, 0.0) ** 2
+        ratio = np.where(inside, -self.slip, 0.0)
+        near = np.flatnonzero((square <= (outer + way_m) ** 2) & ~inside)
+        ahead, left = self._inside_axes(motion.x[near], motion.y[near])
         dt_s = motion.dt_s[near]
         to = motion.theta[near] + 0.5 * motion.omega[near] * dt_s - self.angle
         v, vy, c, s = motion.v[near] * dt_s, motion.vy[near] * dt_s, np.cos(to), np.sin(to)
@@ -175,13 +181,12 @@ class RegionSlip(Effect):
             s = np.divide(sideways, way, out=np.zeros_like(way), where=way > 0.0)
             half = np.sqrt(np.maximum(self.radius**2 - (c * left - s * ahead) ** 2, 0.0))
             first, last = _within(c * ahead + s * left, way, half)
-        ratio = np.zeros(len(motion))
         ratio[near] = -self.slip * np.maximum(last - first, 0.0)
         return ratio
 
-    def _inside_axes(self, motion: Motion) -> tuple[Array, Array]:
-        """Return positions (n,), (n,) relative to the centre, along the length and the width of the patch, m."""
-        x, y, c, s = motion.x - self.x, motion.y - self.y, np.cos(self.angle), np.sin(self.angle)
+    def _inside_axes(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return places (n,), (n,), m, relative to the centre, along the length and the width of the patch."""
+        x, y, c, s = x - self.x, y - self.y, np.cos(self.angle), np.sin(self.angle)
         return c * x + s * y, c * y - s * x
 
 
@@ -192,7 +197,7 @@ def _within(start: Array, way: Array, half: Array | float) -> tuple[Array, Array
     return np.clip(np.minimum(*ends), 0.0, 1.0), np.clip(np.maximum(*ends), 0.0, 1.0)
 
 
-def _free_edges(along: Array, beside: Array, half: float) -> tuple[float, float]:
+def _free_edges(along: Array, beside: NDArray[np.bool_], half: float) -> tuple[float, float]:
     """Return the middle of the range of each edge, -half and half, in which the data are the same.
 
     along : positions (n,) on the axis that the edges cut; beside : which of them are within the other two edges

@@ -150,11 +150,11 @@ def test_odometry_cut_at_nodes_keeps_every_sample_once_and_in_order():
 
 
 def test_a_coefficient_that_nothing_bounds_is_profiled_no_further_than_a_coefficient_may_be():
-    def evaluate(free):
+    def maximise(free, **_):
         assert np.exp(free).max() < HIGHEST
-        return free
+        return SimpleNamespace(free=free)
 
-    flat = SimpleNamespace(maximise=lambda free, **_: free, evaluate=evaluate, posterior=lambda _: 0.0)
+    flat = SimpleNamespace(maximise=maximise, posterior=lambda _: 0.0)
     start = np.log([0.5, 0.02])
     low, high = (confidence_intervals._edge(flat, start, 0, way, 0.0) for way in (-1.0, 1.0))
     assert (low, high) == (0.0, np.inf)

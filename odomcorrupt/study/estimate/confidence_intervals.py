@@ -63,7 +63,7 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
     alone = any(r.localised for r in problem.recordings)
     if fitted.random:  # otherwise their contribution would be fitted as noise of each step
         likelihood = over(without_process(likelihood.evaluate(free), problem, columns, fitted.random))
-        free, alone = likelihood.maximise(free), True
+        free, alone = likelihood.maximise(free).free, True
     top = likelihood.posterior(likelihood.evaluate(free)) if alone else fitted.log_likelihood
     found = []
     for position, index in enumerate(fitted.components.active):
@@ -87,11 +87,11 @@ def _edge(likelihood: NoiseLikelihood, start: Array, position: int, direction: f
             return float("inf")
         free[position] = outside
         profiled = likelihood.maximise(free, fixed=position)
-        drop = top - likelihood.posterior(likelihood.evaluate(profiled))
+        drop = top - likelihood.posterior(profiled)
         if drop >= _DROP:
             # a parabola in the logarithm between the two points
             share = (np.sqrt(_DROP) - np.sqrt(max(inside_drop, 0.0))) / (np.sqrt(drop) - np.sqrt(max(inside_drop, 0.0)))
             return float(np.exp(inside + share * (outside - inside)))
-        free, inside, inside_drop = profiled, outside, drop
+        free, inside, inside_drop = profiled.free, outside, drop
         step *= 2.0
     return 0.0 if direction < 0 else float("inf")

@@ -262,6 +262,6 @@ def _fitted(problem: Problem, components: VarianceComponents, columns: Array, le
     """Return the maximum-likelihood noise for a given correlation length of the truth's errors along the path."""
     intervals = replace(problem.intervals, memory=memory_over(problem.intervals.way_m, length_m))
     likelihood = NoiseLikelihood(intervals, components, columns, np.ones(len(intervals)))
-    best = likelihood.evaluate(likelihood.maximise(likelihood.initial_guess()))
+    best = likelihood.maximise(likelihood.initial_guess())
     apart = np.log(max(length_m, _NONE_M) / _USUAL_M) / _SPREAD
     return _Fitted(best, likelihood.posterior(best) - 0.5 * float(apart) ** 2)

@@ -86,16 +86,16 @@ def fit_noise(
         intervals, components, columns, ones if weights is None else weights, headings=headings
     )
     if start.free is None or len(start.free) != len(likelihood.initial_guess()):
-        free = likelihood.restart(likelihood.maximise(likelihood.initial_guess()))
+        plain = likelihood.restart(likelihood.maximise(likelihood.initial_guess()))
     elif weights is not None:
-        free = likelihood.maximise(start.free)
+        plain = likelihood.maximise(start.free)
     else:
         # a coefficient that fell to zero while effects were still wrong may be non-zero now
-        free = likelihood.maximise(likelihood.revived(start.free))
-        free = likelihood.restart(free) if start.elsewhere else free
-    plain = done = likelihood.evaluate(free)
+        plain = likelihood.maximise(likelihood.revived(start.free))
+        plain = likelihood.restart(plain) if start.elsewhere else plain
     if weights is not None:
         return plain
+    done = plain
     for _ in range(_ROBUST_ROUNDS):
         square = np.sum(done.innovations.reshape(-1, 3) ** 2, axis=1)
         worse = outliers(square)
@@ -103,7 +103,7 @@ def fit_noise(
             break
         heavier = np.where(worse, done.weights * square / 3.0, done.weights)
         likelihood = NoiseLikelihood(intervals, components, columns, heavier, headings=headings)
-        done = likelihood.evaluate(likelihood.maximise(likelihood.revived(done.free)))
+        done = likelihood.maximise(likelihood.revived(done.free))
     return plain if np.mean(done.weights > 1.0) > _SIGNAL and not start.bursts else done
 
 

@@ -173,8 +173,8 @@ class NoiseLikelihood:
             usual[-3:-1] = _USUAL
         return usual
 
-    def maximise(self, free: Array, *, fixed: int | None = None) -> Array:
-        """Return the noise (m,) of largest posterior from a start; less precisely with one held (for a profile)."""
+    def maximise(self, free: Array, *, fixed: int | None = None) -> NoiseFit:
+        """Return the fit of largest posterior from a start (m,); less precise with one held (for a profile)."""
         active = len(self._components.active)
         low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
         high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
@@ -186,18 +186,17 @@ class NoiseLikelihood:
             low[fixed] = high[fixed] = free[fixed]
         return self._ascend(np.clip(free, low, high), _Box(low, high), _NATS if fixed is None else _PROFILE_NATS)
 
-    def restart(self, free: Array) -> Array:
-        """Return the better of a maximum (m,) and the one reached from a start without near-zero coefficients.
+    def restart(self, done: NoiseFit) -> NoiseFit:
+        """Return the better of a maximum and the one reached from a start without near-zero coefficients.
 
         Noise of travel, of turns and a random walk of the truth are aliased at constant speed, and early steps may
         reduce a coefficient to where the likelihood has no gradient.
         """
-        if not np.any(free[: len(self._components.active)] < np.log(_DEAD)):
-            return free
-        other = self.revived(free)
-        other[-1] = _TRUTH_LOW[-1]
-        other = self.maximise(other)
-        return other if self.posterior(self.evaluate(other)) > self.posterior(self.evaluate(free)) else free
+        if not np.any(done.free[: len(self._components.active)] < np.log(_DEAD)):
+            return done
+        start = self.revived(done.free)
+        start[-1] = _TRUTH_LOW[-1]
+        return max(done, self.maximise(start), key=self.posterior)
 
     def revived(self, free: Array) -> Array:
         """Return noise (m,) with near-zero coefficients raised to where the likelihood has a gradient."""
@@ -243,7 +242,7 @@ class NoiseLikelihood:
             information += np.diag(sizes / _SPREAD**2)
         return information
 
-    def _ascend(self, begin: Array, box: _Box, enough: float) -> Array:
+    def _ascend(self, begin: Array, box: _Box, enough: float) -> NoiseFit:
         """Return the maximum reached from `begin`; ends when the next step's predicted gain is below `enough` nats."""
         movable = np.flatnonzero(box.low < box.high)
         done, reach, bend = self.evaluate(begin), _FAR, 1.0
@@ -274,7 +273,7 @@ class NoiseLikelihood:
                     break
                 continue
             information, fresh = self.information(done, movable), True
-        return done.free
+        return done
 
     def _shares(self, free: Array) -> Array:
         """Return the weight of every band."""

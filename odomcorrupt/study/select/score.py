@@ -121,6 +121,9 @@ class Projection:
         rest = self.of(white)
         if not rest.any():
             return 0.0
+        if rest.shape[1] == 1:
+            (own,) = rest.T
+            return 0.5 * float(own @ self.residual) ** 2 / float(own @ own)
         return 0.5 * float((rest @ np.linalg.lstsq(rest, self.residual, rcond=None)[0]) @ self.residual)
 
 

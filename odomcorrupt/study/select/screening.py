@@ -68,6 +68,7 @@ class CoarseDesign:
         self._sideways = is_holonomic(problem.recordings, problem.motions)
         self._means: dict[tuple[str, frozenset[str], str], Array] = {}
         self._units: dict[Action, list[tuple[str, Array]]] = {}
+        self._reaching: dict[frozenset[str], list[BasisFunction]] = {}
 
     @cached_property
     def functions(self) -> list[BasisFunction]:
@@ -81,7 +82,10 @@ class CoarseDesign:
 
     def reaching(self, action: Action) -> list[BasisFunction]:
         """Return the basis functions that are tried with an action."""
-        return [function for function in self.functions if not action.reaches.isdisjoint(function.reaches)]
+        reaches = action.reaches
+        if reaches not in self._reaching:
+            self._reaching[reaches] = [f for f in self.functions if not reaches.isdisjoint(f.reaches)]
+        return self._reaching[reaches]
 
     def columns(self, terms: Sequence[Term]) -> Array:
         """Return the approximate change (K, 3, P) of the residuals per unit of each coefficient of each term."""

@@ -96,11 +96,10 @@ class Term(Protocol):
 
 def neighbours(term: T, scale: float) -> Iterator[T]:
     """Yield the term with one shape parameter at a time decreased and increased by `scale` of its step."""
-    for i, step in enumerate(term.steps):
+    here = term.shape.tolist()
+    for i, step in enumerate(term.steps.tolist()):
         for sign in (-1.0, 1.0):
-            shape = term.shape.copy()
-            shape[i] += sign * scale * step
-            yield term.with_shape(shape.tolist())
+            yield term.with_shape([*here[:i], here[i] + sign * scale * step, *here[i + 1 :]])
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ class LibraryTerm:
             (p, max(p.low, _LEAST_OPTIONAL * p.typical) if p.optional and p.low >= 0.0 else p.low)
             for p in shapes(self.start)
         )
-        values = {p.name: float(np.clip(v, low, p.high)) for (p, low), v in zip(lows, shape, strict=True)}
+        values = {p.name: float(min(max(v, low), p.high)) for (p, low), v in zip(lows, shape, strict=True)}
         return replace(self, start=replace(self.start, **values))  # type: ignore[type-var]  # effects are dataclasses
 
     def with_words(self, words: Sequence[str]) -> list[LibraryTerm]:
