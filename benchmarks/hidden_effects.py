@@ -47,12 +47,10 @@ def main() -> None:
     writer = commands.add_parser("summary")
     writer.add_argument("results", type=Path)
     writer.add_argument("--page", type=Path)
-    writer.add_argument("--before", type=Path, help="results of the run before, to stand beside")
     writer.add_argument("--advice", type=Path, default=HERE / "laboratory" / "results" / "advice.jsonl")
     chosen = parser.parse_args()
     if chosen.command == "summary":
-        before = read_results(chosen.before) if chosen.before else []
-        text = page(read_results(chosen.results), before, read_results(chosen.advice))
+        text = page(read_results(chosen.results), read_results(chosen.advice))
         print(text) if chosen.page is None else chosen.page.write_text(text)
         return
     low, _, high = chosen.seeds.partition(":")

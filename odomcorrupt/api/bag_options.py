@@ -23,7 +23,7 @@ class BagOptions(TypedDict, total=False):
     keep_truth : topic to which the clean odometry is copied
     keep_localisation : modify map -> odom inversely, so that map -> base remains true
     new_odom_frame : leave all messages unchanged and publish the drift as the transform from this frame to odom
-    subtracted : topic for noisy minus clean odometry, component by component, as in the article's listing
+    subtracted : with `new_odom_frame`: publish noisy minus clean poses, as in the article's listing, which is not rigid
     overwrite : replace an existing output
     compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (ROS 2 directories);
         by default those of the input

@@ -172,7 +172,10 @@ def require_level(codec: str, level: int | None) -> None:
 
 
 def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
-    """Return a compressed chunk; level None is the default (zstd 1, plain LZ4, bz2 9 as bzip2 itself).
+    """Return the compressed bytes of a chunk's records.
+
+    codec : "zstd", "lz4", "bz2"; any other leaves the data as they are
+    level : None is the default: zstd 1, plain LZ4, bz2 9 as bzip2 itself
 
     LZ4 is fastest with independent blocks of 64 KB: larger or linked ones are copied through its own buffer.
     """

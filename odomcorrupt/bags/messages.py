@@ -108,14 +108,19 @@ def _layouts(block: Block, channel: Channel, failed: dict[int, BagError] | None 
 
 
 def gather(block: Block, layout: Layout, item: Item, field: str) -> NDArray[np.float64]:
-    """Return a copy (n, count) of a field of all messages of a layout."""
+    """Return a copy (n, count) of a field of all messages of a layout.
+
+    layout : n messages of the block with equal offsets
+    item : the part of the message, such as one transform
+    field : name of the field in `item.fields`
+    """
     offset, count = item.fields[field]
     raw = windows(block.data, 8 * count)[layout.starts + offset]
     return raw.view(_order(layout) + "f8").reshape(-1, count).astype(np.float64, copy=False)
 
 
 def scatter(block: Block, layout: Layout, item: Item, field: str, values: NDArray[np.float64]) -> None:
-    """Write a field (n, count) of all messages of a layout into the block's data, in place."""
+    """Write values (n, count) of a field of all messages of a layout into the block's data, in place; see `gather`."""
     offset, count = item.fields[field]
     _put(block, layout, layout.starts + offset, np.broadcast_to(values, (layout.starts.size, count)))
 

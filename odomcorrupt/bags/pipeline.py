@@ -104,7 +104,7 @@ class Workers:
         self._usual_s = sys.getswitchinterval()
 
     def submit(self, call: Callable[[], T]) -> _Task[T]:
-        """Submit a call to the pool."""
+        """Submit a call to the pool; return its task."""
         task = _Task(call)
         if self.threads == 1:
             task.run()

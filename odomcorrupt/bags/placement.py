@@ -37,6 +37,8 @@ _UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
 def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool, directory: bool) -> None:
     """Raise BagError for an output that exists, is or lies in one of the inputs, or whose directory is missing.
 
+    path, inputs : the output, and the bags that are read
+    overwrite : whether an existing output may be replaced
     directory : whether the output is a directory
     """
     if not path.parent.is_dir():
@@ -72,7 +74,7 @@ def beside(path: Path) -> Path:
 
 
 def place(partial: Path, path: Path, *, overwrite: bool) -> None:
-    """Rename a complete file or directory to its final name, atomically.
+    """Rename a complete file or directory, `partial`, to its final name, `path`, atomically.
 
     A replacement keeps the permissions of the old file and is flushed to disk first; a new file is not flushed.
 

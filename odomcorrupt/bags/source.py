@@ -61,7 +61,7 @@ class Source:
 
     @classmethod
     def of_file(cls, path: Path) -> Self:
-        """Open a file."""
+        """Return a source that reads a file, which is opened."""
         try:
             stream = path.open("rb", buffering=_BUFFER_BYTES)
         except OSError as error:

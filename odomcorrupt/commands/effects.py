@@ -70,7 +70,7 @@ def _brief_page(kind: type[Effect]) -> Summary:
     lines += [Line(p.name, f"{p.meaning}; typically {p.typical:g} {p.unit}".rstrip()) for p in own]
     lines += [Line(word, " or ".join(options)) for word, options in choices(kind).items()]
     if kind.aliased_with is not None:
-        lines.append(Line("alias", f"{kind.aliased_with}: no recording of poses tells them apart"))
+        lines.append(Line("alias", f"{kind.aliased_with}: no recording of poses separates them"))
     if kind.about is not None:
         lines += [Line("adds", kind.about.equation), Line("source", kind.about.source)]
     return Summary((*lines, command_line(_example(kind))))

@@ -54,8 +54,9 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
 def command(
     model: Path, *, target: str, controller: str, output: Path | None, overwrite: bool, console: Console, **given: Any
 ) -> None:
-    """Print a model as YAML; -v as a block to paste, with what it assumes and cannot express, as -o writes it.
+    """Print a model's parameters as YAML for another program.
 
+    -v adds comments: assumptions, and effects that the program cannot express. -o writes all of it to a file.
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
     from odomcorrupt.export.parameters import Steady, amcl_alphas, twist_variances, wheel_multipliers

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 def command(input_: str, output: Path | None, *, console: Console, **given: Any) -> int:
     """Draw many runs of a motion model over a bag's odometry and show how far they drift; no bag is written.
 
-    Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command about
-    its output alone are accepted, too, and change nothing here.
+    Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command that
+    concern only its output are accepted and ignored.
     """
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.corruption.inverse import SystematicEffects

@@ -90,7 +90,11 @@ class CorrectionEdge:
 
 
 def pack_transform(encoding: str, stamp_ns: int, frames: tuple[str, str], xyt: tuple[float, float, float]) -> bytes:
-    """Return a TFMessage of one planar transform parent -> child, serialised as "ros1" or little-endian "cdr"."""
+    """Return a TFMessage of one planar transform parent -> child, serialised as "ros1" or little-endian "cdr".
+
+    frames : parent and child
+    xyt : pose of the child in the parent, m, m, rad
+    """
     x, y, turn = xyt
     numbers = struct.pack("<7d", x, y, 0.0, 0.0, 0.0, math.sin(turn / 2.0), math.cos(turn / 2.0))
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)

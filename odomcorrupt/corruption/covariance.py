@@ -48,7 +48,7 @@ class Grown(NamedTuple):
 
 
 def has_random_part(effect: Effect, track_m: float | None) -> bool:
-    """Whether an effect has a random part whose variance it states."""
+    """Return whether an effect has a random part whose variance it states."""
     none = np.zeros(0)
     still = Motion(
         none, none, none, none, none, np.zeros((0, 3)), none, none, none, none, track_m=track_m

@@ -34,7 +34,7 @@ of a batch, which run after run is fed, has 2000 messages or one block of the ba
 
 
 def acts(effect: Effect) -> bool:
-    """Whether an effect does anything: some amplitude is off its identity."""
+    """Return whether an effect does anything: some amplitude is off its identity."""
     return effect.acts
 
 

@@ -244,7 +244,7 @@ class OdometrySource:
         self.frames = Frames(plain(self._odom_frame or ""), plain(self._base_frame or ""))
 
     def is_odometry(self, channel: Channel) -> bool:
-        """Whether a channel carries the odometry source."""
+        """Return whether a channel carries the odometry source."""
         return channel.msgtype == ODOMETRY and self.topic is not None and plain(channel.topic) == plain(self.topic)
 
     def read(self, block: Block, parts: list[tuple[Channel, Layout]], time_ns: NDArray[np.int64]) -> Arrivals:
@@ -285,7 +285,7 @@ class OdometrySource:
                 self._use_edge()
 
     def _is_edge(self, item: Item) -> bool:
-        """Whether a transform is the edge between odom and base, in either direction."""
+        """Return whether a transform is the edge between odom and base, in either direction."""
         frames = self.frames
         if frames is None:
             return False

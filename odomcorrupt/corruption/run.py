@@ -34,7 +34,11 @@ _PIECE_BYTES = 1 << 16
 
 
 def may_stay(source: Path | None, reader: BagReader, form: Form) -> bool:
-    """Whether an output may be a byte copy of its input: one file, or a pipe, and the same format."""
+    """Return whether an output may be a byte copy of its input: one file, or a pipe, and the same format.
+
+    source : the input; None is a pipe
+    form : format of the output
+    """
     if (source is not None and source.is_dir()) or getattr(reader, "mode", "none") != "none":
         return False
     if source is not None and reader.kind == "sqlite3":
@@ -55,13 +59,13 @@ class TeeReader:
         self._recording = True
 
     def read(self, size: int = -1) -> bytes:
-        """Read bytes."""
+        """Return at most `size` bytes."""
         data = self._stream.read(size)
         self._take(data)
         return data
 
     def readinto(self, view: memoryview) -> int:
-        """Read bytes into a buffer."""
+        """Read bytes into a buffer; return how many."""
         got: int = self._stream.readinto(view)  # type: ignore[attr-defined] # a buffered stream has it
         self._take(view[:got])
         return got
@@ -92,7 +96,11 @@ def write_as_it_was(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Copy a bag byte by byte after reading its blocks (a pipe: while reading); `watch` is called with each block."""
+    """Copy a bag byte by byte after reading its blocks (a pipe: while reading); `watch` is called with each block.
+
+    bag : the file, or the stream from which the blocks are read
+    target : the output; None is stdout
+    """
     output = Output(target, sys.stdout.buffer if target is None else None, overwrite=overwrite)
     output.summing = False
     try:

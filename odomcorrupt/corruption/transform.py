@@ -146,8 +146,9 @@ class Transform:
         return self._patcher.changes
 
     def blocks(self, reader: BagReader, name: str, writer: BagWriter | None = None) -> Iterator[Block]:
-        """Yield the blocks of a bag, patched, in file order.
+        """Yield the blocks of a bag with changed messages, in file order.
 
+        name : name of the bag in messages
         writer : receives added channels, if options request some
 
         Raises
@@ -222,7 +223,7 @@ class Transform:
                 watcher.add(samples)
 
     def _ready(self, held: _Held) -> bool:
-        """Whether C(t) at a block's messages is final."""
+        """Return whether C(t) at a block's messages is final."""
         age_ns = self._now_ns - held.seen_ns
         if age_ns >= WAIT_NS or not held.parts or (self.odometry.frames is not None and not self._targets(held)):
             return True

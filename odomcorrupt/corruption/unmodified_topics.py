@@ -44,7 +44,7 @@ LARGE_TYPES = frozenset({"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid
 
 
 def may_be_placed(channel: Channel) -> bool:
-    """Whether the frame of a channel's messages is needed, although the channel itself is not moved."""
+    """Return whether the frame of a channel's messages is needed, although the channel itself is not moved."""
     return channel.msgtype in FRAMED_TYPES and channel.msgtype not in LARGE_TYPES
 
 
@@ -67,7 +67,7 @@ def topics_with_true_motion(
 
 
 def _is_costmap(channel: Channel) -> bool:
-    """Whether a channel is a costmap, which is centred on the robot even in the map frame."""
+    """Return whether a channel is a costmap, which is centred on the robot even in the map frame."""
     return channel.msgtype in FRAMED_TYPES and "costmap" in channel.topic
 
 

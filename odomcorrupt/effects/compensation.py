@@ -41,7 +41,7 @@ def error_of(effect: Effect, motion: Motion) -> Array:
 def corrected_increments(
     effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None, *, rough: bool = False
 ) -> Increments:
-    """Return the true increments from the odometry's motion, as of `corrected_twist`."""
+    """Return the true increments, m and rad, from the odometry's motion; parameters are those of `corrected_twist`."""
     twist = corrected_twist(effects, motion, place_xyt, rough=rough)
     return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
 

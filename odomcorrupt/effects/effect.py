@@ -240,7 +240,13 @@ class Effect:
         track_m: float | None,  # noqa: ARG002 - as above
         state: State,
     ) -> Recorded:
-        """Return the reported increments (n, 3) for the increments `steps`, which end at t_s (n,) seconds."""
+        """Return the increments that odometry reports for those of the robot, m and rad.
+
+        steps : (n, 3) increments forwards, to the left, and of the yaw
+        t_s : (n,) their ends, s after the first odometry stamp
+        track_m : distance between the wheels; None if it is not known
+        state : that of `start`, or that of the result for the increments before
+        """
         return Recorded(steps, state)
 
     def restored(self, motion: Motion) -> Motion:
@@ -249,7 +255,7 @@ class Effect:
         return dataclasses.replace(motion, v=motion.v + f[:, 0], vy=motion.vy + f[:, 1], omega=motion.omega + f[:, 2])
 
     def drawn(self, normals: Array, state: State) -> Drawn:
-        """Return draws in place of the noise law's standard normals (n, 4)."""
+        """Return draws (n, 4) in place of the noise law's standard normals (n, 4), and the state after them."""
         return Drawn(normals, state)
 
     def moments(self, motion: Motion) -> Moments | None:  # noqa: ARG002 - for effects that draw
@@ -303,7 +309,15 @@ def parameter(
     step: float | None = None,
     optional: bool = False,
 ) -> Any:
-    """Declare a parameter: a dataclass field with unit and bounds; its default is the identity."""
+    """Return a dataclass field that declares a parameter with its unit and bounds; its default is the identity.
+
+    unit, meaning : for help texts and reports; "" for a number without a unit
+    low, high, typical : bounds, and the size on a usual robot
+    identity : value at which the effect does nothing
+    amplitude : whether f is proportional to it; else it is a shape
+    step : change for numerical derivatives; by default a thousandth of the typical size
+    optional : whether a shape at its identity is neither counted as a parameter nor printed
+    """
     facts = {
         "unit": unit, "meaning": meaning, "low": low, "high": high, "typical": typical, "identity": identity,
         "amplitude": amplitude, "step": 1e-3 * typical if step is None else step,
@@ -313,7 +327,7 @@ def parameter(
 
 
 def choice(meaning: str, *options: str) -> Any:
-    """Declare a parameter with one of a few words as its value; its default is the first word."""
+    """Return a dataclass field for a parameter that is one of a few words; its default is the first one."""
     return dataclasses.field(default=options[0], metadata={"meaning": meaning, "options": options})
 
 
@@ -365,7 +379,10 @@ def check_bounds(effect: Effect) -> None:
 
 
 def stacked(along: Array | float, across: Array | float, yaw: Array | float, like: Array) -> Array:
-    """Return f (n, 3) from its three components; scalars are broadcast to the shape of `like`."""
+    """Return f (n, 3) from its three components (n,): m/s forwards, m/s to the left, rad/s.
+
+    Scalars are broadcast to the shape of `like` (n,).
+    """
     rows = np.empty((3, len(like)))  # contiguous rows: most of the code that follows takes one component at a time
     rows[0], rows[1], rows[2] = along, across, yaw
     return rows.T

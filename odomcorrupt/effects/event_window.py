@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def time_parameter() -> Any:
-    """Declare the time at which an event begins."""
+    """Return the field of the time at which an event begins."""
     return parameter(
         "s", "when it begins, after the first odometry stamp", low=0.0, high=1e6, typical=5.0, identity=5.0,
         amplitude=False,
@@ -22,14 +22,17 @@ def time_parameter() -> Any:
 
 
 def duration_parameter(typical_s: float) -> Any:
-    """Declare the duration of an event, as a shape: another parameter is its amplitude."""
+    """Return the field of the duration of an event, as a shape: another parameter is its amplitude."""
     return parameter(
         "s", "how long it lasts", low=0.01, high=1e4, typical=typical_s, identity=typical_s, amplitude=False
     )
 
 
 def part_inside(motion: Motion, begin_s: float, end_s: float) -> Array:
-    """Return the fraction (n,) of each interval that lies between two times; 0 for an interval of no length."""
+    """Return the fraction (n,) of each interval that lies between two times; 0 for an interval of no length.
+
+    begin_s, end_s : seconds after the first odometry stamp
+    """
     inside = np.minimum(motion.t_s, end_s) - np.maximum(motion.t_s - motion.dt_s, begin_s)
     part: Array = np.divide(
         np.maximum(inside, 0.0), motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0

@@ -62,9 +62,9 @@ class FlatSpot(Effect):
         drive="long straights at a low speed: the heading sways once a turn of the wheel",
     )
 
-    depth: float = parameter("", "part of the way that is lost at the spot", low=-0.5, high=0.5, typical=0.05)
+    depth: float = parameter("", "part of the travel that is lost at the spot", low=-0.5, high=0.5, typical=0.05)
     circumference: float = parameter(
-        "m", "way of one turn of the wheel", low=0.05, high=5.0, typical=0.2, identity=0.2, amplitude=False
+        "m", "travel in one turn of the wheel", low=0.05, high=5.0, typical=0.2, identity=0.2, amplitude=False
     )
     phase: float = parameter(
         "rad", "turn from the first pose to the spot", low=-6.3, high=6.3, typical=1.0, amplitude=False

@@ -6,7 +6,7 @@ import ast
 
 
 def affine(node: ast.expr, names: frozenset[str]) -> bool:  # noqa: PLR0911 - one for each kind of term
-    """Whether a term is jointly affine in these parameters: no product of two of them, no function of any."""
+    """Return whether a term is jointly affine in these parameters: no product of two of them, no function of any."""
     if not _has(node, names) or isinstance(node, ast.Name):
         return True
     match node:
@@ -24,7 +24,7 @@ def affine(node: ast.expr, names: frozenset[str]) -> bool:  # noqa: PLR0911 - on
 
 
 def vanishes(node: ast.expr, names: frozenset[str]) -> bool:  # noqa: PLR0911 - one for each kind of term
-    """Whether a term is zero if all these parameters are zero."""
+    """Return whether a term is zero if all these parameters are zero."""
     match node:
         case ast.Name(id=name):
             return name in names

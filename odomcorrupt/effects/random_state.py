@@ -17,6 +17,10 @@ def copied(rng: np.random.Generator) -> np.random.Generator:
 
 
 def autoregression(start: float, keep: Array, kick: Array) -> Array:
-    """Return x (n,) with x_i = keep_i x_(i-1) + kick_i, computed sequentially so that splitting gives the same bits."""
+    """Return x (n,) with x_i = keep_i x_(i-1) + kick_i, computed sequentially so that splitting gives the same bits.
+
+    start : x before the first one
+    keep, kick : (n,) factors and additions
+    """
     x = start
     return np.array([x := kept * x + kicked for kept, kicked in zip(keep.tolist(), kick.tolist(), strict=True)])

@@ -29,7 +29,7 @@ E = TypeVar("E", bound=Effect)
 
 
 def axles_parameter() -> Any:
-    """Declare the distance between the axles, a nuisance: the tangent of a large steering angle depends on it."""
+    """Return the field of the distance between the axles, a nuisance: the tangent of large steering angles needs it."""
     return parameter(
         "m", "distance between the axles, where steering angles are large; 0: they are small", low=0.0, high=20.0,
         typical=0.5, amplitude=False, optional=True,
@@ -37,7 +37,7 @@ def axles_parameter() -> Any:
 
 
 def driven_choice() -> Any:
-    """Declare the wheel whose travel is measured: that of a steered one is only in part along the robot."""
+    """Return the field of the wheel whose travel is measured: that of a steered one is only in part along the robot."""
     return choice("wheel that is driven and counted; the front one is steered, and needs axles", "rear", "front")
 
 
@@ -55,7 +55,11 @@ def on_every_axle_distance(effect: E, motions: Sequence[Motion]) -> tuple[E, ...
 
 
 def steepness(v: Array, omega: Array, axles_m: float) -> Array:
-    """Return the tangent (n,) of the steering angle, clipped to 0..1; 0 if the robot hardly travels."""
+    """Return the tangent (n,) of the steering angle, clipped to 0..1; 0 if the robot hardly travels.
+
+    v, omega : (n,) speed, m/s, and yaw rate, rad/s
+    axles_m : distance between the axles
+    """
     tangent = np.divide(axles_m * np.abs(omega), np.abs(v), out=np.zeros_like(v), where=np.abs(v) > CREEP_MPS)
     steep: Array = np.minimum(tangent, 1.0)
     return steep

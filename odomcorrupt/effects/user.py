@@ -103,6 +103,12 @@ def user_effect(
     A parameter that f is affine in is an amplitude, with identity 0; any other is a shape, which a fit holds fixed.
     An expression that adds to single wheels also has the word-valued parameter `heading`, as the library's do.
 
+    name : name of the effect
+    text : the expression, as in "yaw += k * v * abs(omega)"
+    values : parameters by name
+    units : units of parameters by name; by default those that follow from the expression
+    words : values of word-valued parameters, such as {"heading": "gyro"}
+
     Raises
     ------
     EffectError

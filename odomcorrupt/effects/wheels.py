@@ -23,7 +23,7 @@ E = TypeVar("E", bound=Effect)
 
 
 def track_parameter() -> Any:
-    """Declare the track of an effect of single wheels, a nuisance that is estimated if the robot's is unknown."""
+    """Return the field of the track of an effect of single wheels, a nuisance that is estimated if it is unknown."""
     return parameter(
         "m", "distance between the wheels, where that of the robot is not known; 0: the robot's own", low=0.0, high=3.0,
         typical=0.3, amplitude=False, optional=True,
@@ -31,7 +31,7 @@ def track_parameter() -> Any:
 
 
 def brings_track(kind: type[Effect] | Effect) -> bool:
-    """Tell whether an effect of single wheels can be tried without a known track, i.e. has a parameter `track`."""
+    """Return whether an effect of single wheels can be tried without a known track, i.e. has a parameter `track`."""
     return any(p.name == "track" and p.optional for p in parameters(kind))
 
 
@@ -43,7 +43,7 @@ def on_every_track(effects: Sequence[E], motions: Sequence[Motion]) -> tuple[E, 
 
 
 def heading_choice() -> Any:
-    """Declare the source of the odometry's heading: with a gyro, wheel errors change only the forward motion."""
+    """Return the field of the source of the heading: with a gyro, wheel errors change only the forward motion."""
     return choice("source of the odometry's heading; wheel errors do not affect a gyro", "wheels", "gyro")
 
 
@@ -70,13 +70,22 @@ def needed_track_m(name: str, track_m: float | None) -> float:
 
 
 def rims_of(along: Array, yaw: Array, track_m: float) -> Rims:
-    """Return the wheels' speeds or travel for a body that moves forward and turns."""
+    """Return the speeds (m/s) or travel (m) of both rims for a body that moves forward and turns.
+
+    along, yaw : (n,) forward speed and yaw rate, or travel and turn
+    track_m : distance between the wheels
+    """
     half = 0.5 * track_m * yaw
     return Rims(along + half, along - half)
 
 
 def body_of(rims: Rims, track_m: float, heading: str = "wheels") -> Array:
-    """Return the odometry's motion (n, 3) for given motions of the wheels."""
+    """Return the odometry's motion (n, 3), forwards, to the left and of the yaw, for motions of the rims.
+
+    rims : speeds (m/s) or travel (m)
+    track_m : distance between the wheels
+    heading : source of the odometry's heading, "wheels" or "gyro"; with a gyro the yaw is zero
+    """
     yaw = turning(heading, (rims.right - rims.left) / track_m)
     return stacked(0.5 * (rims.right + rims.left), 0.0, yaw, rims.right)
 
@@ -84,7 +93,9 @@ def body_of(rims: Rims, track_m: float, heading: str = "wheels") -> Array:
 def error_of_each_wheel(error: Callable[[Array], Array], motion: Motion, track_m: float | None) -> Array:
     """Return f (n, 3) of an error of each wheel by its speed; without a track, its limit for the body.
 
-    error : function of rim speeds (n,), m/s
+    error : function of rim speeds (n,), m/s, to their errors (n,), m/s
+    motion : the odometry's motion
+    track_m : distance between the wheels; None if it is not known
     """
     if track_m is not None:
         return body_of(Rims(*(error(u) for u in rims_of(motion.v, motion.omega, track_m))), track_m)

@@ -131,7 +131,10 @@ def _axes(information: Array) -> tuple[tuple[float, float], Array]:
 
 
 def best_guess(returns: Array, surface: Surface, guesses: Array, within_m: float = 0.25) -> Array:
-    """Return that one of the guesses (g, 3) with which returns (m, 2) are nearest to the surface."""
+    """Return that one of the guesses (g, 3), m and rad, with which returns (m, 2), m, are nearest to the surface.
+
+    within_m : distance at which a return counts as not on the surface
+    """
     c, s = np.cos(guesses[:, 2])[:, None], np.sin(guesses[:, 2])[:, None]
     x = c * returns[:, 0] - s * returns[:, 1] + guesses[:, 0, None]
     y = s * returns[:, 0] + c * returns[:, 1] + guesses[:, 1, None]

@@ -12,6 +12,11 @@ PAGE = (ROOT / "docs" / "api.md").read_text()
 BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 
 
+def plain(text):
+    """Return a text without its numbers, whose last digits differ from machine to machine."""
+    return re.sub(r"[-+]?\d[\d.e+-]*|\s+", " ", text)
+
+
 @pytest.mark.slow
 def test_every_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
     (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
@@ -21,7 +26,7 @@ def test_every_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
         exec(compile(block, "docs/api.md", "exec"), names)  # noqa: S102 - the page is ours
     said = capsys.readouterr().out
     (printed,) = re.findall(r"^```text\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
-    assert printed.splitlines()[0] in said
+    assert plain(printed) in plain(said)
     for name in ("noisy.mcap", "slipping.mcap", "robot.toml", "errors.png", "corrected.mcap", "secret.mcap"):
         assert (tmp_path / name).stat().st_size > 0
     assert len(repr(names["result"])) < 200

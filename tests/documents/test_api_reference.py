@@ -2,11 +2,13 @@
 
 import inspect
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
 import odomcorrupt
+from odomcorrupt.api.bag_options import BagOptions
 from odomcorrupt.api.diagnosis import Findings
 from odomcorrupt.api.result import Result
 
@@ -45,3 +47,16 @@ def test_docstrings_name_every_parameter_and_what_is_returned(name):
     assert [one.name for one in taken if one.name not in named] == []
     plain = text.startswith("Return ") and not taken
     assert plain or signature.return_annotation in ("None", None) or "Returns\n-------" in text
+
+
+def test_the_site_shows_compact_lines_of_docstrings_as_a_section():
+    pytest.importorskip("griffe", reason='griffe reads docstrings; pip install ".[docs]" installs it')
+    sys.path.append(str(Path(__file__).parents[2] / "docs"))
+    from compact_docstrings import in_sections
+
+    text = in_sections(inspect.getdoc(BagOptions), "Attributes")
+    assert "Attributes\n----------\nodom_topic\n    odometry topic" in text
+    named = {word for line in re.findall(r"^(\w[\w, ]*)$", text, re.MULTILINE) for word in line.split(", ")}
+    assert set(BagOptions.__annotations__) <= named
+    plain = inspect.getdoc(odomcorrupt.corrupt)
+    assert in_sections(plain, "Parameters") == plain

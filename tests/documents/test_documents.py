@@ -33,6 +33,13 @@ def test_every_module_and_room_that_is_named_exists(page):
     assert [name for name in named if not (ROOT / "odomcorrupt" / name).exists()] == []
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda page: page.name)
+def test_no_page_is_a_diary(page):
+    months = "January|February|March|April|May|June|July|August|September|October|November|December"
+    text = page.read_text(encoding="utf8")
+    assert re.findall(rf"\b\d{{1,2}} (?:{months})\b(?! \d{{4}})|[Oo]n the page before", text) == []
+
+
 def test_every_page_is_in_the_navigation_of_the_site():
     listed = set(re.findall(r"[\w/-]+\.(?:md|ipynb)", (ROOT / "mkdocs.yml").read_text(encoding="utf8")))
     assert {str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")} <= listed

@@ -108,7 +108,7 @@ class ConvertedReader(RewrittenReader):
         return Definition(new.msgtype, "ros2msg", new.text.encode(), metadata)
 
     def _latches(self, channel: Channel) -> bool:
-        """Whether some publisher of a ROS 1 topic latches its last message."""
+        """Return whether some publisher of a ROS 1 topic latches its last message."""
         wanted = channel.topic, channel.msgtype
         same = [one for one in self.reader.channels.values() if (one.topic, one.msgtype) == wanted]
         return any(self.reader.definition(one).metadata.get("latching") == "1" for one in same)

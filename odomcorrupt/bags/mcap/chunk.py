@@ -75,7 +75,7 @@ class Loose:
 
 
 def read_chunk_head(source: Source, length: int, what: str) -> ChunkHead:
-    """Read a chunk record's content of `length` bytes up to its compressed bytes."""
+    """Return what a chunk record of `length` bytes has before its compressed bytes, which are read next."""
     named = f"{source.name}: {what}"
     if length < 40:
         raise BagError(f"{named}: a chunk record of {length} bytes is shorter than its fields; damaged bag")

@@ -70,7 +70,7 @@ class SchemaRecord(NamedTuple):
 
     @classmethod
     def parse(cls, content: bytes, what: str) -> SchemaRecord:
-        """Read a schema record's content."""
+        """Return the schema in the content of a record."""
         fields = Fields(content, what)
         return cls(fields.number("H"), fields.string(), fields.string(), fields.blob())
 
@@ -91,7 +91,7 @@ class ChannelRecord(NamedTuple):
 
     @classmethod
     def parse(cls, content: bytes, what: str) -> ChannelRecord:
-        """Read a channel record's content."""
+        """Return the channel in the content of a record."""
         fields = Fields(content, what)
         return cls(fields.number("H"), fields.number("H"), fields.string(), fields.string(), fields.mapping())
 
@@ -110,19 +110,19 @@ class Fields:
         self._at = 0
 
     def number(self, kind: str) -> int:
-        """Read an unsigned integer: B, H, I or Q as struct names them."""
+        """Return the next unsigned integer: B, H, I or Q as struct names them."""
         return int(struct.unpack("<" + kind, self._take(struct.calcsize("<" + kind)))[0])
 
     def blob(self) -> bytes:
-        """Read bytes that a 32-bit length precedes."""
+        """Return the next bytes, which a 32-bit length precedes."""
         return self._take(self.number("I"))
 
     def string(self) -> str:
-        """Read a string."""
+        """Return the next string."""
         return self.blob().decode(errors="replace")
 
     def mapping(self) -> dict[str, str]:
-        """Read a map of strings."""
+        """Return the next map of strings."""
         inner = Fields(self.blob(), self._what)
         found: dict[str, str] = {}
         while inner._at < len(inner._content):

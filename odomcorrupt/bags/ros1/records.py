@@ -55,7 +55,7 @@ class Connection:
 
     @classmethod
     def parse(cls, header: bytes, data: bytes, what: str) -> Connection:
-        """Read a connection record."""
+        """Return the connection in a record."""
         named = parse_fields(header, what)
         topic = named.get("topic", b"").decode(errors="replace")
         return cls(number(named, "conn", what), topic, parse_fields(data, what), header, data)
@@ -77,7 +77,7 @@ class Connection:
 
 
 def parse_fields(data: bytes, what: str) -> dict[str, bytes]:
-    """Read named fields, each with its length before it."""
+    """Return the named fields of a header, each with its length before it."""
     fields: dict[str, bytes] = {}
     at = 0
     while at < len(data):

@@ -143,7 +143,7 @@ def require_plain(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _is_plain_index(connection: sqlite3.Connection, name: str) -> bool:
-    """Whether an index is one of whole columns and of all rows."""
+    """Return whether an index is one of whole columns and of all rows."""
     quoted = '"' + name.replace('"', '""') + '"'
     fields = connection.execute(f"PRAGMA index_info({quoted})").fetchall()
     (text,) = connection.execute("SELECT sql FROM sqlite_master WHERE type = 'index' AND name = ?", (name,)).fetchone()

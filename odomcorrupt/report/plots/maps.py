@@ -83,7 +83,7 @@ def _off_surface(axes: Axes, maps: Sequence[ScanMap]) -> None:
             label=scan_map.name,
         )  # fmt: skip
     axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
-    axes.set_title(f"distance of hits from the walls of: {maps[0].name} (RMS)")
+    axes.set_title("distance of hits from the walls of the first map (RMS)")
     axes.grid(visible=True, axis="y", color="0.92")
     axes.legend(loc="upper left", fontsize=9)
 

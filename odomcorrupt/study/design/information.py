@@ -64,7 +64,7 @@ class Field:
 
 
 def recorded_field(fit: Fit) -> Field:
-    """Return the fitted drives."""
+    """Return the fitted drives as one field: their problem, whitener, and columns of the free clocks."""
     own = sum(len(amplitudes(e)) for e in fit.problem.effects)
     return Field(fit.problem, fit.noise.whitener, fit.design_matrix[:, :, own:])
 
@@ -93,7 +93,11 @@ def separation(
 
 
 def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> Array:
-    """Return the standard errors (p,) of an effect's amplitudes from all drives together; inf if undetermined."""
+    """Return the standard errors (p,) of an effect's amplitudes from all drives together; inf if undetermined.
+
+    beside : effects that are free too
+    fields : the drives
+    """
     signal, rest = _stacked((effect,), beside, fields)
     left = _without(rest, signal)
     scale = np.sqrt(np.maximum(np.sum(signal**2, axis=0), 1e-300))

@@ -94,10 +94,14 @@ def fit_robot(
     clocks: Clocks | None = None,
     shaped: Container[str] = (),
 ) -> RobotFit:
-    """Fit clocks and set-up (unless clocks are given), effects and noise to recordings of one robot.
+    """Return the fit of clocks and set-up (unless clocks are given), effects and noise to recordings of one robot.
 
     Random effects are not fitted: random coefficients are part of the covariance; detectable encoder faults are undone.
 
+    effects : effects to fit; their values are the starting point
+    law_name : noise law, a key of `LAWS`
+    start : model whose step and track are kept
+    clocks : known clocks; by default they are estimated, and so are lever arm and mounting yaw
     shaped : names of effects whose shapes were searched in the same recordings
     """
     recordings = [restore_lost(recording, effects) for recording in recordings]
@@ -139,9 +143,9 @@ def fit_robot(
 def fit_every_law(
     recordings: Sequence[Recording], effects: Sequence[Effect], *, start: MotionModel | None = None
 ) -> dict[str, RobotFit]:
-    """Return a fit with each noise law, with the same effects, clocks and set-up; most likely first.
+    """Return a fit with each noise law by name, with the same effects, clocks and set-up; most likely first.
 
-    A law that depends on the step length is applied to the odometry's own steps.
+    A law that depends on the step length is applied to the odometry's own steps. Parameters are those of `fit_robot`.
     """
     first, *others = (name for name, law in LAWS.items() if law.fitted)
     results = {first: fit_robot(recordings, effects, law_name=first, start=start)}

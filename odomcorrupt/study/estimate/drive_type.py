@@ -102,7 +102,7 @@ class DriveType:
         return f"{self.name} ({self.reason})" if self.reason else self.name
 
     def admits(self, kind: type[Effect]) -> bool:
-        """Tell whether a robot of this type can have an effect; aliases included."""
+        """Return whether a robot of this type can have an effect; aliases included."""
         possible = (kind.drives is None or self.name in kind.drives) and (self.gyro or not kind.needs_gyro)
         return possible and is_nameable(kind, self.heading_source, travel=self.travel)
 
@@ -142,7 +142,7 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
 
 
 def _has_stop(slow: Array) -> bool:
-    """Tell whether slow driving, as signed curvatures and durations (2, m), is often at the largest of its side."""
+    """Return whether slow driving, as signed curvatures and durations (2, m), is often at the largest of its side."""
     curvature, seconds = slow
     there = np.zeros(len(curvature), dtype=bool)
     for side in (curvature, -curvature):
@@ -152,7 +152,7 @@ def _has_stop(slow: Array) -> bool:
 
 
 def is_holonomic(recordings: Sequence[Recording], motions: Sequence[Motion]) -> bool:
-    """Tell whether a robot can drive sideways, and did; vy of another comes from turns of a point off its axle."""
+    """Return whether a robot can drive sideways, and did; vy of another comes from turns of a point off its axle."""
     return drives_sideways(motions) and drive_type_of(recordings).name == "omni"
 
 
@@ -187,7 +187,7 @@ def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[s
 
 
 def _admits(kind: type[Effect], effect: Effect | str) -> bool:
-    """Tell whether the values of an effect are within the bounds of an alias."""
+    """Return whether the values of an effect are within the bounds of an alias."""
     return all(p.low <= getattr(effect, p.name, p.identity) <= p.high for p in parameters(kind))
 
 

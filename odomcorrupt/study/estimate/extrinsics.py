@@ -42,6 +42,10 @@ def find_setup(
 
     They are estimated with the usual systematic effects free, which are then discarded. One that is not significant,
     that increases the drift, or that is aliased with a requested effect is left out.
+
+    effects : requested effects
+    clocks : clocks of the recordings
+    approach : intervals, side of the regressors and noise law
     """
     kinds = registry()
     asked = {name for effect in effects for name in (effect.name, effect.aliased_with)}

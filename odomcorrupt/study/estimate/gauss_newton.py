@@ -149,8 +149,10 @@ def fit(
     nearly: bool = False,
     known: Problem | None = None,
 ) -> Fit:
-    """Fit effects (starting at their present values), the clocks' free offsets and rates, and the noise.
+    """Return the fit of effects (starting at their present values), the clocks' free offsets and rates, and the noise.
 
+    clocks, free_clocks : clock of each recording, and whether offset and rate are free; default: right and known
+    approach : intervals, side of the regressors and noise law
     random : random coefficients in the model, with their parameters
     start : noise to start from, of an earlier fit of the same recordings
     weights_of : fit of the same recordings whose robust weights are kept, at whatever clocks; default: re-estimated

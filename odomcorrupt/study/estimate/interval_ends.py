@@ -34,6 +34,8 @@ def pick_interval_ends(
 ) -> NDArray[np.int64]:
     """Return indices of truth samples in [first, last], each at least about `spacing_s` after the previous one.
 
+    truth_s : (n,) times of the truth samples, s, increasing
+    first_s, last_s : limits of the times, s
     among : (n,) mask of the samples that may be picked; all by default
     anchor_s : time of one grid point of the nodes; by default that of the first usable sample
     """

@@ -117,7 +117,11 @@ class Intervals:
         return x, y, yaw
 
     def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
-        """Return the residuals' covariance (K, 3, 3) due to a noise law on the odometry's increments."""
+        """Return the residuals' covariance (K, 3, 3), m and rad, due to a noise law on the odometry's increments.
+
+        k : coefficients of the law
+        steps : increments of the odometry, in the order of the samples
+        """
         total = self.spread(law, variances(law, k, steps), steps)
         return total + k.rot_time**2 * self.over_time(law) if k.rot_time else total
 
@@ -281,7 +285,11 @@ class Cut(NamedTuple):
 
 
 def cut_at(odometry: Trajectory, odo_s: Array, node_s: Array, origin_ns: int) -> Cut:
-    """Return the odometry cut at the nodes; both have to be in order of time."""
+    """Return the odometry cut at the nodes; both have to be in order of time.
+
+    odo_s, node_s : times of the odometry's poses and of the nodes, s
+    origin_ns : time from which both are counted
+    """
     source = np.searchsorted(odo_s, node_s, side="right") - 1
     first, last = source[0] + 1, np.searchsorted(odo_s, node_s[-1], side="left")
     between_them = np.arange(first, last)

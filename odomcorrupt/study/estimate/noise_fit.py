@@ -110,7 +110,12 @@ def fit_noise(
 def fit_noise_beside(
     problem: Problem, components: VarianceComponents, columns: Array, random: Sequence[Effect], start: NoiseStart
 ) -> NoiseFit:
-    """Return the noise fitted to the residuals without the random coefficients' part, see `fit_noise`."""
+    """Return the noise fitted to the residuals without the random coefficients' part, see `fit_noise`.
+
+    columns : (K, 3, m) regressors of the linear parameters
+    random : random effects in the model; none: the same as `fit_noise`
+    start : noise parameters and robust weights to start from
+    """
     intervals, headings, weights = problem.intervals, problem.headings, start.weights
     if random and start.free is not None:
         even = np.ones(len(intervals)) if weights is None else weights

@@ -48,7 +48,7 @@ _SHARED, _ERRORS = 0.7, 3.0
 
 
 def drives_sideways(motions: Sequence[Motion]) -> bool:
-    """Tell whether a robot drives sideways; a small sideways speed is an artefact of smoothing."""
+    """Return whether a robot drives sideways; a small sideways speed is an artefact of smoothing."""
     along = sum(float(np.abs(m.v * m.dt_s).sum()) for m in motions)
     across = sum(float(np.abs(m.vy * m.dt_s).sum()) for m in motions)
     return across > _SIDEWAYS * along

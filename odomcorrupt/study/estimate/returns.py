@@ -69,6 +69,7 @@ class ReturnsFit:
 def closed_drive(name: str, odometry: Trajectory, end_xyt: Array, track_m: float | None) -> Recording:
     """Return a drive as a recording whose truth consists of its two end poses.
 
+    name, odometry, track_m : of the recording; the track is None if it is not known
     end_xyt : (3,) real end pose relative to the start pose; zeros if the robot returned to it
     """
     start = odometry.xyt[0]
@@ -78,7 +79,9 @@ def closed_drive(name: str, odometry: Trajectory, end_xyt: Array, track_m: float
 
 
 def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> ReturnsFit:
-    """Fit effects to the ends of drives by generalised least squares, undone exactly at each iteration to convergence.
+    """Return the effects fitted to the ends of drives by generalised least squares, iterated to convergence.
+
+    Each iteration removes the effects of the one before exactly.
 
     Raises
     ------

@@ -43,7 +43,7 @@ _USUAL, _SPREAD = 2.0, 0.7
 
 
 def has_field(problem: Problem) -> bool:
-    """Whether the truth of any recording has spatially correlated errors."""
+    """Return whether the truth of any recording has spatially correlated errors."""
     return any(r.truth_field is not None for r in problem.recordings)
 
 

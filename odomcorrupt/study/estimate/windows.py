@@ -31,6 +31,7 @@ WINDOW_S = 10.0
 def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float = 0.0) -> Intervals:
     """Return non-overlapping complete windows of a fixed duration, each started at the truth pose.
 
+    length_s : duration of a window
     phase : offset of the first window, as a fraction of a window's length
     """
     ends = _time_ends(recording, length_s, phase)
@@ -83,8 +84,9 @@ def _restarted(usable_s: Array, length_s: float) -> NDArray[np.int64]:
 
 
 def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) -> Intervals:
-    """Return non-overlapping windows of a fixed path length, measured by the odometry.
+    """Return non-overlapping windows of a fixed path length, measured by the odometry, each started at the truth pose.
 
+    length_m : path length of a window
     phase : offset of the first window, as a fraction of a window's length
     """
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)

@@ -64,7 +64,7 @@ def cross_correlation(
     from_start: bool = False,
     smoothing_s: float = _SMOOTHING_S,
 ) -> CrossCorrelation:
-    """Return the correlations at lags from -reach_s to reach_s.
+    """Return the correlations of speeds and yaw rates of odometry and truth at lags from -reach_s to reach_s.
 
     from_start : measure each time from its own first stamp instead of comparing absolute stamps
     smoothing_s : time over which speeds and yaw rates are averaged

@@ -66,6 +66,8 @@ def laser_run(
 ) -> LaserRun:
     """Return the trajectory of one run by the laser, from the odometry and scans of a bag.
 
+    place : name of the bag in messages
+    odom, scan : odometry topic or TF edge, and topic of the scans; default: the only ones
     odometry : odometry already read, or from another source; default: read from the bag
     progress : called with the stage and the fraction done
 
@@ -81,7 +83,10 @@ def laser_run(
 
 
 def end_seen(path: Path, place: str, odom: str | None, scan: str) -> Array:
-    """Return the end pose (3,) of a drive relative to its start, from its first and last scans.
+    """Return the end pose (3,) of a drive relative to its start, m and rad, from its first and last scans.
+
+    place : name of the bag in messages
+    odom, scan : odometry topic or TF edge (default: the only one), and topic of the scans
 
     Raises
     ------

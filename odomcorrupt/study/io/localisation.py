@@ -124,6 +124,7 @@ def ahead_s(
 
     The stamps of both must count from one clock, which may be a simulator's; log times match the messages.
 
+    stamps_ns, logs_ns : (n,) stamps and log times
     other : stamps and log times (m,) of the other publisher
     """
     order = np.argsort(other[1], kind="stable")

@@ -52,24 +52,24 @@ _OTHER_TRACK = 0.01
 
 
 def read_runs(source: Source, progress: Callable[[str, float], None] | None = None) -> list[Recording]:
-    """Return the recordings of one run, as `_read_runs` does, with the robot's drive type."""
-    if source.drive_type in STEERED:
-        source = replace(source, track_m=None)
-    return [replace(run, drive_type=source.drive_type) for run in _read_runs(source, progress)]
-
-
-def _read_runs(source: Source, progress: Callable[[str, float], None] | None) -> list[Recording]:
-    """Return one recording, or several if resets split the run into independent stretches.
+    """Return the recordings of one run, with the robot's drive type; several if resets split it.
 
     progress : called with the name of the stage and the fraction done
 
     Raises
     ------
     TopicError
-        If a topic or frame is missing, or if several topics fit; the message lists them.
+        If a topic or frame is missing, or if several topics fit.
     RecordingError
-        If the data cannot be odometry and truth of one run; the message gives the reason.
+        If the data cannot be odometry and truth of one run.
     """
+    if source.drive_type in STEERED:
+        source = replace(source, track_m=None)
+    return [replace(run, drive_type=source.drive_type) for run in _read_runs(source, progress)]
+
+
+def _read_runs(source: Source, progress: Callable[[str, float], None] | None) -> list[Recording]:
+    """Return the recordings of one run without the drive type; see `read_runs`."""
     if source.relative is not None:
         return _by_motions(source, source.relative)
     scan = source.scan or automatic_scan(source)
@@ -296,6 +296,8 @@ def recordings_of(
     name: str, odometry: Samples, truth: Samples, track_m: float | None = None, truth_shift_s: float = 0.0
 ) -> list[Recording]:
     """Return the recordings of odometry and truth, checked and cleaned; several if resets split them.
+
+    track_m, truth_shift_s : track, None if unknown; seconds added to the stamps of the truth
 
     Raises
     ------

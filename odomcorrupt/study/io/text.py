@@ -179,7 +179,7 @@ def read_lines(stream: TextIO, place: str) -> Iterator[Row]:
 
 
 def split_line(row: Row, delimiter: str | None) -> Row:
-    """Split a line into cells; None splits at white space."""
+    """Return the cells of a line; None splits at white space."""
     line = row.cells[0]
     return row._replace(cells=line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter)))
 

@@ -30,7 +30,7 @@ _MOSTLY, _NEARLY_ALL = 0.6, 0.9
 
 
 def check_identity(odometry: Samples, truth: Samples) -> list[str]:
-    """Refuse a copy of the odometry as truth, and warn of a truth that mostly repeats or equals the odometry.
+    """Return warnings on a truth that mostly repeats or equals the odometry; a copy of the odometry is refused.
 
     A copy has the odometry's stamps or number of messages; exact poses of a simulator have another rate.
 

@@ -205,7 +205,7 @@ def _imitated_by_noise(fit: Fit, score: Score, *, still: bool) -> str:
 
 
 def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:
-    """Tell whether an effect of the motion gains only on intervals in which the odometry rests or creeps.
+    """Return whether an effect of the motion gains only on intervals in which the odometry rests or creeps.
 
     A noise law that grows with the motion allows for hardly any noise there. A creep of 1 mm/s is then significant, and
     any effect that reduces slow motion fits it. Effects that act at rest, such as a gyro bias, are exempt.
@@ -225,7 +225,7 @@ def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:
 
 
 def _acts_at_rest(fit: Fit, effect: Effect) -> bool:
-    """Tell whether an effect moves the odometry of a robot at rest."""
+    """Return whether an effect moves the odometry of a robot at rest."""
     for m in fit.problem.motions:
         none = np.zeros(len(m))
         if error_of(effect, replace(m, v=none, vy=none, omega=none, acceleration=0.0 * m.acceleration)).any():

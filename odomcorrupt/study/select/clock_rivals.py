@@ -104,7 +104,9 @@ def without_clock(fit: Fit, given: Container[str]) -> Fit | None:
 
 
 def penalised_nats(here: Fit, there: Fit, included: Sequence[Dependence], decisions: Decisions) -> float:
-    """Return `more_nats` minus the difference of the penalties of effects and free clocks, nats.
+    """Return the gain in log likelihood of `here` over `there`, each less the penalties of its effects and free clocks.
+
+    In nats; likelihoods are compared as by `more_nats`.
 
     included : dependences that are in one of the models
     """

@@ -47,7 +47,7 @@ _LEAST_TURNS = 4.0
 
 
 def may_be_steering(fit: Fit, columns: Array, estimate: Array) -> bool:
-    """Tell whether a yaw gain with one coefficient may be caused by a controller's corrections of the heading.
+    """Return whether a yaw gain with one coefficient may be caused by a controller's corrections of the heading.
 
     This is so if by its sign the truth turned less than the odometry, and its size is within the bound K^2 / X.
 
@@ -76,20 +76,20 @@ def _unit(columns: Array, turned: Array) -> float:
 
 
 def is_gain_of_turns(fit: Fit, columns: Array) -> bool:
-    """Tell whether columns (K, 3, p) are a single one, nearly proportional to the turns."""
+    """Return whether columns (K, 3, p) are a single one, nearly proportional to the turns."""
     turned = _turn_columns(fit)[:, 2]
     length = float(np.linalg.norm(turned) * np.linalg.norm(columns[:, 2, 0]))
     return columns.shape[2] == 1 and bool(abs(turned @ columns[:, 2, 0]) > _MOSTLY * length)
 
 
 def hardly_turns(fit: Fit) -> bool:
-    """Tell whether the turns of a whole drive are too small to estimate a yaw error per turn."""
+    """Return whether the turns of a whole drive are too small to estimate a yaw error per turn."""
     white = fit.noise.whitener.whiten(_turn_columns(fit)[:, :, None])
     return float(np.sum(white**2)) < _LEAST_TURNS * len(fit.problem.intervals)
 
 
 def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
-    """Tell whether an effect has no influence on straight driving, and none on turns on the spot.
+    """Return whether an effect has no influence on straight driving, and none on turns on the spot.
 
     A heading disturbance that is corrected within an interval moves the robot sideways, as such an effect does.
     """
@@ -105,7 +105,7 @@ def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
 
 
 def may_be_of_lags(fit: Fit, score: Score) -> bool:
-    """Tell whether an imperfect model of a lag may explain a term, within two standard errors.
+    """Return whether an imperfect model of a lag may explain a term, within two standard errors.
 
     A clock offset of t, a delay of one channel and a first-order filter differ by t^2 / 2 times the second derivative
     of the speed. This is negatively correlated with the speed, <v v''> = -<v'^2>, and resembles a gain of a few parts
@@ -131,12 +131,12 @@ def may_be_of_lags(fit: Fit, score: Score) -> bool:
 
 
 def is_pulled(fit: Fit) -> bool:
-    """Tell whether a filter pulls the odometry of any recording towards external poses, so that its noise decays."""
+    """Return whether a filter pulls the odometry of any recording towards external poses, so that its noise decays."""
     return any(recording.pulled_per_s > 0.0 for recording in fit.problem.recordings)
 
 
 def of_pulls(fit: Fit, effect: Effect) -> bool:
-    """Tell whether an effect is no larger than the artefact of external pose updates in delayed odometry.
+    """Return whether an effect is no larger than the artefact of external pose updates in delayed odometry.
 
     A filter with pose updates reduces the error of its odometry by a fraction per second. The error of delayed odometry
     is the motion during the delay, so the updates imitate a gain of travel and of turns. An effect less

@@ -103,7 +103,7 @@ class ModelComparison:
 def compare_with_basis(
     fit: Fit, effects: Sequence[Effect], decisions: Decisions, design: CoarseDesign
 ) -> ModelComparison:
-    """Compare effects of a fit, taken together, with every basis function in their place.
+    """Return the comparison of effects of a fit, taken together, with every basis function in their place.
 
     Each further effect pays for the number of those from which it was selected (Chen & Chen, Biometrika 95, 2008), as
     basis functions do: one cause is likelier than several that imitate it together.

@@ -229,7 +229,12 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Dete
 def beside_bursts(
     named: list[DetectedRandomEffect], fit: Fit, decisions: Decisions
 ) -> tuple[list[DetectedRandomEffect], Fit]:
-    """Drop random coefficients that are no longer detected once all outliers are set apart: they were the bursts."""
+    """Return the random coefficients still detected once all outliers are set apart, and the fit in which they are.
+
+    The others were the bursts.
+
+    named : random coefficients detected with the outliers
+    """
     correlated = {one.effect.name for one in named} & set(CORRELATED_NOISE)
     if not correlated:
         return named, fit

@@ -144,7 +144,7 @@ def score_terms(
     columns: Sequence[Array] | None = None,
     imitated: Sequence[Array | None] = (),
 ) -> list[Score]:
-    """Test terms, each beside the model of a fit.
+    """Return the score tests of terms, each beside the model of a fit.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def score_terms(
 def score_columns(
     fit: Fit, groups: Sequence[Array], *, family: int | None = None, imitated: Sequence[Array | None] = ()
 ) -> list[ColumnScore]:
-    """Test groups of columns (K, 3, p), each beside the model of a fit.
+    """Return the score tests of groups of columns (K, 3, p), each beside the model of a fit.
 
     family : as in `score_terms`
     imitated : (p,) score of each group that feedback of the noise may cause, any fraction of it; None if none

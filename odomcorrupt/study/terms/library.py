@@ -54,7 +54,7 @@ def library_families(
 
 
 def _is_tested(kind: type[Effect], drive: DriveType) -> bool:
-    """Tell whether an effect is tested itself, and not only reported as an alias of a tested one."""
+    """Return whether an effect is tested itself, and not only reported as an alias of a tested one."""
     if not drive.admits(kind) or kind.in_place_of is not None:
         return False
     # a lever arm has two parameters, so its one-parameter alias for steered robots is tested too; but not with an
