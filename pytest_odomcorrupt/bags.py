@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, overload
 
 import odomcorrupt
 from odomcorrupt.api.model import as_model
-from odomcorrupt.batching.engine import Shard, missing_runs, tasks_of
+from odomcorrupt.batching.engine import ALL, missing_runs, tasks_of
+from odomcorrupt.batching.job import BatchSpec, plan
 from odomcorrupt.batching.manifest import begin, fingerprint_of, read_records, write_manifest
-from odomcorrupt.batching.plan import BatchSpec, plan
 from odomcorrupt.batching.runner import attempt
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
@@ -139,7 +139,7 @@ def corrupted(
     file = Path(model) if isinstance(model, str | Path) and Path(model).is_file() else None
     (job,) = plan([source], directory, BatchSpec(model=chosen, model_file=file, seed=seed, options=given))
     begin(job, fingerprint)
-    todo = missing_runs(job, range(runs), Shard(1, 1))
+    todo = missing_runs(job, range(runs), ALL)
     failures = [failure for task in tasks_of(job, todo, 1) for failure in attempt(task)]
     if failures:
         raise OdomCorruptError(f"{source}: run {failures[0][0]} cannot be made: {failures[0][1]}")

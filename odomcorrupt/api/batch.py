@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -11,6 +12,7 @@ from odomcorrupt.api.bag_options import BagOptions, as_condition, split_options
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +22,9 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.map_condition import MapCondition
-    from odomcorrupt.summary import Summary
+
+_NAMED = 8
+"""Failed runs that are named."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -68,18 +72,35 @@ class Batch(Result):
         return len(self.records)
 
     def summary(self) -> Summary:
-        """Return the number of runs, their drift, and the failures."""
-        from odomcorrupt.batching.summary import brief
+        """Return the number of runs, effects of places, the drift, the failures, and the next command."""
         from odomcorrupt.corruption.summary import places_lines
 
-        places = places_lines(self.jobs[0].model) if self.jobs else []
-        return brief(self.directory, self.records, self.made_now, self.seed, self.failures, self.losses, places)
+        records = self.records
+        made = f"{self.made_now} runs made now, {len(records)} in {self.directory}"
+        lines = [Line("FAILED", made, "bad") if self.failures else Line("MADE", made, "good")]
+        lines += [*places_lines(self.jobs[0].model), Line("seed", str(self.seed))]
+        drifts = [record["drift"] for record in records if "end_drawn_m" in record.get("drift", {})]
+        if drifts:
+            metres = math.sqrt(sum(d["end_drawn_m"] ** 2 for d in drifts) / len(drifts))
+            radians = math.sqrt(sum(d["end_drawn_rad"] ** 2 for d in drifts) / len(drifts))
+            far = max(d["distance_m"] for d in drifts)
+            said = f"{metres:.3g} m, {math.degrees(radians):.3g} deg RMS at the end of {far:.4g} m"
+            lines.append(Line("drift", said))
+        if self.failures:
+            first, reason = self.failures[0]
+            lines.append(Line("failed", f"{len(self.failures)} runs, tried twice; run {first}: {reason}", "bad"))
+        lines += [Line("lost", loss, "warning") for loss in self.losses]
+        return Summary((*lines, command_line(["odomcorrupt", "spread", self.directory])))
 
     def details(self) -> str:
-        """Return the summary in sentences."""
-        from odomcorrupt.batching.summary import sentences
-
-        return sentences(self.directory, len(self.records), self.made_now, self.seed, self.failures, self.losses)
+        """Return the summary in sentences, with the numbers of the failed runs."""
+        said = f"{self.made_now} runs made now, {len(self)} in {self.directory}, seed {self.seed}."
+        if self.failures:
+            first, reason = self.failures[0]
+            names = ", ".join(str(run) for run, _ in self.failures[:_NAMED])
+            names += ", ..." if len(self.failures) > _NAMED else ""
+            said += f" Not made, tried twice: {len(self.failures)} runs ({names}); run {first}: {reason}"
+        return said + "".join(f" Lost: {loss}." for loss in self.losses)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the manifest: the directory, the seed, and a record of each run."""
@@ -162,7 +183,8 @@ def batch(
     >>> len(runs.paths)
     3
     """
-    from odomcorrupt.batching.plan import BatchSpec, plan, run_batch, seed_of
+    from odomcorrupt.batching.engine import run_batch
+    from odomcorrupt.batching.job import BatchSpec, plan, seed_of
 
     moved, container = split_options(options)
     chosen = as_model(model)

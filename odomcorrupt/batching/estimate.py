@@ -9,14 +9,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from odomcorrupt.batching.engine import count_missing
 from odomcorrupt.batching.job import Task
-from odomcorrupt.batching.manifest import PARTS, BatchError
+from odomcorrupt.batching.manifest import PARTS, BatchError, bytes_of
 from odomcorrupt.batching.runner import make
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from odomcorrupt.bags.block import BagReader, Block
+    from odomcorrupt.batching.engine import Shard
     from odomcorrupt.batching.job import Job, Output
 
 TRIED_BYTES = 32 << 20
@@ -75,11 +77,6 @@ class _First:
         pass
 
 
-def bytes_of(path: Path) -> int:
-    """Return the size of a bag (file or directory), bytes."""
-    return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
-
-
 def estimate(job: Job) -> Estimate:
     """Return the cost of one run, from a few runs on the beginning of the bag in a temporary directory."""
     size = bytes_of(job.source)
@@ -125,6 +122,14 @@ def _try(job: Job, output: Output, runs: int, directory: Path) -> _Trial:
     written = sum(bytes_of(tried.path_of(run)) for run in range(runs))
     last = firsts[-1]
     return _Trial(written / runs, spent / runs, last.read_bytes, last.cut, last.kind == "sqlite3")
+
+
+def need_of(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
+    """Return the cost of a batch's missing runs."""
+    needs = [(count_missing(job, runs, shard), estimate(job)) for job in jobs]
+    size, overlay = sum(n * each.bytes for n, each in needs), sum(n * each.overlay_bytes for n, each in needs)
+    seconds = sum((n * each.seconds for n, each in needs), 0.0)
+    return Need(sum(n for n, _ in needs), size, seconds, overlay, free_bytes(jobs[0].directory))
 
 
 def require_space(need: Need, where: str) -> None:

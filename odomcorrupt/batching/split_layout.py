@@ -16,7 +16,7 @@ from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.provenance import mapping_of
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.batching.manifest import BatchError
-from odomcorrupt.batching.sinks import BagSink
+from odomcorrupt.batching.sinks import BagSink, bag_writer
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
@@ -84,16 +84,7 @@ class SplitSink(BagSink):
     """A whole bag with the changed messages in chunks of their own."""
 
     def __init__(self, job: Job, run: int, output: Target, rests: Rests) -> None:
-        c = job.container
-        writer = open_writer(
-            job.path_of(run),
-            output.reader,
-            overwrite=True,
-            compression=c.compression,
-            level=c.level,
-            form=output.form,
-        )
-        super().__init__(job, run, writer)
+        super().__init__(job, run, bag_writer(job, run, output))
         self._rests = rests
 
     def __enter__(self) -> Self:
