@@ -23,10 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block
     from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.corruption.run import Outcome
-    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.map_condition import MapCondition
-    from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.preview.forecast import CleanDrive
     from odomcorrupt.summary import Summary
 
 
@@ -191,6 +188,7 @@ def corrupt(
     """
     from odomcorrupt.bags.provenance import ProvenanceWatcher
     from odomcorrupt.corruption.run import corrupt_bag
+    from odomcorrupt.preview.forecast import clean_drive_of
     from odomcorrupt.rng import draw_seed
 
     moved, container = split_options(options)
@@ -202,7 +200,7 @@ def corrupt(
         path, bag = None, bag_path(source)
         if condition is not None:
             bag = _kept_pipe(kept) if bag is None else bag
-            drive = _clean_drive(bag, chosen.motion_model, moved, recover=container.recover)
+            drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)
             path = condition.path(chosen.motion_model, drawn, run, drive)
         metadata = {} if condition is None else condition.provenance()
         outcome = corrupt_bag(
@@ -224,12 +222,3 @@ def _kept_pipe(kept: ExitStack) -> Path:
     except OSError as error:
         raise BagError(f"stdin: cannot be buffered: {error.strerror}; name a file") from error
     return Path(file.name)
-
-
-def _clean_drive(source: Path, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive:
-    """Return the odometry of a bag, read before its corruption."""
-    from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.preview.forecast import read_clean_drive
-
-    with open_reader(source, recover=recover) as reader:
-        return read_clean_drive(reader, model, options)

@@ -7,7 +7,7 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.batching.engine import count_missing
 from odomcorrupt.batching.job import Task
@@ -48,33 +48,23 @@ class Need:
 
 
 class _First:
-    """A reader limited to the beginning of a bag."""
+    """The beginning of a bag; otherwise equal to the given reader."""
 
-    def __init__(self, reader: BagReader, most_bytes: int) -> None:
-        self.kind, self.name, self.paths = reader.kind, reader.name, reader.paths
-        self.complete, self.channels = reader.complete, reader.channels
-        self.definition = reader.definition
-        self.losses: list[str] = []
-        self.read_bytes = 0
-        self.cut = False
-        self._reader = reader
-        self._most_bytes = most_bytes
+    def __init__(self, reader: BagReader) -> None:
+        self._reader, self.read_bytes, self.cut = reader, 0, False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
 
     def blocks(self, only: Any = None) -> Iterator[Block]:  # noqa: ARG002 - the protocol's signature
-        """Yield blocks until the byte limit, and beyond it until there has been odometry."""
+        """Yield blocks until `TRIED_BYTES`, and beyond it until there has been odometry."""
         self.read_bytes = 0
         for block in self._reader.blocks():
             self.read_bytes += block.data.size
             yield block
-            if self.read_bytes >= self._most_bytes:
+            if self.read_bytes >= TRIED_BYTES:
                 self.cut = True
                 return
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
 
 def estimate(job: Job) -> Estimate:
@@ -113,7 +103,7 @@ def _try(job: Job, output: Output, runs: int, directory: Path) -> _Trial:
     firsts: list[_First] = []
 
     def first(reader: BagReader) -> Any:
-        firsts.append(_First(reader, TRIED_BYTES))
+        firsts.append(_First(reader))
         return firsts[-1]
 
     begun = time.process_time()

@@ -206,10 +206,9 @@ def _drive(job: Job) -> CleanDrive | None:
     """Return the odometry of the bag, of which runs in a map draw whole paths; None without a map."""
     if job.condition is None:
         return None
-    from odomcorrupt.preview.forecast import read_clean_drive  # noqa: PLC0415 - needed within a map only
+    from odomcorrupt.preview.forecast import clean_drive_of  # noqa: PLC0415 - needed within a map only
 
-    with open_reader(job.source, recover=job.container.recover) as reader:
-        return read_clean_drive(reader, job.model, job.options)
+    return clean_drive_of(job.source, job.model, job.options, recover=job.container.recover)
 
 
 def _sinks(job: Job, output: Target, workers: Workers) -> Callable[[int], BagSink]:

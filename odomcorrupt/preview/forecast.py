@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corruption.drift import MARKS_M
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.path import NoisyPath
@@ -19,6 +20,7 @@ from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -114,6 +116,12 @@ def read_clean_drive(
         np.concatenate([samples.stamps_ns for samples in longest]),
         np.concatenate([samples.clean_xyt for samples in longest]),
     )
+
+
+def clean_drive_of(source: Path, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive:
+    """Return the clean path of the odometry of a bag, see `read_clean_drive`; `recover` reads a damaged one."""
+    with open_reader(source, recover=recover) as reader:
+        return read_clean_drive(reader, model, options)
 
 
 def forecast(drive: CleanDrive, model: MotionModel, paths: Iterable[PathSource], *, first_run: int = 0) -> Forecast:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from odomcorrupt.bags.messages import Item, Layout, gather, gather_stamps_ns, locate, scatter
+from odomcorrupt.bags.messages import Item, Layout, gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
-from odomcorrupt.corruption.odometry_source import ODOMETRY, TRANSFORMS, Frames, plain, side_of
+from odomcorrupt.corruption.odometry_source import ODOMETRY, TRANSFORMS, Frames, plain, side_of, stamps_or_log_ns
 from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, from_left, from_right
 from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.se2 import compose, interpolate, inverse, wrap
@@ -143,12 +143,12 @@ def rewrite_path(
         for block in reader.blocks():
             for channel in channels:
                 for layout in locate(block, channel):
-                    for item in layout.items:
+                    for number, item in enumerate(layout.items):
                         own = channel.id in odometry
                         side = "left" if own else side_of(item.frame_id, item.child_frame_id, frames)
                         if side is None:
                             continue
-                        at = _at(block, layout, item, drive, correction)
+                        at = _at(stamps_or_log_ns(block, layout, number), drive, correction)
                         _move(block, layout, item, at, right=side == "right")
                         messages += len(layout.rows) * own
                         transforms += len(layout.rows) * (not own)
@@ -157,11 +157,9 @@ def rewrite_path(
     return Rewritten(messages, transforms)
 
 
-def _at(block: Block, layout: Layout, item: Item, drive: Drive, correction_xyt: Array) -> Array:
-    """Return the correction (m, 3) at the messages' stamps, constant before and after the drive."""
-    stamps = gather_stamps_ns(block, layout, item)
-    stamps = np.where(stamps == 0, block.table["log_ns"][layout.rows], stamps)
-    inside = np.clip(stamps, drive.stamps_ns[0], drive.stamps_ns[-1])
+def _at(stamps_ns: NDArray[np.int64], drive: Drive, correction_xyt: Array) -> Array:
+    """Return the correction (m, 3) at stamps (m,), constant before and after the drive."""
+    inside = np.clip(stamps_ns, drive.stamps_ns[0], drive.stamps_ns[-1])
     left = np.minimum(np.searchsorted(drive.stamps_ns, inside, side="right") - 1, len(drive) - 2)
     span = drive.stamps_ns[left + 1] - drive.stamps_ns[left]
     return interpolate(correction_xyt[left], correction_xyt[left + 1], (inside - drive.stamps_ns[left]) / span)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.messages import gather, locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.odometry_source import ODOMETRY, find_odometry, plain
+from odomcorrupt.corruption.odometry_source import ODOMETRY, find_odometry, plain, stamps_or_log_ns
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.block import BagReader, Channel
     from odomcorrupt.geometry.se2 import Array
 
 POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -79,10 +79,8 @@ def read_drive(path: Path, topic: str | None) -> Drive:
     """
     with open_reader(path) as reader:
         name = find_odometry(reader.channels.values(), topic, reader.name)
-        rows = _Rows([c for c in reader.channels.values() if c.topic == name and c.msgtype == ODOMETRY])
-        for block in reader.blocks():
-            rows.take(block)
-        return rows.drive(reader.name, name)
+        channels = [c for c in reader.channels.values() if c.topic == name and c.msgtype == ODOMETRY]
+        return _drive(reader, channels, name)
 
 
 def read_poses(path: Path, topic: str) -> Trajectory:
@@ -93,10 +91,7 @@ def read_poses(path: Path, topic: str) -> Trajectory:
             raise TopicError(f"{reader.name}: no topic {topic} (found {_topics(reader)}); name another one")
         if channels[0].msgtype not in POSES:
             raise TopicError(f"{reader.name}: {topic} is a {channels[0].msgtype}; poses are {', '.join(POSES)}")
-        rows = _Rows(channels)
-        for block in reader.blocks():
-            rows.take(block)
-        return rows.drive(reader.name, topic).trajectory
+        return _drive(reader, channels, topic).trajectory
 
 
 def find_truth(path: Path) -> str | None:
@@ -110,44 +105,35 @@ def _topics(reader: BagReader) -> str:
     return ", ".join(sorted({c.topic for c in reader.channels.values()})) or "nothing"
 
 
-class _Rows:
-    """Accumulated stamps, poses and twists of one topic."""
-
-    def __init__(self, channels: list[Channel]) -> None:
-        self.channels = channels
-        self.parts: list[tuple[NDArray[np.int64], Array]] = []
-        self.frames: tuple[str, str] | None = None
-
-    def take(self, block: Block) -> None:
-        for channel in self.channels:
+def _drive(reader: BagReader, channels: list[Channel], topic: str) -> Drive:
+    """Return the stamps, poses and twists of the channels of one topic; twists are zero in messages without them."""
+    parts: list[tuple[NDArray[np.int64], Array]] = [(np.zeros(0, dtype=np.int64), np.zeros((0, 6)))]
+    frames: tuple[str, str] | None = None
+    for block in reader.blocks():
+        for channel in channels:
             for layout in locate(block, channel):
                 item = layout.items[0]
-                self.frames = self.frames or (item.frame_id, item.child_frame_id)
-                stamps = gather_stamps_ns(block, layout, item)
-                stamps = np.where(stamps == 0, block.table["log_ns"][layout.rows], stamps)
+                frames = frames or (item.frame_id, item.child_frame_id)
                 xy = gather(block, layout, item, "position")[:, :2]
                 yaw = yaw_from_quaternion(gather(block, layout, item, "orientation"))
                 twist = np.zeros((len(yaw), 3))
                 if "twist" in item.fields:
                     twist = gather(block, layout, item, "twist")[:, [0, 1, 5]]
-                self.parts.append((stamps, np.column_stack((xy, yaw, twist))))
-
-    def drive(self, bag: str, topic: str) -> Drive:
-        stamps = np.concatenate([p[0] for p in self.parts]) if self.parts else np.zeros(0, dtype=np.int64)
-        numbers = np.concatenate([p[1] for p in self.parts]) if self.parts else np.zeros((0, 6))
-        good = np.isfinite(numbers).all(axis=1)
-        # of messages with equal stamps the last one is used: its twist is the one that continues
-        kept, index = np.unique(stamps[good][::-1], return_index=True)
-        if len(kept) < 2:
-            raise RecordingError(f"{bag}: {topic} holds {len(kept)} usable messages; it takes two or more")
-        notes = []
-        if len(kept) < len(stamps):
-            unusable = int(np.count_nonzero(~good))
-            notes.append(
-                f"{topic}: {unusable} messages without numbers and {int(good.sum()) - len(kept)} duplicates left out"
-            )
-        numbers = numbers[good][::-1][index]
-        xyt = numbers[:, :3].copy()
-        xyt[:, 2] = np.unwrap(xyt[:, 2])
-        frame, child = self.frames or ("", "")
-        return Drive(topic, frame, child, kept, xyt, numbers[:, 3:].copy(), tuple(notes))
+                parts.append((stamps_or_log_ns(block, layout, 0), np.column_stack((xy, yaw, twist))))
+    stamps, numbers = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    good = np.isfinite(numbers).all(axis=1)
+    # of messages with equal stamps the last one is used: its twist is the one that continues
+    kept, index = np.unique(stamps[good][::-1], return_index=True)
+    if len(kept) < 2:
+        raise RecordingError(f"{reader.name}: {topic} holds {len(kept)} usable messages; it takes two or more")
+    notes = []
+    if len(kept) < len(stamps):
+        unusable = int(np.count_nonzero(~good))
+        notes.append(
+            f"{topic}: {unusable} messages without numbers and {int(good.sum()) - len(kept)} duplicates left out"
+        )
+    numbers = numbers[good][::-1][index]
+    xyt = numbers[:, :3].copy()
+    xyt[:, 2] = np.unwrap(xyt[:, 2])
+    frame, child = frames or ("", "")
+    return Drive(topic, frame, child, kept, xyt, numbers[:, 3:].copy(), tuple(notes))
