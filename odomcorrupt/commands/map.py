@@ -96,7 +96,7 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
 
 def _write_map(scan_map: ScanMap, path: Path) -> None:
     """Write a map as image and YAML, whatever the suffix of the path."""
-    from odomcorrupt.mapping.mapfile import format_map
+    from odomcorrupt.mapping.occupancy_grid import format_map
 
     image, text = format_map(scan_map.grid, path.with_suffix(".pgm").name)
     write_bytes(path.with_suffix(".pgm"), image)
@@ -180,9 +180,8 @@ def _scan_maps(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.mapping.frames import mount_at
-    from odomcorrupt.mapping.raycast import canvas_for
-    from odomcorrupt.mapping.scan_map import make_scan_map, place, slow_rays
-    from odomcorrupt.mapping.scans import read_rays
+    from odomcorrupt.mapping.occupancy_grid import canvas_for
+    from odomcorrupt.mapping.scan_map import make_scan_map, place, read_rays, slow_rays
     from odomcorrupt.trajectories.reader import read_drive, read_poses
 
     drive = read_drive(bag, given["odom_topic"])

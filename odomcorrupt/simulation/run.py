@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.simulation.encoders import Odometry, Rig, reckon
 from odomcorrupt.simulation.faults import (
     CAUSES,
     EVERY,
@@ -19,12 +18,11 @@ from odomcorrupt.simulation.faults import (
     source_of_turns,
     with_faults,
 )
-from odomcorrupt.simulation.kinematics import drive, wheel_angles
-from odomcorrupt.simulation.planar import add_up_steps, wrap
+from odomcorrupt.simulation.kinematics import add_up_steps, drive, wheel_angles, wrap
 from odomcorrupt.simulation.robot import build_robot
 from odomcorrupt.simulation.routes import ROUTES, Commands, Segment, follow, obey
+from odomcorrupt.simulation.sensors import TRACKERS, Odometry, Rig, Track, Tracker, dock, reckon, watch
 from odomcorrupt.simulation.streams import Streams, stream
-from odomcorrupt.simulation.tracker import TRACKERS, Track, Tracker, dock, watch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

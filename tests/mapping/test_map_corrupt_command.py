@@ -11,7 +11,7 @@ from odomcorrupt.cli import run
 from odomcorrupt.commands._options import POSE
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.map_condition import read_map_from_odom
-from odomcorrupt.mapping.mapfile import OCCUPIED, Grid, format_map, read_map
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid, format_map, read_map
 from odomcorrupt.trajectories.reader import read_drive
 from recordings import RECORDINGS
 
