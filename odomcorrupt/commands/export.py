@@ -58,8 +58,16 @@ def command(
 
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
-    from odomcorrupt.export.parameters import Steady, amcl_alphas, twist_variances, wheel_multipliers
-    from odomcorrupt.export.yaml_text import amcl_text, condensed, twists_text, wheels_text
+    from odomcorrupt.export import (
+        Steady,
+        amcl_alphas,
+        amcl_text,
+        condensed,
+        twist_variances,
+        twists_text,
+        wheel_multipliers,
+        wheels_text,
+    )
     from odomcorrupt.model.model_file import read_model
 
     refuse_existing(output, overwrite=overwrite)
@@ -88,7 +96,7 @@ def command(
 
 def _brief(robot: MotionModel, name: str, text: str, following: Sequence[object]) -> Summary:
     """Return the exported numbers, the effects that cannot be expressed, and the suggested next command."""
-    from odomcorrupt.export.yaml_text import numbers_of, unexpressed
+    from odomcorrupt.export import numbers_of, unexpressed
 
     left = unexpressed(text, robot)
     lines = [Line("EXPORTED", name, "warning" if left else "good")]
