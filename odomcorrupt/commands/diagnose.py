@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._recordings import (
-    advice_files,
-    advice_options,
-    check_advice,
-    recording_options,
-    split_arguments,
-)
+from odomcorrupt.commands._recordings import advice_files, advice_options, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 
 if TYPE_CHECKING:
@@ -36,7 +30,6 @@ def command(
     reading: Reading,
     drive: Path | None,
     report: Path | None,
-    overwrite: bool,
     console: Console,
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and suggest the next command."""
@@ -46,7 +39,6 @@ def command(
     paths, names = split_arguments(arguments)
     if len(names) > 1:
         raise click.UsageError(f"{len(names)} models given; diagnose one at a time")
-    check_advice(drive, report, overwrite=overwrite)
     # an unreadable model is reported before minutes of work
     model = Model.load(names[0]) if names else None
     with reading.stages(console) as stages:

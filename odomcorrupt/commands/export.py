@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, TRACK, Decorator, Number, usage_errors
+from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Decorator, Number, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError
-from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.result_files import write_text
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -48,12 +48,10 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
     metavar="NAME",
     help="Name of the node in the YAML.",
 )
-@click.option("-o", "--output", type=FILE, help="Write the YAML to a file.")
+@click.option("-o", "--output", type=OUTPUT, help="Write the YAML to a file.")
 @overwrite_option()
 @standard_options
-def command(
-    model: Path, *, target: str, controller: str, output: Path | None, overwrite: bool, console: Console, **given: Any
-) -> None:
+def command(model: Path, *, target: str, controller: str, output: Path | None, console: Console, **given: Any) -> None:
     """Print a model as YAML; -v as a block to paste, with what it assumes and cannot express, as -o writes it.
 
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
@@ -70,7 +68,6 @@ def command(
     )
     from odomcorrupt.model.model_file import read_model
 
-    refuse_existing(output, overwrite=overwrite)
     robot = read_model(model)
     with usage_errors(ModelError):
         drive = Steady(given["speed"], given["turn_rate"], given["rate"])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
-from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture, usage_errors
+from odomcorrupt.commands._options import PICTURE, one_of, save_picture, usage_errors
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.result_files import refuse_existing
@@ -41,8 +41,8 @@ _BAG = click.Path(path_type=Path)
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of the noise. [default: drawn, and printed]")
 @click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry whose twists are taken.")
 @click.option("--truth", metavar="TOPIC", help="Poses to compare with. [default: a topic named like a truth]")
-@click.option("--plot", type=FILE, help="Picture: .png, .svg or .pdf.")
-@overwrite_option("existing outputs")
+@click.option("--plot", type=PICTURE, help="Picture: .png, .svg or .pdf.")
+@overwrite_option("existing outputs", passed=True)
 @unpack_option
 @standard_options
 def command(input_: Path, output: Path | None, output_option: str | None, *, console: Console, **given: Any) -> None:
@@ -66,7 +66,6 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
         raise OdomCorruptError("-: integration reads the whole drive first, which is impossible on a pipe; name files")
     if given["runs"] > 1 and noise is None:
         raise click.UsageError(f"--runs {given['runs']}: without --twist-noise all runs are the same")
-    check_picture(plot, overwrite=given["overwrite"])
     refuse_existing(output, overwrite=given["overwrite"])
     if output is not None:  # refuse a name that is not that of a bag before any work is done
         with open_reader(input_) as reader:

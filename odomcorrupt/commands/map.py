@@ -10,7 +10,7 @@ import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
+from odomcorrupt.commands._options import FILE, PAGE, PICTURE, POSE, Number, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words
 from odomcorrupt.errors import OdomCorruptError
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     "--method", among=["odometry", "laser"],
     text="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png.",
 )  # fmt: skip
-@overwrite_option("existing outputs")
+@overwrite_option("existing outputs", passed=True)
 @unpack_option
 @standard_options
 def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -> None:
@@ -71,7 +71,8 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
         _by_laser(bag, output, given, console)
         return
     beside = {} if output is None else {name: output.with_name(f"{output.stem}_{name}") for name in ("clean", "noisy")}
-    check_picture(output, overwrite=given["overwrite"])
+    if output is not None:
+        PICTURE.require_writable(output, overwrite=given["overwrite"])
     for path in (p.with_suffix(end) for p in beside.values() for end in (".pgm", ".yaml")):
         refuse_existing(path, overwrite=given["overwrite"])
     chosen = choose_model(given)
@@ -124,9 +125,8 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], console: Co
     if output is not None:
         if output.suffix != ".yaml":
             raise click.UsageError(f"{output}: --method laser writes a map for nav2; name it .yaml")
-        need_pictures()
         for path in files.values():
-            refuse_existing(path, overwrite=given["overwrite"])
+            PAGE.require_writable(path, overwrite=given["overwrite"])
     chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None

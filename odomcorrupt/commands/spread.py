@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._options import FILE, check_picture, save_picture
+from odomcorrupt.commands._options import PICTURE, save_picture
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.summary import Line, Summary, command_line
 
@@ -24,14 +24,13 @@ _ERRORS = 2.0
 
 @click.command("spread", short_help="Compare the spread of a batch's runs with the prediction.")
 @click.argument("directory", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")
+@click.option("-o", "--output", type=PICTURE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("an existing picture")
 @standard_options
-def command(directory: Path, output: Path | None, *, overwrite: bool, console: Console) -> None:
+def command(directory: Path, output: Path | None, *, console: Console) -> None:
     """Show how position and heading of a batch's runs spread with the distance, and what the linear model predicts."""
     from odomcorrupt.batching.dispersion import measure
 
-    check_picture(output, overwrite=overwrite)
     report = measure(directory)
     rows = [asdict(row) for row in report.rows]
     words = {"schema": 2, "directory": report.directory, "runs": report.runs, "random_effects": report.random_effects}
