@@ -51,7 +51,8 @@ class SquareTest(Result):
 
     def summary(self) -> Summary:
         """Return the effects with standard errors, and the distance of the ends from the start before and after."""
-        from odomcorrupt.report.text.numbers import effects_with_errors, numbers_text
+        from odomcorrupt.report.findings import effects_with_errors
+        from odomcorrupt.report.text.numbers import numbers_text
 
         found = self.result
         lines = [

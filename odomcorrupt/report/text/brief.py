@@ -7,6 +7,14 @@ from math import degrees, isfinite, radians
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.report.findings import (
+    SIGNIFICANT,
+    clocks_found,
+    dependences_found,
+    effects_found,
+    effects_with_errors,
+    noise_found,
+)
 from odomcorrupt.report.text.comparison import (
     HELD,
     failed_test,
@@ -18,20 +26,9 @@ from odomcorrupt.report.text.comparison import (
 )
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
-from odomcorrupt.report.text.numbers import (
-    SIGNIFICANT,
-    clocks_found,
-    confidence_words,
-    effects_with_errors,
-    fitted_expression,
-    law_numbers,
-    noise_confidence,
-    noise_text,
-    numbers_text,
-    step_confidence,
-)
-from odomcorrupt.study.estimate.drive_type import DriveType, readings_of
-from odomcorrupt.study.select.confidence import EVEN_ODDS, may_be_scale_of_truth
+from odomcorrupt.report.text.numbers import clock_text, confidence_words, noise_text, numbers_text
+from odomcorrupt.study.estimate.drive_type import readings_of
+from odomcorrupt.study.select.confidence import EVEN_ODDS
 from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.summary import ALWAYS, FIRST, SPARE, USUAL, Line, Summary, Tone, command_line
 
@@ -40,11 +37,11 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.report.findings import FoundDependence
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Comparison, JudgedOn
     from odomcorrupt.study.validate.predictive_check import Reproduction
@@ -61,12 +58,6 @@ _Rank = tuple[int, int, float]
 """Place of a finding: kind, whether it is not in the model, negative evidence in nats."""
 _SHOWN_MODELS = 4
 """Largest number of models with a line each in a comparison."""
-
-
-def readings(effect: Effect, drive: DriveType) -> str:
-    """Return an effect's name with its alias: a second name of the same error, which no recording can separate."""
-    twins = readings_of(effect, drive)
-    return f"{effect.name} (= {', '.join(twins)})" if twins else effect.name
 
 
 def findings_brief(
@@ -159,7 +150,7 @@ def _verdict(search: Learned, comparison: Comparison, lines: Sequence[Line]) -> 
         return _PERHAPS.upper(), "warning"
     if search.unexplained and not search.laws:
         # an effect was identified, but a dependence beside it remains unexplained
-        named = any(s.added in search.lacking and step_confidence(s, search) >= EVEN_ODDS for s in search.steps)
+        named = any(one.effect.name in search.lacking and one.confidence >= EVEN_ODDS for one in effects_found(search))
         return "PROBABLY" if named else "UNKNOWN", "warning"
     mixed = len(comparison.judgements) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
     return "MISSING", "warning" if mixed else "good"
@@ -218,42 +209,36 @@ def _found_lines(
     undecided : names in the line of undecided alternatives
     held_out : data of the evaluation
     """
-    own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(fit)}
-    drive = search.drive_type
     ranked: list[tuple[_Rank, Line]] = []
     ranks: dict[str, _Rank] = {}
     small: list[str] = []
-    for step in search.steps:
-        if step.added is not None and step.added in own:
-            effect, _ = own[step.added]
-            said = f"{readings(effect, drive)}  {', '.join(numbers_text(*own[step.added]))}"
-            if search.is_negligible(step.added):
-                small.append(said)
-                continue
-            rivals = [name for name in step.alternatives if name not in {*readings_of(effect, drive), *undecided}]
-            probability = step_confidence(step, search)
-            said += f"  {confidence_words(probability)}"
-            said += f", or {', '.join(rivals)}" if rivals else ""
-            doubtful = probability < EVEN_ODDS
-            label = "set-up" if step.added in search.of_setup else _PERHAPS if doubtful else ""
-            rank = ranks[step.added] = (("", "noise", _PERHAPS, "set-up").index(label), 0, -step.candidates[0].gain)
-            ranked.append(
-                (rank, Line(label, said + _contact_words(effect, search), weight=SPARE if doubtful else USUAL))
-            )
-    for unknown in search.unknown[:2]:
-        expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
-        if unknown in search.unexplained or unknown.instead_of:
-            other = f"or, instead of {unknown.instead_of}, " if unknown.instead_of else ""
-            said = f"{other}{dependence(unknown)}: {expression}{_left_out(unknown, search, held_out)}"
-            rank = ranks.get(unknown.instead_of, (0, unknown not in search.laws, -unknown.nats))
+    for one in effects_found(search, fit):
+        name, said = one.effect.name, f"{one.names}  {', '.join(numbers_text(one.effect, one.errors))}"
+        if one.negligible:
+            small.append(said)
+            continue
+        rivals = [rival for rival in one.rivals if rival not in undecided]
+        said += f"  {confidence_words(one.confidence)}"
+        said += f", or {', '.join(rivals)}" if rivals else ""
+        doubtful = one.confidence < EVEN_ODDS
+        label = "set-up" if name in search.of_setup else _PERHAPS if doubtful else ""
+        rank = ranks[name] = (("", "noise", _PERHAPS, "set-up").index(label), 0, -one.gain_nats)
+        said += _contact_words(one.effect, search)
+        ranked.append((rank, Line(label, said, weight=SPARE if doubtful else USUAL)))
+    for unknown in dependences_found(search, fit)[:2]:
+        law = unknown.law
+        if law in search.unexplained or law.instead_of:
+            other = f"or, instead of {law.instead_of}, " if law.instead_of else ""
+            said = f"{other}{dependence(law)}: {unknown.expression}{_left_out(unknown, search, held_out)}"
+            rank = ranks.get(law.instead_of, (0, not unknown.fitted, -law.nats))
             ranked.append((rank, Line("", said, weight=SPARE if rank[0] else USUAL)))
         else:
-            small.append(expression)
-    for gain in search.noise:
-        probability = noise_confidence(gain, search)
-        said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}  {confidence_words(probability)}"
-        said += ", or the scale of the truth varies" if may_be_scale_of_truth(gain, search) else ""
-        doubtful = probability < EVEN_ODDS
+            small.append(unknown.expression)
+    for noise in noise_found(search):
+        values = ", ".join(noise_text(noise.effect))
+        said = f"{noise.effect.name}, {values}  {confidence_words(noise.confidence)}"
+        said += ", or the scale of the truth varies" if noise.of_truth else ""
+        doubtful = noise.confidence < EVEN_ODDS
         ranked.append(((1 + doubtful, 0, 0.0), Line("noise", said, weight=SPARE if doubtful else USUAL)))
     lines = [line for _, line in sorted(ranked, key=lambda one: one[0])]
     lines += _clock_lines(search.clocks, search.fit)
@@ -266,15 +251,14 @@ def _found_lines(
     return lines, [Line("negligible", said, weight=SPARE)] if small else []
 
 
-def _left_out(unknown: Dependence, search: Learned, held_out: JudgedOn) -> str:
+def _left_out(unknown: FoundDependence, search: Learned, held_out: JudgedOn) -> str:
     """Return that a dependence is reported only, not in the model, and what another drive showed; "" if it is in it."""
-    if unknown in search.laws or unknown.instead_of:
+    if unknown.fitted or unknown.law.instead_of:
         return ""
-    other = "to decide, validate on another drive (--validate OTHER)" if unknown.regressor == "time" else ""
+    other = "to decide, validate on another drive (--validate OTHER)" if unknown.law.regressor == "time" else ""
     if held_out == "recordings":
-        other = search.left_out.get(unknown.name, "")
-    mean = search.mean_of(unknown)
-    said = "not in the model" if mean is None else f"the model has its mean, {mean:.4g}"
+        other = search.left_out.get(unknown.law.name, "")
+    said = "not in the model" if unknown.mean is None else f"the model has its mean, {unknown.mean:.4g}"
     return f" ({'; '.join(filter(None, (said, other)))})"
 
 
@@ -284,7 +268,7 @@ def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
     names = [run.clock.rpartition(" from ")[0] or run.name for run in runs]
     first = [[one.clock or one.name for one in runs].index(run.clock or run.name) for run in runs]
     found = [one for one in clocks_found(clocks) if first[one.recording] == one.recording]
-    return [Line("clock", f"{one.name} {one.text} in {names[one.recording]}") for one in found]
+    return [Line("clock", f"{one.name} {clock_text(one)} in {names[one.recording]}") for one in found]
 
 
 def _absent(search: Learned, written: MotionModel) -> list[str]:
