@@ -12,6 +12,10 @@ from odomcorrupt.api.bag_options import BagOptions, as_condition, split_options
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
+from odomcorrupt.batching.engine import run_batch
+from odomcorrupt.batching.job import BatchSpec, Job, plan, seed_of
+from odomcorrupt.batching.manifest import read_records
+from odomcorrupt.corruption.summary import places_lines
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -19,7 +23,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.map_condition import MapCondition
 
@@ -58,8 +61,6 @@ class Batch(Result):
         return [directory / record["file"] for directory, record in self._records()]
 
     def _records(self) -> list[tuple[Path, dict[str, Any]]]:
-        from odomcorrupt.batching.manifest import read_records
-
         directories = [job.directory for job in self.jobs]
         return [(path, record) for path in directories for _, record in sorted(read_records(path).items())]
 
@@ -73,8 +74,6 @@ class Batch(Result):
 
     def summary(self) -> Summary:
         """Return the number of runs, effects of places, the drift, the failures, and the next command."""
-        from odomcorrupt.corruption.summary import places_lines
-
         records = self.records
         made = f"{self.made_now} runs made now, {len(records)} in {self.directory}"
         lines = [Line("FAILED", made, "bad") if self.failures else Line("MADE", made, "good")]
@@ -183,9 +182,6 @@ def batch(
     >>> len(runs.paths)
     3
     """
-    from odomcorrupt.batching.engine import run_batch
-    from odomcorrupt.batching.job import BatchSpec, plan, seed_of
-
     moved, container = split_options(options)
     chosen = as_model(model)
     file = Path(fspath(model)) if isinstance(model, str | PathLike) and fspath(model).endswith(".toml") else None

@@ -7,10 +7,15 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
+import numpy as np
+
 from odomcorrupt.api.bag_options import BagOptions, bag_path, split_options
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.result import Result
+from odomcorrupt.correction.run import NOISE_FREE, Corrected, correct_bag, require_start
+from odomcorrupt.correction.summary import brief, correction_summary
 from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -18,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.bags.block import Block
-    from odomcorrupt.correction.run import Corrected
     from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.summary import Summary
 
@@ -47,20 +51,14 @@ class Correction(Result):
 
     def summary(self) -> Summary:
         """Return the effects removed, how far that moved the odometry, and the remaining error."""
-        from odomcorrupt.correction.summary import brief
-
         return brief(self.outcome, self.target)
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        from odomcorrupt.correction.summary import correction_summary
-
         return correction_summary(self.outcome)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the effects removed and left, the messages modified, and the change of the odometry."""
-        from odomcorrupt.report.json.numbers import finite
-
         outcome = self.outcome
         return finite(
             {
@@ -134,10 +132,6 @@ def correct(
     >>> [effect.name for effect in done.outcome.effects.undone]
     ['wheelbase']
     """
-    import numpy as np
-
-    from odomcorrupt.correction.run import NOISE_FREE, correct_bag, require_start
-
     before = bag_path(source)
     if before is None:
         raise OdomCorruptError("-: correction reads a bag twice, which is impossible on a pipe; name a file")

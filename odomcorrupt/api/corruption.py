@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any, Unpack
 from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, split_options
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
+from odomcorrupt.bags.provenance import ProvenanceWatcher
+from odomcorrupt.corruption.run import Outcome, corrupt_bag
+from odomcorrupt.corruption.summary import brief, oddities
+from odomcorrupt.corruption.summary import summary as paragraph
 from odomcorrupt.errors import BagError, OdomCorruptError
+from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.rng import draw_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,7 +28,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block
     from odomcorrupt.corruption.drift import Drift
-    from odomcorrupt.corruption.run import Outcome
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.summary import Summary
 
@@ -72,15 +77,11 @@ class Corruption(Result):
 
     def summary(self) -> Summary:
         """Return the messages modified, model, seed, the drift at the end, and warnings."""
-        from odomcorrupt.corruption.summary import brief
-
         return brief(self.outcome, self.model.origin, self.target, [*self._again(), self.map_account])
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        from odomcorrupt.corruption.summary import summary
-
-        said = (summary(self.outcome, self.model.origin), self.map_account, *self._again())
+        said = (paragraph(self.outcome, self.model.origin), self.map_account, *self._again())
         return " ".join(part for part in said if part)
 
     def _again(self) -> list[str]:
@@ -91,9 +92,6 @@ class Corruption(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return seed, run, model, modified messages, drift and warnings as plain values."""
-        from odomcorrupt.corruption.summary import oddities
-        from odomcorrupt.report.json.numbers import finite
-
         outcome = self.outcome
         return finite(
             {
@@ -186,11 +184,6 @@ def corrupt(
     >>> done.seed, done.moved["/odom"]
     (7, 3000)
     """
-    from odomcorrupt.bags.provenance import ProvenanceWatcher
-    from odomcorrupt.corruption.run import corrupt_bag
-    from odomcorrupt.preview.forecast import clean_drive_of
-    from odomcorrupt.rng import draw_seed
-
     moved, container = split_options(options)
     chosen = as_model(model)
     drawn = draw_seed() if seed is None else seed
@@ -199,6 +192,8 @@ def corrupt(
     with ExitStack() as kept:
         path, bag = None, bag_path(source)
         if condition is not None:
+            from odomcorrupt.preview.forecast import clean_drive_of
+
             bag = _kept_pipe(kept) if bag is None else bag
             drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)
             path = condition.path(chosen.motion_model, drawn, run, drive)

@@ -36,8 +36,8 @@ def _sample_along(bag: Path, output: Path | None, *, console: Console, given: Ma
     from odomcorrupt.sampling.particles import (
         brief,
         csv_text,
-        json_text,
         particles_at,
+        particles_json,
         places_along,
         report_text,
         sample_particles,
@@ -68,10 +68,12 @@ def _sample_along(bag: Path, output: Path | None, *, console: Console, given: Ma
         console.note(free.account())
     origin = f" ({chosen.origin})" if chosen.origin else ""
     text = f"noise: {law_words(chosen.motion_model.noise)}{origin}\n{report_text(cloud)}"
+    values = particles_json(cloud)
 
     def write(path: Path) -> None:
         if kind_of(path) not in PICTURES:
-            write_text(path, csv_text(cloud) if kind_of(path) == "csv" else json_text(cloud))
+            as_json = json.dumps(values, indent=1) + "\n"
+            write_text(path, csv_text(cloud) if kind_of(path) == "csv" else as_json)
             return
         from odomcorrupt.report.plots.samples import draw_cloud
 
@@ -85,7 +87,7 @@ def _sample_along(bag: Path, output: Path | None, *, console: Console, given: Ma
         following = ["odomcorrupt", "preview", str(bag)]
     words = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
     said = brief(cloud, words, f"{drive.topic} of {bag}", following)
-    console.print(said, text, {"schema": 2, **json.loads(json_text(cloud))}, files=written(output, write))
+    console.print(said, text, {"schema": 2, **values}, files=written(output, write))
 
 
 def _round(value: float) -> float:
@@ -122,7 +124,7 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
     odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import sample
-    from odomcorrupt.sampling.text import csv_text, drawn_json
+    from odomcorrupt.sampling.text import csv_text
 
     if bag is not None:
         _sample_along(bag, output, console=console, given=given)
@@ -137,7 +139,9 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
         if kind_of(path) in PICTURES:
             drawn.plot(path)
         else:
-            as_json = json.dumps(drawn_json(drawn.drawn), indent=1) + "\n"
+            values = drawn.to_dict()
+            del values["schema"]
+            as_json = json.dumps(values, indent=1) + "\n"
             write_text(path, csv_text(drawn.xyt) if kind_of(path) == "csv" else as_json)
 
     following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png"]

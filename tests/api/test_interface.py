@@ -37,7 +37,7 @@ def test_every_public_name_can_be_had_and_no_other():
 
 
 def test_functions_stay_functions_when_rooms_are_imported():
-    for room in ("corruption.run", "correction.run", "batching.plan", "simulation.run"):
+    for room in ("corruption.run", "correction.run", "batching.job", "simulation.run"):
         importlib.import_module(f"odomcorrupt.{room}")
     assert all(callable(getattr(oc, name)) for name in ("corrupt", "correct", "batch", "simulate"))
 
