@@ -22,7 +22,7 @@ from odomcorrupt.result_files import write_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from odomcorrupt.api.diagnosis import Findings
+    from odomcorrupt.api.findings import Findings
     from odomcorrupt.api.recordings import Recordings
     from odomcorrupt.commands._standard import Console, Files
 

@@ -14,7 +14,7 @@ from odomcorrupt.commands._standard import Console, overwrite_option, standard_o
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from odomcorrupt.api.diagnosis import Diagnosis
+    from odomcorrupt.api.findings import Diagnosis
     from odomcorrupt.commands._recordings import Reading
 
 
@@ -33,7 +33,7 @@ def command(
     console: Console,
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and suggest the next command."""
-    from odomcorrupt.api.diagnosis import diagnose
+    from odomcorrupt.api.findings import diagnose
     from odomcorrupt.api.model import Model
 
     paths, names = split_arguments(arguments)

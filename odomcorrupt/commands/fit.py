@@ -89,7 +89,7 @@ def _square_test(
     console: Console,
 ) -> None:
     """Fit a square test's effects to the ends of drives."""
-    from odomcorrupt.api.returns import fit_returns
+    from odomcorrupt.api.fit import fit_returns
 
     given = {"--truth": reading.truth, "--truth-bag": reading.truth_bags, "--imu": reading.imu,
              "--relative": reading.relative}  # fmt: skip

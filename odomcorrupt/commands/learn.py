@@ -46,7 +46,7 @@ def command(
 
     Without --validate, the models are cross-validated on halves of the recordings themselves.
     """
-    from odomcorrupt.api.learning import learn
+    from odomcorrupt.api.findings import learn
 
     paths, models = split_arguments(recordings)
     if models:
