@@ -13,7 +13,7 @@ from odomcorrupt.report.findings import (
     effects_with_errors,
     noise_found,
 )
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.json.numbers import finite, picked
 from odomcorrupt.report.text.comparison import rejection, reproduction_sentence
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
@@ -78,23 +78,16 @@ def learned_json(
             ],
             "events": [
                 {
-                    "recording": one.recording,
-                    "start_s": one.start_s,
-                    "end_s": one.end_s,
+                    **picked(one, "recording", "start_s", "end_s"),
                     "x_m": one.place_xy[0],
                     "y_m": one.place_xy[1],
-                    "along_m": one.along_m,
-                    "across_m": one.across_m,
-                    "yaw_rad": one.yaw_rad,
+                    **picked(one, "along_m", "across_m", "yaw_rad"),
                 }
                 for one in unexplained_events(learned.fit)
             ],
             "disagreements": [
                 {
-                    "effect": one.effect,
-                    "parameter": one.parameter,
-                    "unit": one.unit,
-                    "p": one.p,
+                    **picked(one, "effect", "parameter", "unit", "p"),
                     "recordings": [
                         {"name": name, "value": value, "standard_error": error}
                         for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
@@ -156,10 +149,7 @@ def _advice(advice: Advice) -> dict[str, Any]:
             }
             for choice in advice.choices
         ],
-        "detectable": [
-            {"effect": limit.effect, "parameter": limit.parameter, "size": limit.size, "unit": limit.unit}
-            for limit in advice.limits
-        ],
+        "detectable": [picked(limit, "effect", "parameter", "size", "unit") for limit in advice.limits],
         "next_drive": None
         if best is None
         else {
@@ -195,10 +185,7 @@ def _matters(name: str, learned: Learned) -> dict[str, Any]:
     spans = () if own is None else (("10s", own.ten_seconds), ("50m", own.far))
     return {
         "negligible": learned.is_negligible(name),
-        "contribution": {
-            key: span and {"moved_m": span.moved_m, "error_m": span.error_m, "travelled_m": span.travelled_m}
-            for key, span in spans
-        }
+        "contribution": {key: span and picked(span, "moved_m", "error_m", "travelled_m") for key, span in spans}
         or None,
     }
 
@@ -224,10 +211,7 @@ def _unknown(found: FoundDependence) -> dict[str, Any]:
             "curve": unknown.curve,
             "standard_error": unknown.curve_error,
             "p": unknown.p,
-            "nats": unknown.nats,
-            "per": unknown.per,
-            "wavelength_m": unknown.wavelength_m,
-            "wheels": unknown.wheels,
+            **picked(unknown, "nats", "per", "wavelength_m", "wheels"),
         },
         "expression": found.expression,
         "parameters": {
@@ -293,10 +277,7 @@ def fit_json(result: RobotFit, laws: Mapping[str, RobotFit]) -> dict[str, Any]:
         {
             "schema": SCHEMA,
             "law": fit.problem.approach.law_name,
-            "coefficients": {
-                i.name: {"value": i.value, "low": i.low, "high": i.high, "identifiable": i.identifiable}
-                for i in result.intervals
-            },
+            "coefficients": {i.name: picked(i, "value", "low", "high", "identifiable") for i in result.intervals},
             "effects": [_effect(effect, errors) for effect, errors in effects_with_errors(fit)],
             "clocks": [
                 {
