@@ -331,7 +331,8 @@ def correct(
     """
     import numpy as np
 
-    from odomcorrupt.correction.run import NOISE_FREE, correct_bag, require_start
+    from odomcorrupt.correction.run import correct_bag, require_start
+    from odomcorrupt.model.motion_model import NOISE_FREE
 
     before = bag_path(source)
     if before is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import degrees
 from typing import TYPE_CHECKING, Any
 
@@ -153,14 +153,13 @@ class SquareTest(Result):
     def model(self) -> Model:
         """The effects as a model without noise, which a few end poses cannot determine."""
         from odomcorrupt.effects.effect import amplitudes
-        from odomcorrupt.model.motion_model import MotionModel, Noise
-        from odomcorrupt.model.noise_laws import Coefficients
+        from odomcorrupt.model.motion_model import NOISE_FREE
 
         found = self.result
         names = [f"{e.name}.{p.name}" for e in found.effects for p in amplitudes(e)]
         return Model.of(
-            MotionModel(
-                noise=Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)),
+            replace(
+                NOISE_FREE,
                 effects=found.effects,
                 track_m=found.recordings[0].track_m,
                 standard_errors=dict(zip(names, map(float, found.standard_errors), strict=True)),

@@ -22,8 +22,6 @@ from odomcorrupt.corruption.additions import CorrectionEdge
 from odomcorrupt.corruption.inverse import SystematicEffects, acts
 from odomcorrupt.corruption.run import corrupt_bag
 from odomcorrupt.model.model_file import format_model
-from odomcorrupt.model.motion_model import MotionModel, Noise
-from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.result_files import write_bytes
 
 if TYPE_CHECKING:
@@ -34,6 +32,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.batching.sinks import Sink
+    from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.preview.forecast import CleanDrive
 
 PAUSE_S = 0.3
@@ -76,8 +75,6 @@ CLEAN = "clean.tum"
 
 _OVERLAY = Form("mcap", directory=False, ros=None)
 """An overlay holds the messages as the input has them."""
-
-_STILL = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
 
 Failure = tuple[int, str]
 """A run, and why it could not be made."""
@@ -156,9 +153,7 @@ def _make(
     """Make the runs in a folder; return the record of each, and its output, None where the bag is copied unchanged."""
     job = replace(task.job, directory=room)
     home = task.job.directory
-    # which topic is the odometry may follow from the one that the model was learned from
-    identity_model = replace(_STILL, source=job.model.source)
-    shared = SharedTransform(identity_model, job.options)
+    shared = SharedTransform(job.model.identity, job.options)
     shared.odometry.prepare(output.reader, output.reader.name)
     sink, drive = _sinks(job, output, workers), _drive(job)
     systematic = None if job.spreads else SystematicEffects(job.model)
@@ -166,7 +161,7 @@ def _make(
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
-        every.append(_Run(RunState(identity_model, job.seed, 0, job.options, [clean]), clean, patches=False))
+        every.append(_Run(RunState(job.model.identity, job.seed, 0, job.options, [clean]), clean, patches=False))
     for one in every:
         if one.sink is not None:
             stack.enter_context(one.sink)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,6 @@ from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message, size_words
 from odomcorrupt.corruption.transform import Transform
-from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -103,10 +102,7 @@ def read_clean_drive(
     TopicError
         If there is no odometry source.
     """
-    identity_model = replace(
-        model, noise=replace(model.noise, coefficients=Coefficients(0.0, 0.0, 0.0, 0.0)), effects=()
-    )
-    transform, stretches = Transform(identity_model, 0, 0, options), _Stretches()
+    transform, stretches = Transform(model.identity, 0, 0, options), _Stretches()
     transform.watchers.append(stretches)
     for block in transform.blocks(reader, reader.name):
         watch(block)
