@@ -62,6 +62,7 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
     odomcorrupt map drive.mcap --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.corruption.summary import model_brief
+    from odomcorrupt.mapping.scan_map import maps_brief, maps_json, maps_table
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.sampling.text import law_words
 
@@ -81,18 +82,18 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
         notes, maps = _scan_maps(bag, chosen.motion_model, seed, given)
     origin = f" ({chosen.origin})" if chosen.origin else ""
     noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
-    text = "\n".join([noise, *notes, _table(maps)])
+    text = "\n".join([noise, *notes, maps_table(maps)])
     model = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
     following = ["odomcorrupt", "map", *typed_words("--output", "--overwrite"), "-o", "map.png"]
     if output is not None:
         following = ["odomcorrupt", "preview", str(bag)]
-    brief = _brief(maps, notes, (model, f"{seed}, run {given['run']}"), following)
+    brief = maps_brief(maps, notes, (model, f"{seed}, run {given['run']}"), following)
     files: dict[Path, Callable[[], object]] = {}
     if output is not None:
         for scan_map, path in zip(maps, beside.values(), strict=False):
             files[path.with_suffix(".yaml")] = partial(_write_map, scan_map, path)
         files[output] = partial(_draw, output, maps, "added by noise")
-    console.print(brief, text, _values(maps, notes, seed), files=files)
+    console.print(brief, text, maps_json(maps, notes, seed), files=files)
 
 
 def _write_map(scan_map: ScanMap, path: Path) -> None:
@@ -115,6 +116,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], console: Co
     """Write the map made by scan matching with its trajectory, and the picture of the maps side by side."""
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.laser.mapping import largest_part, laser_maps, tum_text
+    from odomcorrupt.mapping.scan_map import maps_json
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.study.io.laser_truth import laser_run
     from odomcorrupt.study.io.topic_selection import parse_address
@@ -153,25 +155,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], console: Co
         ".png": lambda: _draw(files[".png"], drawn.maps, "added by the odometry"),
     }
     named = {files[end]: write for end, write in writers.items()} if files else {}
-    console.print(Summary((*lines, command_line(following))), said, _values(drawn.maps, notes, seed), files=named)
-
-
-def _brief(
-    maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
-) -> Summary:
-    """Return the increase in wall thickness, the distance of hits from the walls, and the noise."""
-    from odomcorrupt.mapping.scan_map import added_thickness
-
-    clean, noisy = (100.0 * s.thickness_m[-1] for s in maps[:2])
-    added = 100.0 * added_thickness(maps[0].thickness_m, maps[1].thickness_m)[-1]
-    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
-    said = f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added"
-    lines = [Line("THICKER", said, "warning") if noisy > clean else Line("NO THICKER", said, "good")]
-    lines.append(Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"))
-    lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in maps[2:]]
-    lines += [Line("seed", drawn[1]), Line("model", drawn[0])]
-    lines += [Line("scans" if "rays" in note else "note", note) for note in notes]
-    return Summary((*lines, command_line(following)))
+    console.print(Summary((*lines, command_line(following))), said, maps_json(drawn.maps, notes, seed), files=named)
 
 
 def _scan_maps(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[tuple[str, ...], list[ScanMap]]:
@@ -201,39 +185,3 @@ def _scan_maps(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple
     notes = (*drive.notes, f"{len(slow.rays)} rays of {rays.scans} scans from {rays.frame_id}", *slow.notes)
     clean = views["clean odometry"]
     return notes, [make_scan_map(n, paths[n].xyt, view, clean, slow.travelled_m, canvas) for n, view in views.items()]
-
-
-def _table(maps: Sequence[ScanMap]) -> str:
-    from odomcorrupt.mapping.scan_map import WINDOW_M, added_thickness
-
-    heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in maps), "added", "hits off"]
-    lines = [
-        f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m),",
-        "what the noise added to it, and how far noisy hits are off the clean walls, cm",
-        "  after      " + "".join(f"{head:>12}" for head in heads),
-    ]
-    clean, noisy = (s.thickness_m for s in maps[:2])
-    added = added_thickness(clean, noisy)
-    for i, mark in enumerate(maps[0].marks_m):
-        values = (*(s.thickness_m[i] for s in maps), added[i], maps[1].off_surface_m[i])
-        lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
-    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
-    grown = f"{noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them"
-    hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
-    lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
-    return "\n".join(lines)
-
-
-def _values(maps: Sequence[ScanMap], notes: Sequence[str], seed: int) -> dict[str, Any]:
-    from odomcorrupt.mapping.scan_map import added_thickness
-
-    return {
-        "schema": 2,
-        "seed": seed,
-        "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
-        "travelled_m": maps[0].marks_m.tolist(),
-        "thickness_m": {s.name: s.thickness_m.tolist() for s in maps},
-        "added_m": added_thickness(maps[0].thickness_m, maps[1].thickness_m).tolist(),
-        "off_surface_m": {s.name: s.off_surface_m.tolist() for s in maps[1:]},
-        "notes": list(notes),
-    }

@@ -12,7 +12,7 @@ every map, so the difference between two maps of one drive measures the effect o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,8 +23,10 @@ from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.mapping.frames import FrameTree, Mount
 from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_scan
 from odomcorrupt.mapping.occupancy_grid import Canvas, draw_map
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -309,3 +311,53 @@ def make_scan_map(
     square = np.bincount(leg[known], off[known] ** 2, minlength=marks)
     off_surface = np.sqrt(np.divide(square, count, out=np.full(marks, np.nan), where=count > 0))
     return ScanMap(name, path_xyt, draw_map(canvas, view.from_xy, view.to_xy), ends, thickness, off_surface)
+
+
+def maps_brief(
+    maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
+) -> Summary:
+    """Return the increase in wall thickness, the distance of hits from the walls, and the noise."""
+    clean, noisy = (100.0 * s.thickness_m[-1] for s in maps[:2])
+    added = 100.0 * added_thickness(maps[0].thickness_m, maps[1].thickness_m)[-1]
+    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
+    said = f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added"
+    lines = [Line("THICKER", said, "warning") if noisy > clean else Line("NO THICKER", said, "good")]
+    lines.append(Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"))
+    lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in maps[2:]]
+    lines += [Line("seed", drawn[1]), Line("model", drawn[0])]
+    lines += [Line("scans" if "rays" in note else "note", note) for note in notes]
+    return Summary((*lines, command_line(following)))
+
+
+def maps_table(maps: Sequence[ScanMap]) -> str:
+    """Return a table of the wall thickness along the drive."""
+    heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in maps), "added", "hits off"]
+    lines = [
+        f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m),",
+        "what the noise added to it, and how far noisy hits are off the clean walls, cm",
+        "  after      " + "".join(f"{head:>12}" for head in heads),
+    ]
+    clean, noisy = (s.thickness_m for s in maps[:2])
+    added = added_thickness(clean, noisy)
+    for i, mark in enumerate(maps[0].marks_m):
+        values = (*(s.thickness_m[i] for s in maps), added[i], maps[1].off_surface_m[i])
+        lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
+    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
+    grown = f"{noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them"
+    hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
+    lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
+    return "\n".join(lines)
+
+
+def maps_json(maps: Sequence[ScanMap], notes: Sequence[str], seed: int) -> dict[str, Any]:
+    """Return the wall thickness and the distance of hits from the walls as plain values, metres."""
+    return {
+        "schema": 2,
+        "seed": seed,
+        "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
+        "travelled_m": maps[0].marks_m.tolist(),
+        "thickness_m": {s.name: s.thickness_m.tolist() for s in maps},
+        "added_m": added_thickness(maps[0].thickness_m, maps[1].thickness_m).tolist(),
+        "off_surface_m": {s.name: s.off_surface_m.tolist() for s in maps[1:]},
+        "notes": list(notes),
+    }
