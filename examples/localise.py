@@ -27,7 +27,7 @@ from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.sampling.samples import move_between, move_sampled, move_variances
 from odomcorrupt.scoring.estimates import read_estimate
-from odomcorrupt.trajectories.reader import read_poses
+from odomcorrupt.trajectories import read_poses
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory

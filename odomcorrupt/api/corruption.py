@@ -128,7 +128,7 @@ class Corruption(Result):
     def _figure(self) -> Figure:
         """Return a figure of the clean path and the noisy one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
-        from odomcorrupt.trajectories.reader import read_drive
+        from odomcorrupt.trajectories import read_drive
 
         if "-" in (self.source, self.target):
             raise OdomCorruptError("a picture of a corruption: reads both bags again, which is impossible on a pipe")
@@ -279,7 +279,7 @@ class Correction(Result):
     def _figure(self) -> Figure:
         """Return a figure of the measured path and the corrected one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
-        from odomcorrupt.trajectories.reader import read_drive
+        from odomcorrupt.trajectories import read_drive
 
         before, after = (read_drive(Path(path), self.outcome.run.odometry) for path in (self.source, self.target))
         return draw_corruption(before.xyt, after.xyt, Path(self.target).name, names=("measured", "corrected"))

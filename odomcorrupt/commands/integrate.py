@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.trajectories.reader import Drive
+    from odomcorrupt.trajectories import Drive
 
 _BAG = click.Path(path_type=Path)
 
@@ -56,8 +56,7 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.bags.open import form_of, open_reader
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.trajectories.integrate import integrate, noisy_twists
-    from odomcorrupt.trajectories.reader import find_truth, read_drive, read_poses
+    from odomcorrupt.trajectories import find_truth, integrate, noisy_twists, read_drive, read_poses
 
     if output is not None or output_option is not None:
         output = Path(chosen_output(None if output is None else str(output), output_option))
@@ -112,7 +111,7 @@ def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], followin
 def _rewrite(
     source: Path, target: Path, drive: Drive, xyt: Array, provenance: dict[str, str], *, overwrite: bool
 ) -> str:
-    from odomcorrupt.trajectories.integrate import rewrite_path
+    from odomcorrupt.trajectories import rewrite_path
 
     done = rewrite_path(source, target, drive, xyt, provenance, overwrite=overwrite)
     return f"wrote {target}: {done.messages} odometry messages, {done.transforms} transforms"
@@ -134,7 +133,7 @@ def _compared(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | No
     """Return the distance of integrated odometry from the truth, and from the bag's own poses."""
     import numpy as np
 
-    from odomcorrupt.trajectories.integrate import path_error
+    from odomcorrupt.trajectories import path_error
 
     error = None if truth is None else path_error(drive.stamps_ns, xyt, truth)
     own = path_error(drive.stamps_ns, xyt, drive.trajectory)
@@ -167,7 +166,7 @@ def _draw(
     noise: tuple[float, float] | None,
 ) -> None:
     from odomcorrupt.report.plots.paths import draw_errors, draw_runs
-    from odomcorrupt.trajectories.integrate import path_error
+    from odomcorrupt.trajectories import path_error
 
     reference = drive.trajectory if truth is None else truth
     error = path_error(drive.stamps_ns, clean, reference)

@@ -166,7 +166,7 @@ def _scan_maps(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple
     from odomcorrupt.mapping.frames import mount_at
     from odomcorrupt.mapping.occupancy_grid import canvas_for
     from odomcorrupt.mapping.scan_map import make_scan_map, place, read_rays, slow_rays
-    from odomcorrupt.trajectories.reader import read_drive, read_poses
+    from odomcorrupt.trajectories import read_drive, read_poses
 
     drive = read_drive(bag, given["odom_topic"])
     mount = None if given["laser_pose"] is None else mount_at(np.array(given["laser_pose"]))

@@ -43,7 +43,7 @@ def _sample_along(bag: Path, output: Path | None, *, console: Console, given: Ma
         sample_particles,
     )
     from odomcorrupt.sampling.text import law_words
-    from odomcorrupt.trajectories.reader import read_drive
+    from odomcorrupt.trajectories import read_drive
 
     taken = [name for name in ("example", "start", "end") if given[name] is not None]
     if taken:

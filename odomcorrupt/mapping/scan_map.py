@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.mapping.occupancy_grid import Grid
-    from odomcorrupt.trajectories.reader import Drive
+    from odomcorrupt.trajectories import Drive
 
 
 @dataclass(frozen=True, slots=True)

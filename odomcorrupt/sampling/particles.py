@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.trajectories.reader import Drive
+    from odomcorrupt.trajectories import Drive
 
 
 @dataclass(frozen=True, slots=True)

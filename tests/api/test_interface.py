@@ -15,7 +15,7 @@ import pytest
 import odomcorrupt as oc
 from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError, OdomCorruptError
-from odomcorrupt.trajectories.reader import read_drive
+from odomcorrupt.trajectories import read_drive
 
 ROOT = Path(__file__).parent.parent.parent
 OFFICE = ROOT / "fixtures" / "office.mcap"

@@ -14,7 +14,7 @@ from odomcorrupt.mapping.map_condition import read_map_from_odom, read_odom_fram
 from odomcorrupt.mapping.messages import read_grid, read_scan
 from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, read_map
 from odomcorrupt.mapping.scan_map import read_rays, slow_rays
-from odomcorrupt.trajectories.reader import Drive
+from odomcorrupt.trajectories import Drive
 
 SCAN, GRID = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid"
 MOUNT = mount_at(np.zeros(3))

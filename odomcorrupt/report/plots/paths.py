@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.preview.forecast import Forecast
     from odomcorrupt.study.validate.compare import Comparison
-    from odomcorrupt.trajectories.integrate import PathError
+    from odomcorrupt.trajectories import PathError
 
 _RUNS = 100
 _MARKS = 20
