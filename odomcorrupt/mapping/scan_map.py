@@ -133,6 +133,8 @@ WINDOW_M = 1.0
 """Side of the square of neighbours, metres; walls more than half of it apart are separate walls."""
 
 MIN_NEIGHBOURS = 8
+_MARKS = 8
+"""Number of distances at which the walls are measured."""
 
 _CELL_M = 0.02
 """Side of the cells into which points are binned, metres."""
@@ -295,21 +297,19 @@ def place(rays: Rays, path: Trajectory) -> View:
     return View(start, poses[:, :2] + rotate(rays.to_xy, poses[:, 2]))
 
 
-def make_scan_map(
-    name: str, path_xyt: Array, view: View, clean: View, travelled_m: Array, canvas: Canvas, marks: int = 8
-) -> ScanMap:
+def make_scan_map(name: str, path_xyt: Array, view: View, clean: View, travelled_m: Array, canvas: Canvas) -> ScanMap:
     """Return the map of a view, its wall thickness against distance, and the distance of its hits from the clean walls.
 
     clean : the same rays through the clean odometry
     """
-    ends = np.linspace(0.0, float(travelled_m.max()), marks + 1)[1:]
+    ends = np.linspace(0.0, float(travelled_m.max()), _MARKS + 1)[1:]
     thickness = np.array([wall_thickness(view.to_xy[travelled_m <= end]) for end in ends])
     off = distance_to_surface(clean.to_xy, view.to_xy)
-    leg = np.minimum(np.searchsorted(ends, travelled_m), marks - 1)
+    leg = np.minimum(np.searchsorted(ends, travelled_m), _MARKS - 1)
     known = np.isfinite(off)
-    count = np.bincount(leg[known], minlength=marks)
-    square = np.bincount(leg[known], off[known] ** 2, minlength=marks)
-    off_surface = np.sqrt(np.divide(square, count, out=np.full(marks, np.nan), where=count > 0))
+    count = np.bincount(leg[known], minlength=_MARKS)
+    square = np.bincount(leg[known], off[known] ** 2, minlength=_MARKS)
+    off_surface = np.sqrt(np.divide(square, count, out=np.full(_MARKS, np.nan), where=count > 0))
     return ScanMap(name, path_xyt, draw_map(canvas, view.from_xy, view.to_xy), ends, thickness, off_surface)
 
 

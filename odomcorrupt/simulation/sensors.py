@@ -62,14 +62,14 @@ def reckon(drive: Drive, robot: Robot, rig: Rig, yaw_from: str, streams: Streams
     drive : true motion; only the motor angles, and the body's heading through the heading sensor, are measured
     yaw_from : "encoders" or "gyro", the source of the turn of each interval
     """
-    clock = streams.open("odom_clock")
+    clock = streams("odom_clock")
     times_s = jittered_times(drive.grid_s[-1], rig.odom_hz, rig.sampling_jitter_s, clock)
     stamp_noise_s = np.clip(rig.stamp_jitter_s * clock.normal(size=times_s.size), -0.001, 0.001)
     shown_rad = sample(drive.grid_s, drive.angle_rad, times_s)
     tick_rad = None if rig.ticks_per_turn is None else 2 * np.pi / rig.ticks_per_turn
     if robot.tick_travel_m > 0.0:
         tick_rad = robot.tick_travel_m / robot.nominal_radius_m
-    rim_m = np.diff(count(shown_rad, tick_rad, streams.open("encoders")), axis=0) * robot.nominal_radius_m
+    rim_m = np.diff(count(shown_rad, tick_rad, streams("encoders")), axis=0) * robot.nominal_radius_m
     forward_m = 0.5 * rim_m.sum(axis=1)
     interval_s = np.diff(times_s)
     if yaw_from == "gyro":
@@ -77,7 +77,7 @@ def reckon(drive: Drive, robot: Robot, rig: Rig, yaw_from: str, streams: Streams
     else:
         turn_rad = (rim_m[:, 0] - rim_m[:, 1]) / robot.nominal_track_m
     if robot.lost_cycles > 0.0:
-        heard = streams.open("lost cycles").random(interval_s.size) >= robot.lost_cycles
+        heard = streams("lost cycles").random(interval_s.size) >= robot.lost_cycles
         forward_m, turn_rad = forward_m * heard, turn_rad * heard
     xyt = add_up_steps(forward_m, np.zeros_like(forward_m), turn_rad)
     rate = np.column_stack((forward_m, np.zeros_like(forward_m), turn_rad)) / interval_s[:, None]
@@ -88,11 +88,11 @@ def reckon(drive: Drive, robot: Robot, rig: Rig, yaw_from: str, streams: Streams
 def _felt(drive: Drive, times_s: np.ndarray, robot: Robot, rig: Rig, streams: Streams) -> np.ndarray:
     """Return the turn of each interval as measured by the heading sensor, rad."""
     interval_s = np.diff(times_s)
-    noise_rad = rig.gyro_noise_rad_per_sqrt_s * np.sqrt(interval_s) * streams.open("gyro").normal(size=interval_s.size)
+    noise_rad = rig.gyro_noise_rad_per_sqrt_s * np.sqrt(interval_s) * streams("gyro").normal(size=interval_s.size)
     heading_rad = np.interp(times_s, drive.grid_s, drive.true_xyt[:, 2])
     turn_rad = np.diff(heading_rad) * (1.0 + robot.gyro_scale) + robot.gyro_bias_radps * interval_s + noise_rad
     if robot.gyro_walk_radps_per_sqrt_s > 0.0:
-        steps = np.sqrt(interval_s) * streams.open("gyro walk").normal(size=interval_s.size)
+        steps = np.sqrt(interval_s) * streams("gyro walk").normal(size=interval_s.size)
         turn_rad = turn_rad + robot.gyro_walk_radps_per_sqrt_s * np.cumsum(steps) * interval_s
     if robot.hard_iron_rad != 0.0:
         compass_rad = heading_rad + drive.start_xyt[2] - robot.hard_iron_from_rad
@@ -143,20 +143,20 @@ def watch(drive: Drive, robot: Robot, tracker: Tracker, streams: Streams) -> Tra
     grid_s = drive.grid_s
     origin, heading_rad = complex(drive.start_xyt[0], drive.start_xyt[1]), drive.start_xyt[2]
 
-    clock = streams.open("tracker_clock")
+    clock = streams("tracker_clock")
     times_s = jittered_times(grid_s[-1], tracker.rate_hz, tracker.sampling_jitter_s, clock)
     marker_xyt = attach(sample(grid_s, drive.true_xyt, times_s), robot.marker_xyt)
     place = origin + (marker_xyt[:, 0] + 1j * marker_xyt[:, 1]) * np.exp(1j * heading_rad)
     seen_xyt = np.column_stack((place.real, place.imag, marker_xyt[:, 2] + heading_rad))
-    noise = streams.open("tracker").normal(size=seen_xyt.shape)
+    noise = streams("tracker").normal(size=seen_xyt.shape)
     seen_xyt += noise * (tracker.noise_m, tracker.noise_m, tracker.noise_rad)
     for axis, name in enumerate(("east", "north") if tracker.wander_m > 0.0 else ()):
-        slow = streams.open(f"tracker wander {name}")
+        slow = streams(f"tracker wander {name}")
         seen_xyt[:, axis] += gauss_markov_noise(
             tracker.wander_m, tracker.wander_tau_s, 1.0 / tracker.rate_hz, len(seen_xyt), slow
         )
 
-    seen = ~_hidden(times_s, grid_s[-1], tracker, streams.open("dropouts"))
+    seen = ~_hidden(times_s, grid_s[-1], tracker, streams("dropouts"))
     stamps_s = times_s * (1.0 + tracker.clock_rate) + tracker.clock_offset_s
     return Track(stamps_s[seen], seen_xyt[seen])
 
