@@ -237,7 +237,6 @@ class Learned(Findings):
             found.search,
             found.advice,
             found.comparison,
-            fit=self._fit,
             robot=found.robot,
             reproduction=found.reproduction,
             written=found.proof.model,
