@@ -21,7 +21,6 @@ from odomcorrupt.effects.wheelbase import Wheelbase
 from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.model.noise_laws import variances
-from odomcorrupt.sampling.text import law_words
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -264,7 +263,7 @@ def amcl_text(model: MotionModel, alphas: AmclAlphas, update_min_d: float, updat
     """Return the alphas of amcl, and the update distances at which they apply, as YAML."""
     reference = "while rolling along an arc" if turn == "rolling" else "on the spot"
     lines = _comment(
-        f"amcl's alphas (variance = alpha x motion^2 per update) with the variances of {law_words(model.noise)}; "
+        f"amcl's alphas (variance = alpha x motion^2 per update) with the variances of {model.noise.words}; "
         f"matched after one update on a straight drive of {update_min_d:g} m and on a turn of {update_min_a:g} rad "
         f"{reference}. They are valid at these update distances only. Derived in docs/export.md."
     )
@@ -295,7 +294,7 @@ def twists_text(model: MotionModel, variances: TwistVariances, drive: Steady, co
     diagonal = (variances.forward, variances.leftward, _UNKNOWN, _UNKNOWN, _UNKNOWN, variances.yaw)
     lines = _comment(
         f"Variances of the velocities in one message at {drive.speed:g} m/s, {drive.yaw_rate:g} rad/s and "
-        f"{drive.rate_hz:g} Hz, of {law_words(model.noise)}. robot_localization reads them from the odometry's "
+        f"{drive.rate_hz:g} Hz, of {model.noise.words}. robot_localization reads them from the odometry's "
         f"messages, so they go to the node that publishes these; {unknown} stands for what is not measured. They are "
         "valid at this speed and rate only. Derived in docs/export.md."
     )

@@ -24,7 +24,6 @@ from odomcorrupt.sampling.samples import (
     move_variances,
     sample_moments,
 )
-from odomcorrupt.sampling.text import law_numbers, law_words, pose_words
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -71,14 +70,14 @@ class Samples(Result):
     def summary(self) -> Summary:
         """Return mean and spread of the samples beside those of the linearised model."""
         own = sample_moments(self.xyt)
-        lines = [Line("SAMPLES", f"{len(self.xyt)} of seed {self.seed}, mean {pose_words(own.mean_xyt)}", "good")]
+        lines = [Line("SAMPLES", f"{len(self.xyt)} of seed {self.seed}, mean {_pose(own.mean_xyt)}", "good")]
         for name, moments in (("spread", own), ("linearised", linearised_moments(self.move, self.variances))):
             about = ellipse(moments, 1.0)
             heading = math.degrees(math.sqrt(moments.covariance[2, 2]))
             axes = f"{about.major_m:.3g} m by {about.minor_m:.3g} m at {math.degrees(about.angle_rad) % 180.0:.3g} deg"
             lines.append(Line(name, f"{axes}, heading {heading:.3g} deg (1 sigma)"))
-        lines.append(Line("motion", f"{pose_words(self.move.start_xyt)} to {pose_words(self.move.end_xyt)}"))
-        lines.append(Line("noise", law_words(self.noise)))
+        lines.append(Line("motion", f"{_pose(self.move.start_xyt)} to {_pose(self.move.end_xyt)}"))
+        lines.append(Line("noise", self.noise.words))
         lines += [Line("note", note, "warning") for note in (*self._squared, *self.notes)]
         return Summary((*lines, command_line(self.following)))
 
@@ -93,9 +92,9 @@ class Samples(Result):
         rot1, rot2, trans = (float(values[0]) for values in (parts.rot1_rad, parts.rot2_rad, parts.trans_m))
         deviation = [math.sqrt(float(values[0])) for values in (v.rot1, v.trans, v.rot2)]
         lines = [
-            f"motion: {pose_words(move.start_xyt)} -> {pose_words(move.end_xyt)}",
+            f"motion: {_pose(move.start_xyt)} -> {_pose(move.end_xyt)}",
             f"  as turn {degrees(rot1):.4g} deg, drive {trans:.4g} m, turn {degrees(rot2):.4g} deg",
-            f"noise: {law_words(self.noise)}" + (f" ({self.origin})" * bool(self.origin)),
+            f"noise: {self.noise.words}" + (f" ({self.origin})" * bool(self.origin)),
             f"  with deviations {degrees(deviation[0]):.4g} deg, {deviation[1]:.4g} m, {degrees(deviation[2]):.4g} deg",
             f"{len(self.xyt)} samples, seed {self.seed}",
             *self._squared,
@@ -108,7 +107,7 @@ class Samples(Result):
             axes = f"{about.major_m:.4g} m by {about.minor_m:.4g} m"
             angle = f"{degrees(about.angle_rad) % 180.0:.3g} deg"
             lines += [
-                f"{name}: mean {pose_words(moments.mean_xyt)}, 1 sigma {axes}, long axis at {angle}",
+                f"{name}: mean {_pose(moments.mean_xyt)}, 1 sigma {axes}, long axis at {angle}",
                 "  covariance of x, y (m), theta (rad):",
                 *("    " + "  ".join(f"{value: .4e}" for value in row) for row in moments.covariance),
             ]
@@ -150,15 +149,24 @@ class Samples(Result):
         """Return one row per sample."""
         return [dict(zip(("x_m", "y_m", "theta_rad"), map(float, row), strict=True)) for row in self.xyt]
 
+    def csv(self) -> str:
+        """Return the samples as lines of x, y, theta that parse to the same bits."""
+        rows = [",".join(repr(float(value)) for value in row) for row in self.xyt]
+        return "\n".join(["x_m,y_m,theta_rad", *rows]) + "\n"
+
     def _figure(self) -> Figure:
         """Return a figure of the samples with the covariance ellipse of a Kalman filter."""
         from odomcorrupt.report.plots.samples import draw_banana
 
-        numbers = "  ".join(f"{name} {value:.3g}" for name, value in law_numbers(self.noise))
+        numbers = "  ".join(f"{name} {value:.3g}" for name, value in self.noise.numbers)
         name = "article-code (sd passed squared)" if self._squared else self.noise.law_name
         step = f" per {self.noise.step}" if self.noise.step is not None else ""
         title = f"Where one motion may end: law {name}{step}, {len(self.xyt)} samples, seed {self.seed}\n{numbers}"
         return draw_banana(self.move, self.variances, self.xyt, title, self.space)
+
+
+def _pose(xyt: NDArray[Any]) -> str:
+    return f"({xyt[0]:.4g} m, {xyt[1]:.4g} m, {math.degrees(xyt[2]):.4g} deg)"
 
 
 def _moments(moments: Moments) -> dict[str, Any]:
@@ -384,5 +392,4 @@ def density(
         grid, part = within_map(grid, within, start_xy)
         free = within.allows(np.broadcast_to(start_xy, (len(at), 2)), at[:, :2])
         values = np.where(free, values / part, 0.0)
-    law = law_words(chosen.noise)
-    return Density(at, values, reading, grid, move, variances, law, part, within)
+    return Density(at, values, reading, grid, move, variances, chosen.noise.words, part, within)

@@ -64,7 +64,6 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.mapping.scan_map import maps_brief, maps_json, maps_table
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.sampling.text import law_words
 
     if str(bag) == "-":
         raise OdomCorruptError("-: a map is made from the whole drive, which is impossible on a pipe; name a file")
@@ -81,7 +80,7 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
     with Stages("drawing maps", quiet=console.quiet):
         notes, maps = _scan_maps(bag, chosen.motion_model, seed, given)
     origin = f" ({chosen.origin})" if chosen.origin else ""
-    noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
+    noise = f"noise: {chosen.motion_model.noise.words}{origin}, seed {seed}, run {given['run']}"
     text = "\n".join([noise, *notes, maps_table(maps)])
     model = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
     following = ["odomcorrupt", "map", *typed_words("--output", "--overwrite"), "-o", "map.png"]

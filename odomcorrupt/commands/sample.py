@@ -42,7 +42,6 @@ def _sample_along(bag: Path, output: Path | None, *, console: Console, given: Ma
         report_text,
         sample_particles,
     )
-    from odomcorrupt.sampling.text import law_words
     from odomcorrupt.trajectories import read_drive
 
     taken = [name for name in ("example", "start", "end") if given[name] is not None]
@@ -67,7 +66,7 @@ def _sample_along(bag: Path, output: Path | None, *, console: Console, given: Ma
         cloud = particles_at(drive, places, free.xyt, seed)
         console.note(free.account())
     origin = f" ({chosen.origin})" if chosen.origin else ""
-    text = f"noise: {law_words(chosen.motion_model.noise)}{origin}\n{report_text(cloud)}"
+    text = f"noise: {chosen.motion_model.noise.words}{origin}\n{report_text(cloud)}"
     values = particles_json(cloud)
 
     def write(path: Path) -> None:
@@ -124,7 +123,6 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
     odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import sample
-    from odomcorrupt.sampling.text import csv_text
 
     if bag is not None:
         _sample_along(bag, output, console=console, given=given)
@@ -142,7 +140,7 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
             values = drawn.to_dict()
             del values["schema"]
             as_json = json.dumps(values, indent=1) + "\n"
-            write_text(path, csv_text(drawn.xyt) if kind_of(path) == "csv" else as_json)
+            write_text(path, drawn.csv() if kind_of(path) == "csv" else as_json)
 
     following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png"]
     if output is not None:

@@ -19,7 +19,6 @@ from odomcorrupt.corruption.summary import model_brief
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients, Law
-from odomcorrupt.sampling.text import law_meaning, law_words
 from odomcorrupt.summary import Line, Summary, command_line
 
 ANY_STEP = Step(1.0, 1.0)
@@ -99,7 +98,7 @@ def _drift(law: Law, k: Coefficients, step: Step) -> Drift:
 def conversion_brief(before: Noise, after: Noise) -> Summary:
     """Return the coefficients of the other law, the drift of both, and how to use them."""
     straight, turn = _drifts(after)
-    new, old = (f"{model_brief(MotionModel(noise), '')}; {law_meaning(noise)}" for noise in (after, before))
+    new, old = (f"{model_brief(MotionModel(noise), '')}; {noise.law.meaning}" for noise in (after, before))
     lines = [Line("CONVERTED", new, "good"), Line("from", old), Line("10 m", f"{straight} (1 sigma, both laws)")]
     lines.append(Line("360 deg", f"on the spot: {turn} (1 sigma, both laws)"))
     return Summary((*lines, command_line(f"odomcorrupt in.bag out.bag {_flags(after)}")))
@@ -128,9 +127,9 @@ def _drifts(noise: Noise) -> tuple[str, str]:
 def conversion_text(before: Noise, after: Noise) -> str:
     """Return both laws in words, and the drift that they make."""
     straight, turn = _drifts(after)
-    return f"""{law_words(before)}
+    return f"""{before.words}
 makes the same drift on straight drives and on turns as
-{law_words(after)}
+{after.words}
   10 m straight: {straight} (1 sigma, both)
   one turn on the spot: {turn} (1 sigma, both)
 {_flags(after)}"""
