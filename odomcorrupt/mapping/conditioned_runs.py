@@ -31,7 +31,11 @@ FIRST_TRIES = 12
 
 
 class NoFreePoseError(MapError):
-    """No try of an increment ended in free space."""
+    """No path in free space explains a drive."""
+
+    def __init__(self, why: str) -> None:
+        way_out = "check --map-pose, --robot-radius and --unknown, or leave out --map"
+        super().__init__(f"the map and the drive do not match: {why}; {way_out}")
 
 
 def rounds(tries: int) -> tuple[int, ...]:
@@ -308,9 +312,8 @@ class _Walk:
             if not len(alive):
                 x, y = pose[:, :2].mean(axis=0)
                 raise NoFreePoseError(
-                    f"the map and the drive do not match: about ({x:.2f} m, {y:.2f} m) none of {self._within.tries} "
-                    f"tries of any of {len(pose)} paths ends where the map is free; check --map-pose, --robot-radius "
-                    "and --unknown, or leave out --map"
+                    f"about ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries of any of {len(pose)} paths ends "
+                    "where the map is free"
                 )
             self.resampled += len(stuck)
             parents[stuck] = alive[self._choose.integers(len(alive), size=len(stuck))]
