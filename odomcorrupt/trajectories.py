@@ -21,7 +21,7 @@ from odomcorrupt.corruption.odometry_source import (
 from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, from_left, from_right
 from odomcorrupt.errors import ModelError, RecordingError, TopicError
 from odomcorrupt.geometry.se2 import compose, interpolate, inverse, wrap, yaw_from_quaternion
-from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
@@ -67,8 +67,7 @@ class Drive:
     @property
     def distance_m(self) -> Array:
         """Distance travelled (n,) since the first pose, metres."""
-        step = np.diff(self.xyt[:, :2], axis=0)
-        return np.concatenate(([0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))))
+        return distance_along(self.xyt)
 
     @property
     def trajectory(self) -> Trajectory:

@@ -109,13 +109,13 @@ class MotionReader:
         travel = np.hypot(*np.diff(poses[:, :2], axis=0).T)
         jump = travel > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
         whole = increments(poses)
-        steps = Increments(*(np.where(jump, 0.0, part) for part in (whole.ds_m, whole.dl_m, whole.dtheta_rad)))
+        steps = Increments.of_rows(np.where(jump[:, None], 0.0, whole.rows))
         grown = noise_variances(self._noise, steps, np.where(jump, 0.0, dt_s), self._growth)
         v = grown.variances
         sd = np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
         bearing = np.arctan2(steps.dl_m, steps.ds_m) * self._noise.law.along_travel
         self._growth, self._last = grown.growth, (int(stamps_ns[-1]), clean_xyt[-1].copy())
-        return Motions(poses, jump, np.column_stack((steps.ds_m, steps.dl_m, steps.dtheta_rad, bearing)), sd)
+        return Motions(poses, jump, np.column_stack((steps.rows, bearing)), sd)
 
 
 def swing_of(model: MotionModel) -> float:
