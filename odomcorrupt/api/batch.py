@@ -48,7 +48,7 @@ class Batch(Result):
     @property
     def seed(self) -> int:
         """Seed of all random draws."""
-        return self.jobs[0].seed
+        return self.jobs[0].batch.seed
 
     @property
     def records(self) -> list[dict[str, Any]]:

@@ -259,8 +259,8 @@ def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, aud
 def require_odometry(jobs: Sequence[Job]) -> None:
     """Raise an error at once where all runs would fail: no odometry, or an invalid model."""
     for job in jobs:
-        with open_reader(job.source, recover=job.container.recover) as reader:
-            Transform(job.model_of(0), job.seed, 0, job.options).odometry.prepare(reader, reader.name)
+        with open_reader(job.source, recover=job.batch.container.recover) as reader:
+            Transform(job.model_of(0), job.batch.seed, 0, job.batch.options).odometry.prepare(reader, reader.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,7 +332,7 @@ def run_batch(
 
 def _collect(job: Job, runs: range) -> None:
     """Write all paths to one file, once all of them exist."""
-    if job.output == "trajectories":
+    if job.batch.output == "trajectories":
         made = read_records(job.directory)
         if set(runs) <= made.keys():
             files = [job.directory / record["file"] for record in made.values()]

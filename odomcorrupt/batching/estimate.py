@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, Block
     from odomcorrupt.batching.engine import Shard
-    from odomcorrupt.batching.job import Job, Output
+    from odomcorrupt.batching.job import Job
 
 TRIED_BYTES = 32 << 20
 """How much of a bag is tried, decompressed."""
@@ -71,20 +71,16 @@ def estimate(job: Job) -> Estimate:
     """Return the cost of one run, from a few runs on the beginning of the bag in a temporary directory."""
     size = bytes_of(job.source)
     with tempfile.TemporaryDirectory() as scratch:
-        whole = _try(
-            replace(job, container=replace(job.container, compression=None, level=None), split=False),
-            "full",
-            1,
-            Path(scratch) / "full",
-        )
-        chosen = _try(job, job.output, TRIED_RUNS, Path(scratch) / "chosen")
-        overlay = _try(job, "overlay", 1, Path(scratch) / "overlay")
+        plain = replace(job.batch.container, compression=None, level=None)
+        whole = _try(job, 1, Path(scratch) / "full", output="full", container=plain, split=False)
+        chosen = _try(job, TRIED_RUNS, Path(scratch) / "chosen")
+        overlay = _try(job, 1, Path(scratch) / "overlay", output="overlay")
     part = 1.0
     if whole.cut:
         # sqlite3 files are copied as a whole, but their size is that of what is read
         read = whole.read_bytes if whole.copied else whole.bytes
         part = min(1.0, read / size)
-    copied = whole.copied and job.output == "full"
+    copied = whole.copied and job.batch.output == "full"
     return Estimate(size if copied else round(chosen.bytes / part), chosen.seconds / part, round(overlay.bytes / part))
 
 
@@ -97,9 +93,9 @@ class _Trial:
     copied: bool
 
 
-def _try(job: Job, output: Output, runs: int, directory: Path) -> _Trial:
+def _try(job: Job, runs: int, directory: Path, **changes: Any) -> _Trial:
     (directory / PARTS).mkdir(parents=True)
-    tried = replace(job, output=output, directory=directory)
+    tried = replace(job, batch=replace(job.batch, **changes), directory=directory)
     firsts: list[_First] = []
 
     def first(reader: BagReader) -> Any:

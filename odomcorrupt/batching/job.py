@@ -26,80 +26,6 @@ Output = Literal["full", "overlay", "trajectories"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job:
-    """One directory of runs.
-
-    source, directory : absolute paths, for workers on other machines
-    model, spreads : model of all runs, and the parameters drawn for each run
-    split : whether changed messages are written in chunks of their own
-    model_text : content of the directory's model.toml
-    model_words, option_words : command-line arguments of a single run: model (if not drawn), and all others
-    shown_source, shown_directory : paths as typed
-    condition : map to which every run is constrained; None without one
-    suffix : of the names of whole bags, "" for directories; None: that of the input
-    """
-
-    source: Path
-    directory: Path
-    model: MotionModel
-    spreads: tuple[Spread, ...]
-    seed: int
-    options: Options
-    container: Container
-    output: Output
-    split: bool
-    model_text: str
-    model_words: tuple[str, ...]
-    option_words: tuple[str, ...]
-    shown_source: str
-    shown_directory: str
-    condition: MapCondition | None = None
-    suffix: str | None = None
-
-    def model_of(self, run: int) -> MotionModel:
-        """Return the model of a run: the common one, or one with the run's drawn parameters."""
-        return draw_robot(self.model, self.spreads, self.seed, run) if self.spreads else self.model
-
-    def name_of(self, run: int) -> str:
-        """Return the name of a run's file."""
-        suffixes = {"overlay": ".mcap", "trajectories": ".tum"}
-        return f"run_{run:06d}{suffixes.get(self.output, self._bag_suffix)}"
-
-    @property
-    def _bag_suffix(self) -> str:
-        """Suffix of a whole bag; a single compressed file is written as what is in it."""
-        if self.suffix is not None:
-            return self.suffix
-        name = self.source.with_suffix("") if self.source.suffix in (".zstd", ".zst") else self.source
-        return "" if self.source.is_dir() else name.suffix
-
-    def path_of(self, run: int) -> Path:
-        """Return the path of a run's file."""
-        return self.directory / self.name_of(run)
-
-    def robot_of(self, run: int) -> str:
-        """Return the name of the file with a run's drawn model."""
-        return f"robots/{run:06d}.toml"
-
-    def command_of(self, run: int) -> str:
-        """Return the shell command that makes this run alone, as a whole bag, from the batch's working directory."""
-        name = self.name_of(run)
-        if self.output != "full":
-            name = f"run_{run:06d}{self._bag_suffix}"
-        words = ("--model", f"{self.shown_directory}/{self.robot_of(run)}") if self.spreads else self.model_words
-        seed = ("--seed", str(self.seed), "--run", str(run))
-        return shlex.join(["odomcorrupt", self.shown_source, name, *words, *self.option_words, *seed])
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """Runs of one job made in one pass over its input."""
-
-    job: Job
-    runs: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BatchSpec:
     """Configuration of a batch.
 
@@ -132,6 +58,71 @@ class BatchSpec:
     suffix: str | None = None
     model_words: tuple[str, ...] | None = None
     map_words: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """One directory of runs of a batch: those of one input with one variant of the model.
+
+    source, directory : absolute paths, for workers on other machines
+    model, spreads : variant of the batch's model, and the parameters drawn for each run
+    model_text : content of the directory's model.toml
+    model_words, option_words : command-line arguments of a single run: model (if not drawn), and all others
+    shown_source, shown_directory : paths as typed
+    """
+
+    batch: BatchSpec
+    source: Path
+    directory: Path
+    model: MotionModel
+    spreads: tuple[Spread, ...]
+    model_text: str
+    model_words: tuple[str, ...]
+    option_words: tuple[str, ...]
+    shown_source: str
+    shown_directory: str
+
+    def model_of(self, run: int) -> MotionModel:
+        """Return the model of a run: the common one, or one with the run's drawn parameters."""
+        return draw_robot(self.model, self.spreads, self.batch.seed, run) if self.spreads else self.model
+
+    def name_of(self, run: int) -> str:
+        """Return the name of a run's file."""
+        suffixes = {"overlay": ".mcap", "trajectories": ".tum"}
+        return f"run_{run:06d}{suffixes.get(self.batch.output, self._bag_suffix)}"
+
+    @property
+    def _bag_suffix(self) -> str:
+        """Suffix of a whole bag; a single compressed file is written as what is in it."""
+        if self.batch.suffix is not None:
+            return self.batch.suffix
+        name = self.source.with_suffix("") if self.source.suffix in (".zstd", ".zst") else self.source
+        return "" if self.source.is_dir() else name.suffix
+
+    def path_of(self, run: int) -> Path:
+        """Return the path of a run's file."""
+        return self.directory / self.name_of(run)
+
+    def robot_of(self, run: int) -> str:
+        """Return the name of the file with a run's drawn model."""
+        return f"robots/{run:06d}.toml"
+
+    def command_of(self, run: int) -> str:
+        """Return the shell command that makes this run alone, as a whole bag, from the batch's working directory."""
+        name = self.name_of(run)
+        if self.batch.output != "full":
+            name = f"run_{run:06d}{self._bag_suffix}"
+        words = ("--model", f"{self.shown_directory}/{self.robot_of(run)}") if self.spreads else self.model_words
+        seed = ("--seed", str(self.batch.seed), "--run", str(run))
+        return shlex.join(["odomcorrupt", self.shown_source, name, *words, *self.option_words, *seed])
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Runs of one job made in one pass over its input."""
+
+    job: Job
+    runs: tuple[int, ...]
 
 
 def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
@@ -185,22 +176,16 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
                 model = parse_model(text)
             jobs.append(
                 Job(
+                    batch=spec,
                     source=source.absolute(),
                     directory=directory.absolute(),
                     model=model,
                     spreads=spreads_of(model, None if spec.posterior else stated),
-                    seed=spec.seed,
-                    options=spec.options,
-                    container=spec.container,
-                    output=spec.output,
-                    split=spec.split,
                     model_text=text,
                     model_words=words,
                     option_words=(*_option_words(spec.options, spec.container), *spec.map_words),
                     shown_source=str(source),
                     shown_directory=str(directory),
-                    condition=spec.condition,
-                    suffix=spec.suffix,
                 )
             )
     return jobs

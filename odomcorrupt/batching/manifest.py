@@ -73,15 +73,16 @@ def fingerprint_of(source: Path) -> str:
 
 
 def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
-    map_words = [] if job.condition is None else [*job.condition.provenance().values()]
+    batch, layout = job.batch, "split" if job.batch.split else "as it was"
+    map_words = [] if batch.condition is None else [*batch.condition.provenance().values()]
     return {
         "version": odomcorrupt.__version__,
         "input": {"path": job.shown_source, "hash": fingerprint},
         "model": {"text": format_model(job.model), "hash": hashlib.sha256(repr(job.model).encode()).hexdigest()[:32]},
         "robots": [[spread.effect, spread.parameter, spread.deviation] for spread in job.spreads],
-        "seed": job.seed,
-        "output": [job.output, "split" if job.split else "as it was", *([] if job.suffix is None else [job.suffix])],
-        "options": [repr(job.options), repr(job.container), *map_words],
+        "seed": batch.seed,
+        "output": [batch.output, layout, *([] if batch.suffix is None else [batch.suffix])],
+        "options": [repr(batch.options), repr(batch.container), *map_words],
     }
 
 

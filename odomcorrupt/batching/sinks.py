@@ -168,8 +168,8 @@ class Sink(Protocol):
 def provenance(job: Job, run: int) -> dict[str, str]:
     """Return the metadata of a run's bag: seed, run, version, model."""
     model = format_model(job.model_of(run))
-    own = {"version": odomcorrupt.__version__, "seed": str(job.seed), "run": str(run), "model": model}
-    return own if job.condition is None else own | job.condition.provenance()
+    own = {"version": odomcorrupt.__version__, "seed": str(job.batch.seed), "run": str(run), "model": model}
+    return own if job.batch.condition is None else own | job.batch.condition.provenance()
 
 
 class BagSink(ABC):
@@ -228,7 +228,7 @@ class MultiSink:
 
 def bag_writer(job: Job, run: int, output: Target, workers: Workers | None = None) -> Any:
     """Return the writer of a run's whole bag, which compresses in `workers`."""
-    c = job.container
+    c = job.batch.container
     return open_writer(
         job.path_of(run), output.reader, overwrite=True, compression=c.compression, level=c.level, workers=workers,
         form=output.form,
@@ -255,7 +255,7 @@ class OverlaySink(BagSink):
     """An MCAP with all messages of the changed topics."""
 
     def __init__(self, job: Job, run: int, reader: BagReader) -> None:
-        c = job.container
+        c = job.batch.container
         foreign: Any = ReframedReader(reader)
         codec = None if c.compression in ("bz2", "file", "message") else c.compression
         output = Output(job.path_of(run), overwrite=True)

@@ -229,7 +229,7 @@ def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:
         f"{need.core_seconds / 60.0:.3g} core minutes"
     )
     text += f", {need.core_seconds / 60.0 / processes:.3g} minutes with {processes} processes" * (processes > 1) + "."
-    if jobs[0].output == "full":
+    if jobs[0].batch.output == "full":
         text += f" --output overlay would write {need.overlay_bytes / 1e9:.3g} GB, {saved:.0%} less."
     if need.bytes > need.free_bytes:
         text += " The disk cannot hold it."
