@@ -20,7 +20,7 @@ import numpy as np
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from odomcorrupt.effects.effect import amplitudes, check_bounds
-from odomcorrupt.export.parameters import Steady, amcl_alphas
+from odomcorrupt.export import Steady, amcl_alphas
 from odomcorrupt.model.model_file import format_model, read_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, drawing, new_figure, rendered

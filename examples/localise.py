@@ -21,14 +21,13 @@ from scipy.ndimage import distance_transform_edt
 
 from odomcorrupt.batching.sinks import format_tum
 from odomcorrupt.geometry.se2 import between, compose, rotate
-from odomcorrupt.mapping.mapfile import OCCUPIED, Grid, read_map
-from odomcorrupt.mapping.raycast import canvas_for, draw_map
-from odomcorrupt.mapping.scans import read_rays
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid, canvas_for, draw_map, read_map
+from odomcorrupt.mapping.scan_map import read_rays
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.sampling.samples import move_between, move_sampled, move_variances
 from odomcorrupt.scoring.estimates import read_estimate
-from odomcorrupt.trajectories.reader import read_poses
+from odomcorrupt.trajectories import read_poses
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory

@@ -17,15 +17,12 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.batch import Batch, batch
     from odomcorrupt.api.comparison import Comparison, compare
-    from odomcorrupt.api.correction import Correction, correct
-    from odomcorrupt.api.corruption import Corruption, corrupt
-    from odomcorrupt.api.diagnosis import Diagnosis, diagnose
-    from odomcorrupt.api.fit import Fit, fit
-    from odomcorrupt.api.learning import Learned, learn
+    from odomcorrupt.api.corruption import Correction, Corruption, correct, corrupt
+    from odomcorrupt.api.findings import Diagnosis, Learned, diagnose, learn
+    from odomcorrupt.api.fit import Fit, SquareTest, fit, fit_returns
     from odomcorrupt.api.model import Model, Noise
     from odomcorrupt.api.motion import Density, Samples, density, sample
     from odomcorrupt.api.recordings import Recordings, read_recordings
-    from odomcorrupt.api.returns import SquareTest, fit_returns
     from odomcorrupt.api.simulation import Simulation, simulate
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.scoring.run import score
@@ -35,15 +32,12 @@ __version__ = "0.1.0"
 _HOMES = {
     "api.batch": ("Batch", "batch"),
     "api.comparison": ("Comparison", "compare"),
-    "api.correction": ("Correction", "correct"),
-    "api.corruption": ("Corruption", "corrupt"),
-    "api.diagnosis": ("Diagnosis", "diagnose"),
-    "api.fit": ("Fit", "fit"),
-    "api.learning": ("Learned", "learn"),
+    "api.corruption": ("Correction", "Corruption", "correct", "corrupt"),
+    "api.findings": ("Diagnosis", "Learned", "diagnose", "learn"),
+    "api.fit": ("Fit", "SquareTest", "fit", "fit_returns"),
     "api.model": ("Model", "Noise"),
     "api.motion": ("Density", "Samples", "density", "sample"),
     "api.recordings": ("Recordings", "read_recordings"),
-    "api.returns": ("SquareTest", "fit_returns"),
     "api.simulation": ("Simulation", "simulate"),
     "errors": ("OdomCorruptError",),
     "scoring.run": ("score",),

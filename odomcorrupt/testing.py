@@ -310,7 +310,7 @@ def _error(effect: Effect, motion: Motion) -> tuple[Array, State]:
 
 def _steps(drive: Drive) -> Array:
     m = drive.motion
-    return np.stack((m.v, m.vy, m.omega), axis=1) * m.dt_s[:, None]
+    return m.twist * m.dt_s[:, None]
 
 
 def _path(effects: Sequence[Effect], seed: int = 1, noise: float = 0.0) -> NoisyPath:

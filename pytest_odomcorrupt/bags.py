@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import odomcorrupt
 from odomcorrupt.api.model import as_model
-from odomcorrupt.batching.engine import Shard, missing_runs, tasks_of
+from odomcorrupt.batching.engine import ALL, missing_runs, tasks_of
+from odomcorrupt.batching.job import BatchSpec, plan
 from odomcorrupt.batching.manifest import begin, fingerprint_of, read_records, write_manifest
-from odomcorrupt.batching.plan import BatchSpec, plan
 from odomcorrupt.batching.runner import attempt
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["CorruptedBag", "CorruptedBags", "corrupted"]
+__all__ = ["CorruptedBag", "corrupted"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,28 +75,6 @@ class CorruptedBag:
         return path_errors(estimate, reference.trajectory, align=align, covariance=covariance)
 
 
-class CorruptedBags(Sequence[CorruptedBag]):
-    """The runs of one clean bag, in the order of their numbers."""
-
-    def __init__(self, bags: Sequence[CorruptedBag]) -> None:
-        self._bags = tuple(bags)
-
-    def __len__(self) -> int:
-        return len(self._bags)
-
-    @overload
-    def __getitem__(self, index: int) -> CorruptedBag: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[CorruptedBag]: ...
-    def __getitem__(self, index: int | slice) -> CorruptedBag | Sequence[CorruptedBag]:
-        """Return a run, or some of them."""
-        return self._bags[index]
-
-    def __repr__(self) -> str:
-        """Return one line."""
-        return f"CorruptedBags({len(self)} runs of seed {self._bags[0].seed})"
-
-
 def corrupted(
     clean: Path | str,
     model: MotionModel | Path | str = "typical",
@@ -106,8 +83,8 @@ def corrupted(
     seed: int = 0,
     cache: Path,
     **options: Any,
-) -> CorruptedBags:
-    """Return runs 0 to `runs` - 1 of a seed, made where the cache does not have them.
+) -> tuple[CorruptedBag, ...]:
+    """Return runs 0 to `runs` - 1 of a seed in their order, made where the cache does not have them.
 
     Parameters
     ----------
@@ -139,15 +116,13 @@ def corrupted(
     file = Path(model) if isinstance(model, str | Path) and Path(model).is_file() else None
     (job,) = plan([source], directory, BatchSpec(model=chosen, model_file=file, seed=seed, options=given))
     begin(job, fingerprint)
-    todo = missing_runs(job, range(runs), Shard(1, 1))
+    todo = missing_runs(job, range(runs), ALL)
     failures = [failure for task in tasks_of(job, todo, 1) for failure in attempt(task)]
     if failures:
         raise OdomCorruptError(f"{source}: run {failures[0][0]} cannot be made: {failures[0][1]}")
     write_manifest(directory)
     records = read_records(directory)
-    return CorruptedBags(
-        [
-            CorruptedBag(directory / records[run]["file"], run, seed, directory / "clean.tum", records[run]["drift"])
-            for run in range(runs)
-        ]
+    return tuple(
+        CorruptedBag(directory / records[run]["file"], run, seed, directory / "clean.tum", records[run]["drift"])
+        for run in range(runs)
     )

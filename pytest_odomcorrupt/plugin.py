@@ -12,7 +12,7 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pytest_odomcorrupt.bags import CorruptedBags
+    from pytest_odomcorrupt.bags import CorruptedBag
     from pytest_odomcorrupt.gate import ErrorGate
 
 __all__ = ["corrupted_bags", "error_gate", "pytest_addoption"]
@@ -31,7 +31,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="session")
 def corrupted_bags(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Callable[..., CorruptedBags]:
+) -> Callable[..., tuple[CorruptedBag, ...]]:
     """Return a function of a clean bag, a model, `runs` and `seed` that returns corrupted bags: `bags.corrupted`."""
     from pytest_odomcorrupt.bags import corrupted  # noqa: PLC0415 - not before a test asks
 

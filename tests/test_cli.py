@@ -316,7 +316,7 @@ def stopping(error):
     ("error", "code", "said"), [(KeyboardInterrupt(), 130, ""), (BagError("a\nb"), 1, "odomcorrupt: a b\n")]
 )
 def test_interrupts_and_errors_end_with_their_code(monkeypatch, capsys, error, code, said):
-    monkeypatch.setattr("odomcorrupt.corruption.run.corrupt_bag", stopping(error))
+    monkeypatch.setattr("odomcorrupt.api.corruption.corrupt_bag", stopping(error))
     assert run([OFFICE, "out.mcap"]) == code
     assert capsys.readouterr().err.strip() == said.strip()
 

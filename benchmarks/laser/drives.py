@@ -13,7 +13,7 @@ from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.laser.sweep import Sweep, Sweeps
 from odomcorrupt.simulation import simulate
-from odomcorrupt.simulation.tracker import Tracker
+from odomcorrupt.simulation.sensors import Tracker
 from odomcorrupt.study.io.laser_truth import LaserRun, match_run, truth_of
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.reader import recordings_of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -11,16 +12,22 @@ from odomcorrupt.api.bag_options import BagOptions, as_condition, split_options
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
+from odomcorrupt.batching.engine import run_batch
+from odomcorrupt.batching.job import BatchSpec, Job, plan, seed_of
+from odomcorrupt.batching.manifest import read_records
+from odomcorrupt.corruption.summary import places_lines
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.map_condition import MapCondition
-    from odomcorrupt.summary import Summary
+
+_NAMED = 8
+"""Failed runs that are named."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -41,7 +48,7 @@ class Batch(Result):
     @property
     def seed(self) -> int:
         """Seed of all random draws."""
-        return self.jobs[0].seed
+        return self.jobs[0].batch.seed
 
     @property
     def records(self) -> list[dict[str, Any]]:
@@ -54,8 +61,6 @@ class Batch(Result):
         return [directory / record["file"] for directory, record in self._records()]
 
     def _records(self) -> list[tuple[Path, dict[str, Any]]]:
-        from odomcorrupt.batching.manifest import read_records
-
         directories = [job.directory for job in self.jobs]
         return [(path, record) for path in directories for _, record in sorted(read_records(path).items())]
 
@@ -68,18 +73,33 @@ class Batch(Result):
         return len(self.records)
 
     def summary(self) -> Summary:
-        """Return the number of runs, their drift, and the failures."""
-        from odomcorrupt.batching.summary import brief
-        from odomcorrupt.corruption.summary import places_lines
-
-        places = places_lines(self.jobs[0].model) if self.jobs else []
-        return brief(self.directory, self.records, self.made_now, self.seed, self.failures, self.losses, places)
+        """Return the number of runs, effects of places, the drift, the failures, and the next command."""
+        records = self.records
+        made = f"{self.made_now} runs made now, {len(records)} in {self.directory}"
+        lines = [Line("FAILED", made, "bad") if self.failures else Line("MADE", made, "good")]
+        lines += [*places_lines(self.jobs[0].model), Line("seed", str(self.seed))]
+        drifts = [record["drift"] for record in records if "end_drawn_m" in record.get("drift", {})]
+        if drifts:
+            metres = math.sqrt(sum(d["end_drawn_m"] ** 2 for d in drifts) / len(drifts))
+            radians = math.sqrt(sum(d["end_drawn_rad"] ** 2 for d in drifts) / len(drifts))
+            far = max(d["distance_m"] for d in drifts)
+            said = f"{metres:.3g} m, {math.degrees(radians):.3g} deg RMS at the end of {far:.4g} m"
+            lines.append(Line("drift", said))
+        if self.failures:
+            first, reason = self.failures[0]
+            lines.append(Line("failed", f"{len(self.failures)} runs, tried twice; run {first}: {reason}", "bad"))
+        lines += [Line("lost", loss, "warning") for loss in self.losses]
+        return Summary((*lines, command_line(["odomcorrupt", "spread", self.directory])))
 
     def details(self) -> str:
-        """Return the summary in sentences."""
-        from odomcorrupt.batching.summary import sentences
-
-        return sentences(self.directory, len(self.records), self.made_now, self.seed, self.failures, self.losses)
+        """Return the summary in sentences, with the numbers of the failed runs."""
+        said = f"{self.made_now} runs made now, {len(self)} in {self.directory}, seed {self.seed}."
+        if self.failures:
+            first, reason = self.failures[0]
+            names = ", ".join(str(run) for run, _ in self.failures[:_NAMED])
+            names += ", ..." if len(self.failures) > _NAMED else ""
+            said += f" Not made, tried twice: {len(self.failures)} runs ({names}); run {first}: {reason}"
+        return said + "".join(f" Lost: {loss}." for loss in self.losses)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the manifest: the directory, the seed, and a record of each run."""
@@ -162,8 +182,6 @@ def batch(
     >>> len(runs.paths)
     3
     """
-    from odomcorrupt.batching.plan import BatchSpec, plan, run_batch, seed_of
-
     moved, container = split_options(options)
     chosen = as_model(model)
     file = Path(fspath(model)) if isinstance(model, str | PathLike) and fspath(model).endswith(".toml") else None

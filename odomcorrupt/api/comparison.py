@@ -44,7 +44,7 @@ class Comparison(Result):
 
     def summary(self) -> Summary:
         """Return whether the last model is better than the first by all measures, and one line per model."""
-        from odomcorrupt.report.text.brief import comparison_brief
+        from odomcorrupt.report.text.comparison import comparison_brief
 
         return comparison_brief(self.result, self.following)
 

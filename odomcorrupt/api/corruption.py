@@ -1,4 +1,4 @@
-"""Corruption of a bag's odometry with realistic drift."""
+"""Corruption of a bag's odometry with realistic drift, and correction of the systematic errors in measured odometry."""
 
 from __future__ import annotations
 
@@ -8,25 +8,28 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, split_options
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
+from odomcorrupt.bags.provenance import ProvenanceWatcher
+from odomcorrupt.corruption.run import Outcome, corrupt_bag
+from odomcorrupt.corruption.summary import brief, oddities
+from odomcorrupt.corruption.summary import summary as paragraph
 from odomcorrupt.errors import BagError, OdomCorruptError
+from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.rng import draw_seed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from matplotlib.figure import Figure
 
     from odomcorrupt.bags.block import Block
+    from odomcorrupt.correction.run import Corrected
     from odomcorrupt.corruption.drift import Drift
-    from odomcorrupt.corruption.run import Outcome
-    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.map_condition import MapCondition
-    from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.preview.forecast import CleanDrive
     from odomcorrupt.summary import Summary
 
 
@@ -75,15 +78,11 @@ class Corruption(Result):
 
     def summary(self) -> Summary:
         """Return the messages modified, model, seed, the drift at the end, and warnings."""
-        from odomcorrupt.corruption.summary import brief
-
         return brief(self.outcome, self.model.origin, self.target, [*self._again(), self.map_account])
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        from odomcorrupt.corruption.summary import summary
-
-        said = (summary(self.outcome, self.model.origin), self.map_account, *self._again())
+        said = (paragraph(self.outcome, self.model.origin), self.map_account, *self._again())
         return " ".join(part for part in said if part)
 
     def _again(self) -> list[str]:
@@ -94,9 +93,6 @@ class Corruption(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return seed, run, model, modified messages, drift and warnings as plain values."""
-        from odomcorrupt.corruption.summary import oddities
-        from odomcorrupt.report.json.numbers import finite
-
         outcome = self.outcome
         return finite(
             {
@@ -132,7 +128,7 @@ class Corruption(Result):
     def _figure(self) -> Figure:
         """Return a figure of the clean path and the noisy one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
-        from odomcorrupt.trajectories.reader import read_drive
+        from odomcorrupt.trajectories import read_drive
 
         if "-" in (self.source, self.target):
             raise OdomCorruptError("a picture of a corruption: reads both bags again, which is impossible on a pipe")
@@ -189,10 +185,6 @@ def corrupt(
     >>> done.seed, done.moved["/odom"]
     (7, 3000)
     """
-    from odomcorrupt.bags.provenance import ProvenanceWatcher
-    from odomcorrupt.corruption.run import corrupt_bag
-    from odomcorrupt.rng import draw_seed
-
     moved, container = split_options(options)
     chosen = as_model(model)
     drawn = draw_seed() if seed is None else seed
@@ -201,8 +193,10 @@ def corrupt(
     with ExitStack() as kept:
         path, bag = None, bag_path(source)
         if condition is not None:
+            from odomcorrupt.preview.forecast import clean_drive_of
+
             bag = _kept_pipe(kept) if bag is None else bag
-            drive = _clean_drive(bag, chosen.motion_model, moved, recover=container.recover)
+            drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)
             path = condition.path(chosen.motion_model, drawn, run, drive)
         metadata = {} if condition is None else condition.provenance()
         outcome = corrupt_bag(
@@ -226,10 +220,129 @@ def _kept_pipe(kept: ExitStack) -> Path:
     return Path(file.name)
 
 
-def _clean_drive(source: Path, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive:
-    """Return the odometry of a bag, read before its corruption."""
-    from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.preview.forecast import read_clean_drive
+@dataclass(frozen=True, slots=True, repr=False)
+class Correction(Result):
+    """Result of a correction of measured odometry.
 
-    with open_reader(source, recover=recover) as reader:
-        return read_clean_drive(reader, model, options)
+    source, target : the bags
+    outcome : complete result
+    """
+
+    source: str
+    target: str
+    outcome: Corrected
+
+    @property
+    def drift(self) -> Drift:
+        """Change of the odometry (`drawn`), and remaining error expected from the noise (`expected`)."""
+        return self.outcome.run.drift
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Unreadable parts of a damaged input, in sentences."""
+        return self.outcome.run.losses
+
+    def summary(self) -> Summary:
+        """Return the effects removed, how far that moved the odometry, and the remaining error."""
+        from odomcorrupt.correction.summary import brief as correction_brief
+
+        return correction_brief(self.outcome, self.target)
+
+    def details(self) -> str:
+        """Return the complete result in one paragraph."""
+        from odomcorrupt.correction.summary import correction_summary
+
+        return correction_summary(self.outcome)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the effects removed and left, the messages modified, and the change of the odometry."""
+        outcome = self.outcome
+        return finite(
+            {
+                "schema": 2,
+                "input": self.source,
+                "output": self.target,
+                "taken_out": [effect.name for effect in outcome.effects.undone],
+                "left": [effect.name for effect in outcome.effects.left],
+                "odometry": outcome.run.odometry,
+                "moved": {**outcome.run.changes.odometry, **outcome.run.changes.edges},
+                "drift": outcome.run.drift._asdict(),
+                "losses": list(outcome.run.losses),
+            }
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one row per effect, and whether it was removed."""
+        undone, left = self.outcome.effects.undone, self.outcome.effects.left
+        return [{"effect": e.name, "taken_out": e in undone} for e in (*undone, *left)]
+
+    def _figure(self) -> Figure:
+        """Return a figure of the measured path and the corrected one, read from the two bags."""
+        from odomcorrupt.report.plots.paths import draw_corruption
+        from odomcorrupt.trajectories import read_drive
+
+        before, after = (read_drive(Path(path), self.outcome.run.odometry) for path in (self.source, self.target))
+        return draw_corruption(before.xyt, after.xyt, Path(self.target).name, names=("measured", "corrected"))
+
+
+def correct(
+    source: str | PathLike[str],
+    target: str | PathLike[str],
+    *,
+    model: ModelLike | None = None,
+    start_xyt: Sequence[float] | Literal["odom"] | None = None,
+    watch: Callable[[Block], None] = lambda _: None,
+    **options: Unpack[BagOptions],
+) -> Correction:
+    """Remove the systematic effects of a model from measured odometry.
+
+    Parameters
+    ----------
+    source, target : path
+        Bags; the source is read twice and cannot be a pipe, the target may be "-".
+    model : Model or path of a model file
+        Model from `fit` or `learn`; None copies the bag.
+    start_xyt : (3,) or "odom", optional
+        Start pose of the odometry in the frame of position-dependent effects, metres and radians; "odom" if that
+        frame is the odometry's own. Required for a learned model with such effects.
+    watch : callable
+        Called with every block written.
+    **options
+        See `BagOptions`.
+
+    Returns
+    -------
+    Correction
+        Effects removed, effects that cannot be, and the change of the odometry.
+
+    Raises
+    ------
+    BagError, TopicError, EffectError
+        If a bag cannot be read or written, has no odometry, or no true motion explains its odometry; if
+        position-dependent effects were learned and `start_xyt` is missing.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> model = oc.Model(effects=["wheelbase:e=2%"], track_m=0.3)
+    >>> done = oc.correct("fixtures/office.mcap", "corrected.mcap", model=model, overwrite=True)
+    >>> [effect.name for effect in done.outcome.effects.undone]
+    ['wheelbase']
+    """
+    import numpy as np
+
+    from odomcorrupt.correction.run import correct_bag, require_start
+    from odomcorrupt.model.motion_model import NOISE_FREE
+
+    before = bag_path(source)
+    if before is None:
+        raise OdomCorruptError("-: correction reads a bag twice, which is impossible on a pipe; name a file")
+    moved, container = split_options(options)
+    robot = NOISE_FREE if model is None else as_model(model).motion_model
+    if start_xyt is None:
+        require_start(robot)
+    start = None if start_xyt is None or start_xyt == "odom" else np.array(start_xyt, dtype=np.float64)
+    outcome = correct_bag(
+        before, bag_path(target), robot, options=moved, container=container, start_xyt=start, watch=watch
+    )
+    return Correction(fspath(source), fspath(target), outcome)

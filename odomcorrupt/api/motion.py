@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError
+from odomcorrupt.rng import draw_seed, stream
+from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
+from odomcorrupt.sampling.samples import (
+    Moments,
+    ellipse,
+    linearised_moments,
+    move_between,
+    move_sampled,
+    move_sampled_in_map,
+    move_variances,
+    sample_moments,
+)
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -19,63 +34,143 @@ if TYPE_CHECKING:
 
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.density import DensityGrid
     from odomcorrupt.sampling.samples import Move
-    from odomcorrupt.sampling.text import Drawn
+
+_ARTICLE_CODE = (
+    "article-code: the listing passes sd*sd where a standard deviation is expected, so what is drawn has deviation "
+    "sd^2 (in numbers, whatever the unit), not sd"
+)
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, kw_only=True)
 class Samples(Result):
     """End poses drawn for one motion.
 
-    drawn : the motion, its noise, the samples and their source
+    move, noise, variances : the motion, its noise, and the variances of its noise
+    xyt : end poses, shape (count, 3), metres and radians; headings are not wrapped
+    seed, origin : seed of the random draws, and source of the noise in words
     space : free space that constrains the samples, None without a map
+    notes : effect of a map on the draws, in sentences
     following : suggested next command, "" for none
     """
 
-    drawn: Drawn
+    move: Move
+    noise: Noise
+    variances: Variances
+    xyt: NDArray[Any]
+    seed: int
+    origin: str
     space: FreeSpace | None = None
+    notes: tuple[str, ...] = ()
     following: str = ""
-
-    @property
-    def xyt(self) -> NDArray[Any]:
-        """End poses, shape (count, 3), metres and radians; headings are not wrapped."""
-        return self.drawn.xyt
-
-    @property
-    def seed(self) -> int:
-        """Seed of the random draws."""
-        return self.drawn.seed
 
     def summary(self) -> Summary:
         """Return mean and spread of the samples beside those of the linearised model."""
-        from odomcorrupt.sampling.text import brief
+        own = sample_moments(self.xyt)
+        lines = [Line("SAMPLES", f"{len(self.xyt)} of seed {self.seed}, mean {_pose(own.mean_xyt)}", "good")]
+        for name, moments in (("spread", own), ("linearised", linearised_moments(self.move, self.variances))):
+            about = ellipse(moments, 1.0)
+            heading = math.degrees(math.sqrt(moments.covariance[2, 2]))
+            axes = f"{about.major_m:.3g} m by {about.minor_m:.3g} m at {math.degrees(about.angle_rad) % 180.0:.3g} deg"
+            lines.append(Line(name, f"{axes}, heading {heading:.3g} deg (1 sigma)"))
+        lines.append(Line("motion", f"{_pose(self.move.start_xyt)} to {_pose(self.move.end_xyt)}"))
+        lines.append(Line("noise", self.noise.words))
+        lines += [Line("note", note, "warning") for note in (*self._squared, *self.notes)]
+        return Summary((*lines, command_line(self.following)))
 
-        return brief(self.drawn, self.following)
+    @property
+    def _squared(self) -> list[str]:
+        """Note that standard deviations are squared, as in the article's listing."""
+        return [_ARTICLE_CODE] if self.noise.law_name == "article-code" else []
 
     def details(self) -> str:
         """Return motion, noise, and both covariances."""
-        from odomcorrupt.sampling.text import report_text
-
-        return report_text(self.drawn)
+        move, v, parts, degrees = self.move, self.variances, self.move.parts, math.degrees
+        rot1, rot2, trans = (float(values[0]) for values in (parts.rot1_rad, parts.rot2_rad, parts.trans_m))
+        deviation = [math.sqrt(float(values[0])) for values in (v.rot1, v.trans, v.rot2)]
+        lines = [
+            f"motion: {_pose(move.start_xyt)} -> {_pose(move.end_xyt)}",
+            f"  as turn {degrees(rot1):.4g} deg, drive {trans:.4g} m, turn {degrees(rot2):.4g} deg",
+            f"noise: {self.noise.words}" + (f" ({self.origin})" * bool(self.origin)),
+            f"  with deviations {degrees(deviation[0]):.4g} deg, {deviation[1]:.4g} m, {degrees(deviation[2]):.4g} deg",
+            f"{len(self.xyt)} samples, seed {self.seed}",
+            *self._squared,
+        ]
+        sets = [("linearised", linearised_moments(move, v))]
+        if len(self.xyt) > 1:
+            sets.insert(0, ("samples", sample_moments(self.xyt)))
+        for name, moments in sets:
+            about = ellipse(moments, 1.0)
+            axes = f"{about.major_m:.4g} m by {about.minor_m:.4g} m"
+            angle = f"{degrees(about.angle_rad) % 180.0:.3g} deg"
+            lines += [
+                f"{name}: mean {_pose(moments.mean_xyt)}, 1 sigma {axes}, long axis at {angle}",
+                "  covariance of x, y (m), theta (rad):",
+                *("    " + "  ".join(f"{value: .4e}" for value in row) for row in moments.covariance),
+            ]
+        return "\n".join([*lines, *self.notes])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return motion, noise, moments and samples."""
-        from odomcorrupt.sampling.text import drawn_json
-
-        return {"schema": 2, **drawn_json(self.drawn)}
+        """Return motion, noise, moments (of the samples and linearised) and samples."""
+        noise, v, parts = self.noise, self.variances, self.move.parts
+        linear = linearised_moments(self.move, v)
+        about = ellipse(linear, 1.0)
+        return {
+            "schema": 2,
+            "law": noise.law_name,
+            "step": None if noise.step is None else str(noise.step),
+            "coefficients": dataclasses.asdict(noise.coefficients),
+            "source": self.origin,
+            "seed": self.seed,
+            "start_xyt": self.move.start_xyt.tolist(),
+            "odometry_end_xyt": self.move.end_xyt.tolist(),
+            "rot1_rad": float(parts.rot1_rad[0]),
+            "trans_m": float(parts.trans_m[0]),
+            "rot2_rad": float(parts.rot2_rad[0]),
+            "standard_deviations": {
+                name: math.sqrt(float(getattr(v, name)[0])) for name in ("rot1", "trans", "across", "rot2")
+            },
+            "samples": _moments(sample_moments(self.xyt)) if len(self.xyt) > 1 else None,
+            "linearised": _moments(linear),
+            "linearised_ellipse_1_sigma": {
+                "centre_xy": about.centre_xy.tolist(),
+                "major_m": about.major_m,
+                "minor_m": about.minor_m,
+                "angle_rad": about.angle_rad,
+            },
+            "notes": list(self.notes),
+            "xyt": self.xyt.tolist(),
+        }
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per sample."""
         return [dict(zip(("x_m", "y_m", "theta_rad"), map(float, row), strict=True)) for row in self.xyt]
 
+    def csv(self) -> str:
+        """Return the samples as lines of x, y, theta that parse to the same bits."""
+        rows = [",".join(repr(float(value)) for value in row) for row in self.xyt]
+        return "\n".join(["x_m,y_m,theta_rad", *rows]) + "\n"
+
     def _figure(self) -> Figure:
         """Return a figure of the samples with the covariance ellipse of a Kalman filter."""
         from odomcorrupt.report.plots.samples import draw_banana
-        from odomcorrupt.sampling.text import title
 
-        return draw_banana(self.drawn.move, self.drawn.variances, self.xyt, title(self.drawn), self.space)
+        numbers = "  ".join(f"{name} {value:.3g}" for name, value in self.noise.numbers)
+        name = "article-code (sd passed squared)" if self._squared else self.noise.law_name
+        step = f" per {self.noise.step}" if self.noise.step is not None else ""
+        title = f"Where one motion may end: law {name}{step}, {len(self.xyt)} samples, seed {self.seed}\n{numbers}"
+        return draw_banana(self.move, self.variances, self.xyt, title, self.space)
+
+
+def _pose(xyt: NDArray[Any]) -> str:
+    return f"({xyt[0]:.4g} m, {xyt[1]:.4g} m, {math.degrees(xyt[2]):.4g} deg)"
+
+
+def _moments(moments: Moments) -> dict[str, Any]:
+    return {"mean_xyt": moments.mean_xyt.tolist(), "covariance": moments.covariance.tolist()}
 
 
 def sample(
@@ -118,32 +213,24 @@ def sample(
     >>> oc.sample((0, 0, 0), (1, 0.35, 0.7), count=500, seed=1).xyt.shape
     (500, 3)
     """
-    from odomcorrupt.rng import draw_seed, stream
-    from odomcorrupt.sampling.samples import move_sampled
-    from odomcorrupt.sampling.text import Drawn
-
     chosen = as_model(model)
     move, variances = _motion(start_xyt, end_xyt, chosen.motion_model)
-    drawn_seed = draw_seed() if seed is None else seed
-    rng = stream(drawn_seed, 0, "sample")
+    seed = draw_seed() if seed is None else seed
+    rng = stream(seed, 0, "sample")
+    space: FreeSpace | None = None
     notes: tuple[str, ...] = ()
     if within is None:
         xyt = move_sampled(move, variances, count, rng)
     else:
-        from odomcorrupt.sampling.samples import move_sampled_in_map
-
         free = move_sampled_in_map(move, variances, count, rng, within)
-        xyt, notes = free.xyt, (free.account(),)
-    noise = chosen.motion_model.noise
-    drawn = Drawn(move, noise, variances, xyt, drawn_seed, chosen.origin, notes)
-    return Samples(drawn, None if within is None else within.space)
+        xyt, space, notes = free.xyt, within.space, (free.account(),)
+    return Samples(
+        move=move, noise=chosen.motion_model.noise, variances=variances, xyt=xyt, seed=seed, origin=chosen.origin,
+        space=space, notes=notes,
+    )  # fmt: skip
 
 
 def _motion(start_xyt: Sequence[float], end_xyt: Sequence[float], model: Any) -> tuple[Move, Variances]:
-    import numpy as np
-
-    from odomcorrupt.sampling.samples import move_between, move_variances
-
     if model.effects:
         raise ModelError(
             "effects act over time, and a single motion has no duration: corrupt a path, or leave them out"
@@ -236,8 +323,6 @@ class Density(Result):
         matplotlib.figure.Figure
         """
         from odomcorrupt.report.plots.samples import draw_density
-        from odomcorrupt.rng import stream
-        from odomcorrupt.sampling.samples import move_sampled
 
         xyt = move_sampled(self.move, self.variances, count, stream(seed, 0, "sample"))
         if self.within is not None:
@@ -290,11 +375,6 @@ def density(
     >>> round(oc.density((0, 0, 0), (1, 0, 0), [(1, 0, 0)], model="typical").grid.integral, 3)
     1.0
     """
-    import numpy as np
-
-    from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
-    from odomcorrupt.sampling.text import law_words
-
     chosen = as_model(model).motion_model
     move, variances = _motion(start_xyt, end_xyt, chosen)
 
@@ -312,5 +392,4 @@ def density(
         grid, part = within_map(grid, within, start_xy)
         free = within.allows(np.broadcast_to(start_xy, (len(at), 2)), at[:, :2])
         values = np.where(free, values / part, 0.0)
-    law = law_words(chosen.noise)
-    return Density(at, values, reading, grid, move, variances, law, part, within)
+    return Density(at, values, reading, grid, move, variances, chosen.noise.words, part, within)

@@ -314,11 +314,11 @@ def refuse_turns_alone(runs: Recordings) -> Recordings:
 
 def describe(recording: Recording) -> str:
     """Return a one-line description: poses, seconds and metres of the odometry, poses and seconds of the truth."""
-    import numpy as np
+    from odomcorrupt.geometry.trajectory import distance_along
 
     odometry, truth = recording.odometry, recording.truth
+    travelled = distance_along(odometry.xyt)[-1]
     spans = [(t.stamps_ns[-1] - t.stamps_ns[0]) * 1e-9 for t in (odometry, truth)]
-    travelled = np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1).sum()
     return (
         f"{recording.name}: odometry {len(odometry)} poses in {spans[0]:.1f} s ({travelled:.1f} m), "
         f"truth {len(truth)} poses in {spans[1]:.1f} s"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +16,10 @@ from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model.model_file import parse_model, read_model
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from odomcorrupt.batching.sinks import TumPath
@@ -59,6 +62,10 @@ class SpreadReport:
     runs_xy: tuple[Array, ...]
     band: Array
     errors: Array
+
+
+_ERRORS = 2.0
+"""Standard errors beyond which a dispersion differs from the prediction."""
 
 
 class _Quiet:
@@ -165,3 +172,41 @@ def _path(
     samples = source.feed(clean.stamps_ns, clean.xyt)
     path: Array = samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]
     return path
+
+
+def spread_brief(report: SpreadReport, following: Sequence[object]) -> Summary:
+    """Return whether the dispersion at the end is as predicted, and its values along the drive."""
+    last = report.rows[-1]
+    ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
+    # standard error of the logarithm of a standard deviation from this many runs in two directions
+    chance = _ERRORS / math.sqrt(4.0 * max(report.runs - 1, 1))
+    off = math.inf if not ratio else math.log(ratio)
+    verdict = "AS PREDICTED" if abs(off) <= chance else "WIDER" if off > 0.0 else "NARROWER"
+    said = f"{ratio:.3g} times the predicted spread after {last.after_m:.4g} m, {report.runs} runs"
+    lines = [Line(verdict, said, "good" if abs(off) <= chance else "warning")]
+    for row in (report.rows[i] for i in sorted({0, len(report.rows) // 2, len(report.rows) - 1})):
+        measured = f"{row.position_m:.3g} m, {math.degrees(row.heading_rad):.3g} deg"
+        predicted = f"{row.position_predicted_m:.3g} m, {math.degrees(row.heading_predicted_rad):.3g} deg"
+        lines.append(Line(f"{row.after_m:.4g} m", f"{measured} (predicted {predicted})"))
+    mean = f"{last.mean_m:.3g} m, {math.degrees(last.mean_rad):.3g} deg off on average at the end"
+    lines.append(Line("mean", mean))
+    if report.random_effects:
+        lines.append(Line("odd", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
+    return Summary((*lines, command_line(["odomcorrupt", *following])))
+
+
+def spread_text(report: SpreadReport) -> str:
+    """Return a table of the dispersion along the drive, measured and predicted."""
+    lines = [
+        f"{report.directory}: {report.runs} runs; standard deviations about their mean, and as linearised (predicted)",
+        "   after m   position m   predicted   heading deg   predicted    mean m   mean deg",
+    ]
+    lines += [
+        f"{row.after_m:10.4g} {row.position_m:12.4g} {row.position_predicted_m:11.4g} "
+        f"{math.degrees(row.heading_rad):13.4g} {math.degrees(row.heading_predicted_rad):11.4g} "
+        f"{row.mean_m:9.3g} {math.degrees(row.mean_rad):10.3g}"
+        for row in report.rows
+    ]
+    if report.random_effects:
+        lines.append(f"The prediction does not include the draws of {', '.join(report.random_effects)}.")
+    return "\n".join(lines)

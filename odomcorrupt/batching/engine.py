@@ -1,4 +1,4 @@
-"""Execution of a batch in this process, a process pool or a Dask cluster, with the same bytes as result."""
+"""Execution of a batch: its missing runs, made here, in a process pool or on a Dask cluster: the same bytes."""
 
 from __future__ import annotations
 
@@ -8,19 +8,32 @@ import signal
 import sys
 import threading
 import time
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.job import Task
-from odomcorrupt.batching.manifest import BatchError, read_records, sweep_leftovers
-from odomcorrupt.batching.runner import PAUSE_S, attempt
+from odomcorrupt.batching.manifest import (
+    BatchError,
+    begin,
+    bytes_of,
+    fingerprint_of,
+    locked,
+    read_records,
+    sweep_leftovers,
+    write_manifest,
+)
+from odomcorrupt.batching.runner import PAUSE_S, Failure, attempt
+from odomcorrupt.batching.sinks import read_tum, write_npz
+from odomcorrupt.corruption.transform import Transform
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.batching.job import Job
-    from odomcorrupt.batching.runner import Failure
 
 GROUP = 32
 """Runs of one pass at most: each holds an open file and a path of its own."""
@@ -36,18 +49,20 @@ GRACE_S = 5.0
 """Time in which a worker whose batch is dead removes its files."""
 
 
+@dataclass(frozen=True, slots=True)
 class Shard:
     """One machine's part of a batch: every count-th run from the number-th on, counted from 1."""
 
-    __slots__ = ("count", "number")
-
-    def __init__(self, number: int, count: int) -> None:
-        self.number = number
-        self.count = count
+    number: int = 1
+    count: int = 1
 
     def has(self, run: int) -> bool:
         """Whether a run belongs to this shard."""
         return run % self.count == self.number - 1
+
+
+ALL = Shard()
+"""All runs, of a batch on one machine."""
 
 
 def count_missing(job: Job, runs: range, shard: Shard) -> int:
@@ -69,18 +84,20 @@ def missing_runs(job: Job, runs: range, shard: Shard, *, verify: bool = False) -
 
 def tasks_of(job: Job, runs: Sequence[int], workers: int) -> list[Task]:
     """Divide runs into passes over the bag, at least one for each worker where possible and of limited size."""
-    size = (
-        sum(file.stat().st_size for file in job.source.iterdir()) if job.source.is_dir() else job.source.stat().st_size
-    )
-    most = GROUP // 2 if size > LARGE_BYTES else GROUP
+    most = GROUP // 2 if bytes_of(job.source) > LARGE_BYTES else GROUP
     group = max(1, min(most, -(-len(runs) // workers)))
     return [Task(job, tuple(runs[i : i + group])) for i in range(0, len(runs), group)]
 
 
 class Audience(Protocol):
-    """Callbacks for the progress of tasks."""
+    """Callbacks for the progress of tasks.
+
+    shown : whether progress within a task is displayed
+    failures : failures of the tasks that are done
+    """
 
     shown: bool
+    failures: list[Failure]
 
     def done(self, task: Task, failures: list[Failure]) -> None:
         """Report that a task is done."""
@@ -237,3 +254,86 @@ def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, aud
         except BaseException:
             client.cancel(list(futures))
             raise
+
+
+def require_odometry(jobs: Sequence[Job]) -> None:
+    """Raise an error at once where all runs would fail: no odometry, or an invalid model."""
+    for job in jobs:
+        with open_reader(job.source, recover=job.batch.container.recover) as reader:
+            Transform(job.model_of(0), job.batch.seed, 0, job.batch.options).odometry.prepare(reader, reader.name)
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """Result of a batch call: number of runs made, and failed runs with their reasons."""
+
+    runs: int
+    failures: tuple[Failure, ...]
+
+
+@dataclass(slots=True)
+class _Silent:
+    """Audience that only collects the failures."""
+
+    shown: bool = False
+    failures: list[Failure] = field(default_factory=list)
+
+    def done(self, _task: Task, failures: list[Failure]) -> None:
+        self.failures.extend(failures)
+
+    def under_way(self, _task: Task, _part: float | None, _past_s: float) -> None:
+        """Do nothing: progress is not displayed."""
+
+
+def run_batch(
+    jobs: Sequence[Job],
+    runs: range,
+    *,
+    processes: int = 1,
+    shard: Shard = ALL,
+    verify: bool = False,
+    dask: str | None = None,
+    audience: Audience | None = None,
+) -> Made:
+    """Make the missing runs of jobs and their manifests; return the number made and the failures.
+
+    Parameters
+    ----------
+    jobs, runs : jobs, and the numbers of their runs
+    processes : number of processes
+    shard : part of the runs to make, where several machines share them
+    verify : whether runs whose checksums differ from their records are made again
+    dask : address of a Dask scheduler
+    audience : callbacks for progress
+
+    Raises
+    ------
+    BatchError
+        If a directory contains another batch.
+    """
+    require_odometry(jobs)
+    fingerprints = {source: fingerprint_of(source) for source in {job.source for job in jobs}}
+    for job in jobs:
+        begin(job, fingerprints[job.source])
+    audience = audience or _Silent()
+    with ExitStack() as locks:
+        for job in jobs:
+            locks.enter_context(locked(job, shared=shard.count > 1))
+        todo = [(job, missing_runs(job, runs, shard, verify=verify)) for job in jobs]
+        if dask is not None:
+            run_on_dask(todo, dask, audience)
+        else:
+            run_local([task for job, own in todo for task in tasks_of(job, own, processes)], processes, audience)
+        for job in jobs:
+            write_manifest(job.directory)
+            _collect(job, runs)
+    return Made(sum(len(own) for _, own in todo) - len(audience.failures), tuple(audience.failures))
+
+
+def _collect(job: Job, runs: range) -> None:
+    """Write all paths to one file, once all of them exist."""
+    if job.batch.output == "trajectories":
+        made = read_records(job.directory)
+        if set(runs) <= made.keys():
+            files = [job.directory / record["file"] for record in made.values()]
+            write_npz(job.directory / "trajectories.npz", read_tum(job.directory / "clean.tum"), list(made), files)

@@ -7,17 +7,19 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.batching.engine import count_missing
 from odomcorrupt.batching.job import Task
-from odomcorrupt.batching.manifest import PARTS, BatchError
+from odomcorrupt.batching.manifest import PARTS, BatchError, bytes_of
 from odomcorrupt.batching.runner import make
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from odomcorrupt.bags.block import BagReader, Block
-    from odomcorrupt.batching.job import Job, Output
+    from odomcorrupt.batching.engine import Shard
+    from odomcorrupt.batching.job import Job
 
 TRIED_BYTES = 32 << 20
 """How much of a bag is tried, decompressed."""
@@ -46,58 +48,39 @@ class Need:
 
 
 class _First:
-    """A reader limited to the beginning of a bag."""
+    """The beginning of a bag; otherwise equal to the given reader."""
 
-    def __init__(self, reader: BagReader, most_bytes: int) -> None:
-        self.kind, self.name, self.paths = reader.kind, reader.name, reader.paths
-        self.complete, self.channels = reader.complete, reader.channels
-        self.definition = reader.definition
-        self.losses: list[str] = []
-        self.read_bytes = 0
-        self.cut = False
-        self._reader = reader
-        self._most_bytes = most_bytes
+    def __init__(self, reader: BagReader) -> None:
+        self._reader, self.read_bytes, self.cut = reader, 0, False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
 
     def blocks(self, only: Any = None) -> Iterator[Block]:  # noqa: ARG002 - the protocol's signature
-        """Yield blocks until the byte limit, and beyond it until there has been odometry."""
+        """Yield blocks until `TRIED_BYTES`, and beyond it until there has been odometry."""
         self.read_bytes = 0
         for block in self._reader.blocks():
             self.read_bytes += block.data.size
             yield block
-            if self.read_bytes >= self._most_bytes:
+            if self.read_bytes >= TRIED_BYTES:
                 self.cut = True
                 return
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-
-def bytes_of(path: Path) -> int:
-    """Return the size of a bag (file or directory), bytes."""
-    return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
 
 
 def estimate(job: Job) -> Estimate:
     """Return the cost of one run, from a few runs on the beginning of the bag in a temporary directory."""
     size = bytes_of(job.source)
     with tempfile.TemporaryDirectory() as scratch:
-        whole = _try(
-            replace(job, container=replace(job.container, compression=None, level=None), split=False),
-            "full",
-            1,
-            Path(scratch) / "full",
-        )
-        chosen = _try(job, job.output, TRIED_RUNS, Path(scratch) / "chosen")
-        overlay = _try(job, "overlay", 1, Path(scratch) / "overlay")
+        plain = replace(job.batch.container, compression=None, level=None)
+        whole = _try(job, 1, Path(scratch) / "full", output="full", container=plain, split=False)
+        chosen = _try(job, TRIED_RUNS, Path(scratch) / "chosen")
+        overlay = _try(job, 1, Path(scratch) / "overlay", output="overlay")
     part = 1.0
     if whole.cut:
         # sqlite3 files are copied as a whole, but their size is that of what is read
         read = whole.read_bytes if whole.copied else whole.bytes
         part = min(1.0, read / size)
-    copied = whole.copied and job.output == "full"
+    copied = whole.copied and job.batch.output == "full"
     return Estimate(size if copied else round(chosen.bytes / part), chosen.seconds / part, round(overlay.bytes / part))
 
 
@@ -110,13 +93,13 @@ class _Trial:
     copied: bool
 
 
-def _try(job: Job, output: Output, runs: int, directory: Path) -> _Trial:
+def _try(job: Job, runs: int, directory: Path, **changes: Any) -> _Trial:
     (directory / PARTS).mkdir(parents=True)
-    tried = replace(job, output=output, directory=directory)
+    tried = replace(job, batch=replace(job.batch, **changes), directory=directory)
     firsts: list[_First] = []
 
     def first(reader: BagReader) -> Any:
-        firsts.append(_First(reader, TRIED_BYTES))
+        firsts.append(_First(reader))
         return firsts[-1]
 
     begun = time.process_time()
@@ -125,6 +108,14 @@ def _try(job: Job, output: Output, runs: int, directory: Path) -> _Trial:
     written = sum(bytes_of(tried.path_of(run)) for run in range(runs))
     last = firsts[-1]
     return _Trial(written / runs, spent / runs, last.read_bytes, last.cut, last.kind == "sqlite3")
+
+
+def need_of(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
+    """Return the cost of a batch's missing runs."""
+    needs = [(count_missing(job, runs, shard), estimate(job)) for job in jobs]
+    size, overlay = sum(n * each.bytes for n, each in needs), sum(n * each.overlay_bytes for n, each in needs)
+    seconds = sum((n * each.seconds for n, each in needs), 0.0)
+    return Need(sum(n for n, _ in needs), size, seconds, overlay, free_bytes(jobs[0].directory))
 
 
 def require_space(need: Need, where: str) -> None:

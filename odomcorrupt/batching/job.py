@@ -1,18 +1,24 @@
-"""The runs of one input and one model: their files, and the command that makes each of them alone."""
+"""The runs of a batch: a job for each input and each point of a sweep, its files, and the command of a single run."""
 
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from odomcorrupt.batching.parameter_draws import Spread, draw_robot
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.batching.manifest import BatchError, read_beginning
+from odomcorrupt.batching.parameter_draws import Spread, draw_robot, spreads_of, stated_spreads
+from odomcorrupt.batching.sweep import variants
+from odomcorrupt.corruption.run import Container
+from odomcorrupt.corruption.transform import Options
+from odomcorrupt.model.model_file import format_model, parse_model, read_model_text
+from odomcorrupt.rng import draw_seed
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
-    from odomcorrupt.corruption.run import Container
-    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
@@ -20,50 +26,76 @@ Output = Literal["full", "overlay", "trajectories"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BatchSpec:
+    """Configuration of a batch.
+
+    model : model of all runs
+    seed : seed of all draws
+    model_file : file of the model, whose parameters "a +- b" are drawn for each run
+    posterior : whether all parameters with a standard error are drawn
+    sweeps : such as "alpha-scale=0.5,1,2"
+    points : number of Sobol points in the ranges of the sweeps
+    options, container : options of corruption, and of reading and writing
+    output : whole bags, changed topics only, or paths
+    split : whether changed messages are written in chunks of their own
+    condition : map to which every run is constrained
+    suffix : of the names of whole bags, which says what they become; None: that of the input
+    model_words : command-line arguments for the model of a single run; None: the directory's model.toml
+    map_words : command-line arguments for the map
+    """
+
+    model: MotionModel
+    seed: int
+    model_file: Path | None = None
+    posterior: bool = False
+    sweeps: tuple[str, ...] = ()
+    points: int = 0
+    options: Options = field(default_factory=Options)
+    container: Container = field(default_factory=Container)
+    output: Output = "full"
+    split: bool = False
+    condition: MapCondition | None = None
+    suffix: str | None = None
+    model_words: tuple[str, ...] | None = None
+    map_words: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """One directory of runs.
+    """One directory of runs of a batch: those of one input with one variant of the model.
 
     source, directory : absolute paths, for workers on other machines
-    model, spreads : model of all runs, and the parameters drawn for each run
-    split : whether changed messages are written in chunks of their own
+    model, spreads : variant of the batch's model, and the parameters drawn for each run
     model_text : content of the directory's model.toml
     model_words, option_words : command-line arguments of a single run: model (if not drawn), and all others
     shown_source, shown_directory : paths as typed
-    condition : map to which every run is constrained; None without one
-    suffix : of the names of whole bags, "" for directories; None: that of the input
     """
 
+    batch: BatchSpec
     source: Path
     directory: Path
     model: MotionModel
     spreads: tuple[Spread, ...]
-    seed: int
-    options: Options
-    container: Container
-    output: Output
-    split: bool
     model_text: str
     model_words: tuple[str, ...]
     option_words: tuple[str, ...]
     shown_source: str
     shown_directory: str
-    condition: MapCondition | None = None
-    suffix: str | None = None
 
     def model_of(self, run: int) -> MotionModel:
         """Return the model of a run: the common one, or one with the run's drawn parameters."""
-        return draw_robot(self.model, self.spreads, self.seed, run) if self.spreads else self.model
+        return draw_robot(self.model, self.spreads, self.batch.seed, run) if self.spreads else self.model
 
     def name_of(self, run: int) -> str:
         """Return the name of a run's file."""
         suffixes = {"overlay": ".mcap", "trajectories": ".tum"}
-        return f"run_{run:06d}{suffixes.get(self.output, self._bag_suffix)}"
+        return f"run_{run:06d}{suffixes.get(self.batch.output, self._bag_suffix)}"
 
     @property
     def _bag_suffix(self) -> str:
         """Suffix of a whole bag; a single compressed file is written as what is in it."""
-        if self.suffix is not None:
-            return self.suffix
+        if self.batch.suffix is not None:
+            return self.batch.suffix
         name = self.source.with_suffix("") if self.source.suffix in (".zstd", ".zst") else self.source
         return "" if self.source.is_dir() else name.suffix
 
@@ -78,10 +110,10 @@ class Job:
     def command_of(self, run: int) -> str:
         """Return the shell command that makes this run alone, as a whole bag, from the batch's working directory."""
         name = self.name_of(run)
-        if self.output != "full":
+        if self.batch.output != "full":
             name = f"run_{run:06d}{self._bag_suffix}"
         words = ("--model", f"{self.shown_directory}/{self.robot_of(run)}") if self.spreads else self.model_words
-        seed = ("--seed", str(self.seed), "--run", str(run))
+        seed = ("--seed", str(self.batch.seed), "--run", str(run))
         return shlex.join(["odomcorrupt", self.shown_source, name, *words, *self.option_words, *seed])
 
 
@@ -91,3 +123,119 @@ class Task:
 
     job: Job
     runs: tuple[int, ...]
+
+
+def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
+    """Return the jobs of a batch in the directory `target`.
+
+    Parameters
+    ----------
+    inputs : sequence of Path
+        Bags.
+    target : Path
+        Directory of the batch.
+    spec : BatchSpec
+        Model, seed, sweeps, options and kind of output.
+
+    Returns
+    -------
+    list of Job
+        One for each input and each point of a sweep.
+
+    Raises
+    ------
+    BatchError
+        If inputs would share a directory, or do not support the requested output.
+    """
+    stems = [source.stem for source in inputs]
+    if len(set(stems)) < len(stems):
+        twice = next(stem for stem in stems if stems.count(stem) > 1)
+        raise BatchError(f"inputs: two of them are called {twice}, and would share a directory; rename one")
+    if spec.posterior and not spec.model.standard_errors:
+        raise BatchError("--robots posterior: the model has no standard errors; give the --model that a fit wrote")
+    stated = frozenset[str]() if spec.model_file is None else stated_spreads(spec.model_file)
+    jobs = []
+    for source in inputs:
+        if source.is_dir() and target.resolve().is_relative_to(source.resolve()):
+            raise BatchError(f"{target}: lies in the input {source}, which stays as it is; name a directory elsewhere")
+        if spec.split:
+            _require_chunks(source, spec)
+        for variant in variants(spec.model, spec.sweeps, spec.points):
+            parts = ([source.stem] if len(inputs) > 1 else []) + ([variant.name] if variant.name else [])
+            directory = target.joinpath(*parts)
+            by_file = ("--model", f"{directory}/model.toml")
+            model, text = variant.model, format_model(variant.model)
+            words: tuple[str, ...] = by_file
+            if not variant.name and spec.model_file is not None:
+                # the file as it is now: it may be edited later
+                text, words = read_model_text(spec.model_file), (*by_file, *(spec.model_words or ()))
+            elif not variant.name and spec.model_words is not None:
+                words = spec.model_words
+            elif not variant.name:
+                # a single run reads the file, which has nine digits
+                model = parse_model(text)
+            jobs.append(
+                Job(
+                    batch=spec,
+                    source=source.absolute(),
+                    directory=directory.absolute(),
+                    model=model,
+                    spreads=spreads_of(model, None if spec.posterior else stated),
+                    model_text=text,
+                    model_words=words,
+                    option_words=(*_option_words(spec.options, spec.container), *spec.map_words),
+                    shown_source=str(source),
+                    shown_directory=str(directory),
+                )
+            )
+    return jobs
+
+
+def _require_chunks(source: Path, spec: BatchSpec) -> None:
+    """Raise BatchError for runs that do not have the chunks of the input, which alone can be split."""
+    with open_reader(source, recover=spec.container.recover) as reader:
+        if reader.kind == "sqlite3":
+            raise BatchError(
+                f"{source}: sqlite3 has no chunks for --layout split to divide, and is not recompressed; "
+                "leave --layout out"
+            )
+        modes = {getattr(reader, "mode", "none"), spec.container.compression}
+    c = spec.container
+    if spec.suffix is not None or c.exclude or c.ros or c.storage or not modes.isdisjoint(("file", "message")):
+        raise BatchError(
+            f"{source}: --layout split needs the chunks of the input, and these runs are written in another way; leave "
+            "--layout out"
+        )
+
+
+def _drift_words(options: Options) -> str | None:
+    if options.new_odom_frame is None:
+        return None
+    return "subtraction" if options.subtracted else "correction"
+
+
+def _option_words(options: Options, container: Container) -> list[str]:
+    """Return the command-line arguments for frames, topics and containers."""
+    values = (
+        ("--odom-topic", options.odom_topic),
+        ("--odom-frame", options.odom_frame),
+        ("--base-frame", options.base_frame),
+        ("--twist", "keep" if options.keep_twist else None),
+        ("--covariance", "keep" if options.keep_covariance else None),
+        ("--keep-truth", options.keep_truth),
+        ("--tf", _drift_words(options)),
+        ("--new-odom-frame", options.new_odom_frame),
+        ("--compression", container.compression),
+        ("--level", container.level),
+        ("--ros", container.ros),
+        ("--storage", container.storage),
+        *(("--exclude-topic", topic) for topic in container.exclude),
+    )
+    words = [word for flag, value in values if value is not None for word in (flag, str(value))]
+    return words + ["--keep-localisation"] * options.keep_localisation + ["--recover"] * container.recover
+
+
+def seed_of(directory: Path) -> int:
+    """Return the seed of the batch in a directory, or a new one."""
+    there = next(iter(sorted(directory.rglob("batch.json"))), None)
+    return draw_seed() if there is None else int(read_beginning(there.parent)["seed"])

@@ -73,15 +73,16 @@ def fingerprint_of(source: Path) -> str:
 
 
 def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
-    map_words = [] if job.condition is None else [*job.condition.provenance().values()]
+    batch, layout = job.batch, "split" if job.batch.split else "as it was"
+    map_words = [] if batch.condition is None else [*batch.condition.provenance().values()]
     return {
         "version": odomcorrupt.__version__,
         "input": {"path": job.shown_source, "hash": fingerprint},
         "model": {"text": format_model(job.model), "hash": hashlib.sha256(repr(job.model).encode()).hexdigest()[:32]},
         "robots": [[spread.effect, spread.parameter, spread.deviation] for spread in job.spreads],
-        "seed": job.seed,
-        "output": [job.output, "split" if job.split else "as it was", *([] if job.suffix is None else [job.suffix])],
-        "options": [repr(job.options), repr(job.container), *map_words],
+        "seed": batch.seed,
+        "output": [batch.output, layout, *([] if batch.suffix is None else [batch.suffix])],
+        "options": [repr(batch.options), repr(batch.container), *map_words],
     }
 
 
@@ -201,21 +202,22 @@ class Content(NamedTuple):
 def content_of(path: Path, known_crc: int | None = None) -> Content:
     """Return size and CRC-32 of a run's file, or of a directory's file names and contents; a known CRC saves a read."""
     if known_crc is not None:
-        return Content(_size(path), known_crc)
+        return Content(bytes_of(path), known_crc)
     crc, buffer = 0, memoryview(bytearray(_PIECE_BYTES))
     for file in _files(path):
         crc = crc32(file.name.encode(), crc) if file != path else crc
         with file.open("rb", buffering=0) as stream:
             while got := stream.readinto(buffer):
                 crc = crc32(buffer[:got], crc)
-    return Content(_size(path), crc)
+    return Content(bytes_of(path), crc)
 
 
 def _files(path: Path) -> list[Path]:
     return sorted(path.iterdir()) if path.is_dir() else [path]
 
 
-def _size(path: Path) -> int:
+def bytes_of(path: Path) -> int:
+    """Return the size of a bag (file or directory), bytes."""
     return sum(file.stat().st_size for file in _files(path))
 
 
@@ -263,7 +265,7 @@ def _require_record(record: Any) -> None:
 def _is_as_noted(directory: Path, record: Mapping[str, Any], *, verify: bool) -> bool:
     path = directory / record["file"]
     try:
-        if path.is_symlink() or _size(path) != record["size"]:
+        if path.is_symlink() or bytes_of(path) != record["size"]:
             return False
         return not verify or content_of(path).crc == record["crc32"]
     except OSError:

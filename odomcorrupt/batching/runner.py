@@ -22,8 +22,6 @@ from odomcorrupt.corruption.additions import CorrectionEdge
 from odomcorrupt.corruption.inverse import SystematicEffects, acts
 from odomcorrupt.corruption.run import corrupt_bag
 from odomcorrupt.model.model_file import format_model
-from odomcorrupt.model.motion_model import MotionModel, Noise
-from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.result_files import write_bytes
 
 if TYPE_CHECKING:
@@ -34,6 +32,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.batching.sinks import Sink
+    from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.preview.forecast import CleanDrive
 
 PAUSE_S = 0.3
@@ -76,8 +75,6 @@ CLEAN = "clean.tum"
 
 _OVERLAY = Form("mcap", directory=False, ros=None)
 """An overlay holds the messages as the input has them."""
-
-_STILL = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
 
 Failure = tuple[int, str]
 """A run, and why it could not be made."""
@@ -126,13 +123,14 @@ def make(task: Task, part: Callable[[BagReader], Any] = lambda reader: reader) -
 def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) -> None:
     """Make the runs in a hidden folder, record them, and rename them to their final names."""
     job, room = task.job, beside(task.job.directory / "making")
+    container = job.batch.container
     try:
         room.mkdir()
         with ExitStack() as stack:
-            threads = default_threads() if job.container.threads is None else job.container.threads
+            threads = default_threads() if container.threads is None else container.threads
             workers = stack.enter_context(Workers(threads))
-            raw = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
-            output = job.container.target(job.path_of(0), raw) if job.output == "full" else Target(raw, _OVERLAY)
+            raw = stack.enter_context(open_reader(job.source, recover=container.recover, threads=threads))
+            output = container.target(job.path_of(0), raw) if job.batch.output == "full" else Target(raw, _OVERLAY)
             made = _make(task, room, whole, stack, output, part(output.reader), workers)
         for record, sink in made:
             content = content_of(room / record["file"], None if sink is None else sink.crc)
@@ -156,9 +154,8 @@ def _make(
     """Make the runs in a folder; return the record of each, and its output, None where the bag is copied unchanged."""
     job = replace(task.job, directory=room)
     home = task.job.directory
-    # which topic is the odometry may follow from the one that the model was learned from
-    identity_model = replace(_STILL, source=job.model.source)
-    shared = SharedTransform(identity_model, job.options)
+    batch = job.batch
+    shared = SharedTransform(job.model.identity, batch.options)
     shared.odometry.prepare(output.reader, output.reader.name)
     sink, drive = _sinks(job, output, workers), _drive(job)
     systematic = None if job.spreads else SystematicEffects(job.model)
@@ -166,11 +163,11 @@ def _make(
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
-        every.append(_Run(RunState(identity_model, job.seed, 0, job.options, [clean]), clean, patches=False))
+        every.append(_Run(RunState(job.model.identity, batch.seed, 0, batch.options, [clean]), clean, patches=False))
     for one in every:
         if one.sink is not None:
             stack.enter_context(one.sink)
-    keep, paths = job.output == "full", job.output == "trajectories"
+    keep, paths = batch.output == "full", batch.output == "trajectories"
     writers = [one.sink.writer for one in every if keep and isinstance(one.sink, BagSink)]
     fan: Any = MultiSink(writers)
     for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole, writer=fan):
@@ -204,19 +201,18 @@ class _Run:
 
 def _drive(job: Job) -> CleanDrive | None:
     """Return the odometry of the bag, of which runs in a map draw whole paths; None without a map."""
-    if job.condition is None:
+    if job.batch.condition is None:
         return None
-    from odomcorrupt.preview.forecast import read_clean_drive  # noqa: PLC0415 - needed within a map only
+    from odomcorrupt.preview.forecast import clean_drive_of  # noqa: PLC0415 - needed within a map only
 
-    with open_reader(job.source, recover=job.container.recover) as reader:
-        return read_clean_drive(reader, job.model, job.options)
+    return clean_drive_of(job.source, job.model, job.batch.options, recover=job.batch.container.recover)
 
 
 def _sinks(job: Job, output: Target, workers: Workers) -> Callable[[int], BagSink]:
     """Return the function that creates the output of a run, for runs that are bags."""
-    if job.output == "overlay":
+    if job.batch.output == "overlay":
         return lambda run: OverlaySink(job, run, output.reader)
-    if not job.split:
+    if not job.batch.split:
         return lambda run: FullSink(job, run, output, workers)
     from odomcorrupt.batching.split_layout import Rests, SplitSink  # noqa: PLC0415 - seldom needed
 
@@ -233,18 +229,19 @@ def _begin(
     systematic: SystematicEffects | None,
 ) -> _Run:
     model = job.model_of(run)
-    within = None if job.condition is None else job.condition.path(model, job.seed, run, drive)
-    tum = TumSink(job.path_of(run), model) if job.output == "trajectories" else None
+    batch = job.batch
+    within = None if batch.condition is None else batch.condition.path(model, batch.seed, run, drive)
+    tum = TumSink(job.path_of(run), model) if batch.output == "trajectories" else None
     watchers = [] if tum is None else [tum]
-    strand = RunState(model, job.seed, run, job.options, watchers, path=within, systematic=systematic)
+    strand = RunState(model, batch.seed, run, batch.options, watchers, path=within, systematic=systematic)
     if tum is not None:
         return _Run(strand, tum, patches=False)
-    if job.output == "overlay":
+    if batch.output == "overlay":
         return _Run(strand, sink_of(run), patches=True)
     if _is_copy(job, model):
         return _Run(strand, None, patches=False)
     sink = sink_of(run)
-    frame = job.options.new_odom_frame
+    frame = batch.options.new_odom_frame
     edge = None if frame is None else CorrectionEdge(frame, output.reader, sink.writer)
     return _Run(strand, sink, patches=True, edge=edge)
 
@@ -253,9 +250,10 @@ def _put_beside(job: Job, home: Path, one: _Run) -> None:
     """Write a copy of the bag where nothing changes, and the model file of a run with drawn parameters."""
     run, model = one.strand.run, one.strand.model
     if one.sink is None:
-        container = replace(job.container, overwrite=True)
+        batch = job.batch
+        container = replace(batch.container, overwrite=True)
         corrupt_bag(
-            job.source, job.path_of(run), model, seed=job.seed, run=run, options=job.options, container=container
+            job.source, job.path_of(run), model, seed=batch.seed, run=run, options=batch.options, container=container
         )
     if job.spreads:
         (home / "robots").mkdir(exist_ok=True)
@@ -265,7 +263,7 @@ def _put_beside(job: Job, home: Path, one: _Run) -> None:
 def _is_copy(job: Job, model: MotionModel) -> bool:
     """Whether a run changes nothing, so that the file is copied."""
     is_identity = model.noise.coefficients.noise_free and not any(acts(effect) for effect in model.effects)
-    return is_identity and job.output == "full"
+    return is_identity and job.batch.output == "full"
 
 
 def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]:
@@ -276,7 +274,7 @@ def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]
         "file": job.name_of(strand.run),
         "command": job.command_of(strand.run),
         "input": job.shown_source,
-        "seed": job.seed,
+        "seed": job.batch.seed,
     }
     if job.spreads:
         record["robot"] = job.robot_of(strand.run)

@@ -6,7 +6,7 @@ import io
 import zipfile
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -40,14 +40,11 @@ if TYPE_CHECKING:
 _LINE = "%d.%09d %.9f %.9f 0 0 0 %.12f %.12f\n"
 
 
-class TumPath:
+class TumPath(NamedTuple):
     """A path: stamps_ns (n,), xyt (n, 3) in metres and radians."""
 
-    __slots__ = ("stamps_ns", "xyt")
-
-    def __init__(self, stamps_ns: NDArray[np.int64], xyt: Array) -> None:
-        self.stamps_ns = stamps_ns
-        self.xyt = xyt
+    stamps_ns: NDArray[np.int64]
+    xyt: Array
 
 
 def format_tum(stamps_ns: NDArray[np.int64], xyt: Array) -> bytes:
@@ -171,8 +168,8 @@ class Sink(Protocol):
 def provenance(job: Job, run: int) -> dict[str, str]:
     """Return the metadata of a run's bag: seed, run, version, model."""
     model = format_model(job.model_of(run))
-    own = {"version": odomcorrupt.__version__, "seed": str(job.seed), "run": str(run), "model": model}
-    return own if job.condition is None else own | job.condition.provenance()
+    own = {"version": odomcorrupt.__version__, "seed": str(job.batch.seed), "run": str(run), "model": model}
+    return own if job.batch.condition is None else own | job.batch.condition.provenance()
 
 
 class BagSink(ABC):
@@ -229,21 +226,20 @@ class MultiSink:
         return added[0]
 
 
+def bag_writer(job: Job, run: int, output: Target, workers: Workers | None = None) -> Any:
+    """Return the writer of a run's whole bag, which compresses in `workers`."""
+    c = job.batch.container
+    return open_writer(
+        job.path_of(run), output.reader, overwrite=True, compression=c.compression, level=c.level, workers=workers,
+        form=output.form,
+    )  # fmt: skip
+
+
 class FullSink(BagSink):
     """A whole bag, byte-identical to that of a single run."""
 
     def __init__(self, job: Job, run: int, output: Target, workers: Workers) -> None:
-        c = job.container
-        writer = open_writer(
-            job.path_of(run),
-            output.reader,
-            overwrite=True,
-            compression=c.compression,
-            level=c.level,
-            workers=workers,
-            form=output.form,
-        )
-        super().__init__(job, run, writer)
+        super().__init__(job, run, bag_writer(job, run, output, workers))
 
     def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
         """Write the blocks; the next run patches the same ones."""
@@ -259,7 +255,7 @@ class OverlaySink(BagSink):
     """An MCAP with all messages of the changed topics."""
 
     def __init__(self, job: Job, run: int, reader: BagReader) -> None:
-        c = job.container
+        c = job.batch.container
         foreign: Any = ReframedReader(reader)
         codec = None if c.compression in ("bz2", "file", "message") else c.compression
         output = Output(job.path_of(run), overwrite=True)

@@ -16,7 +16,7 @@ from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.provenance import mapping_of
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.batching.manifest import BatchError
-from odomcorrupt.batching.sinks import BagSink
+from odomcorrupt.batching.sinks import BagSink, bag_writer
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
@@ -84,16 +84,7 @@ class SplitSink(BagSink):
     """A whole bag with the changed messages in chunks of their own."""
 
     def __init__(self, job: Job, run: int, output: Target, rests: Rests) -> None:
-        c = job.container
-        writer = open_writer(
-            job.path_of(run),
-            output.reader,
-            overwrite=True,
-            compression=c.compression,
-            level=c.level,
-            form=output.form,
-        )
-        super().__init__(job, run, writer)
+        super().__init__(job, run, bag_writer(job, run, output))
         self._rests = rests
 
     def __enter__(self) -> Self:
@@ -120,38 +111,34 @@ class SplitSink(BagSink):
             size = sum(int((place.ends - place.begins).sum()) for place in places)
             more = [one for number in own for one in portion.blocks[number].added]
             more += [] if added is None else [one for number in own for one in added[number]]
-            changed = _Changed(portion, own, rows, slice(first_byte, first_byte + size), more)
-            self._writer.write(changed.block(data))
-            first_row, first_byte = rows.stop, first_byte + size
+            span = slice(first_byte, first_byte + size)
+            self._writer.write(_changed(portion, own, rows, span, data[span], more))
+            first_row, first_byte = rows.stop, span.stop
 
 
-class _Changed:
-    """Changed messages of some blocks of one file of a bag, as one chunk.
+def _changed(
+    portion: Portion, numbers: list[int], rows: slice, span: slice, data: NDArray[np.uint8], added: list[Message]
+) -> Block:
+    """Return the changed messages of some blocks of one file of a bag as one chunk.
 
-    rows, span : rows of the portion's table, and bytes of its data
+    numbers : blocks of the portion
+    rows, span : rows of the portion's table and bytes of its data that are their changed messages
+    data : these bytes as patched by a run
     """
-
-    def __init__(self, portion: Portion, numbers: list[int], rows: slice, span: slice, added: list[Message]) -> None:
-        self._portion, self._numbers, self._rows, self._span, self._added = portion, numbers, rows, span, added
-
-    def block(self, data: NDArray[np.uint8]) -> Block:
-        """Return the block, from the portion's data (size,) as patched by a run."""
-        portion = self._portion
-        own = data[self._span]
-        table = portion.table[self._rows].copy()
-        table["offset"] -= self._span.start
-        held = [(portion.blocks[number], place) for number in self._numbers if (place := portion.places[number])]
-        first = held[0][0]
-        if isinstance(first.raw, Ros1Framing):
-            starts = np.concatenate([mine for _, place in held for _, _, mine in place.moves])
-            starts.sort()
-            return Block(own, table, Ros1Framing(first.raw.codec, starts - self._span.start), self._added)
-        if not isinstance(first.raw, PartFraming):
-            return Block(own, table, McapFraming("chunk", first.raw.codec), self._added)
-        theirs = np.concatenate([np.empty(0, dtype=TABLE), *(b.raw.own.table[place.rows] for b, place in held)])
-        theirs["offset"] = table["offset"]
-        chunk = Block(own, theirs, McapFraming("chunk", first.raw.own.raw.codec))
-        return Block(own, table, PartFraming(first.raw.part, chunk), self._added)
+    table = portion.table[rows].copy()
+    held = [(portion.blocks[number], place) for number in numbers if (place := portion.places[number])]
+    table["offset"] -= span.start
+    first = held[0][0]
+    if isinstance(first.raw, Ros1Framing):
+        starts = np.concatenate([mine for _, place in held for _, _, mine in place.moves])
+        starts.sort()
+        return Block(data, table, Ros1Framing(first.raw.codec, starts - span.start), added)
+    if not isinstance(first.raw, PartFraming):
+        return Block(data, table, McapFraming("chunk", first.raw.codec), added)
+    theirs = np.concatenate([np.empty(0, dtype=TABLE), *(b.raw.own.table[place.rows] for b, place in held)])
+    theirs["offset"] = table["offset"]
+    chunk = Block(data, theirs, McapFraming("chunk", first.raw.own.raw.codec))
+    return Block(data, table, PartFraming(first.raw.part, chunk), added)
 
 
 def _part(block: Block) -> int:

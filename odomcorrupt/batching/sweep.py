@@ -79,12 +79,6 @@ def sobol_points(ranges: Sequence[Range], count: int) -> list[list[tuple[str, st
     return [[(one.name, one.at(float(part))) for one, part in zip(ranges, row, strict=True)] for row in parts]
 
 
-_VARIANCES = {"quadratic": frozenset({"rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans"}),
-              "velocity": frozenset({"rot_rot", "rot_trans", "trans_trans", "trans_rot", "end_trans", "end_rot"}),
-              "omni": frozenset({"rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans"})}  # fmt: skip
-"""Coefficients that scale a variance: to double the noise they grow fourfold."""
-
-
 @dataclass(frozen=True, slots=True)
 class Variant:
     """A model of a sweep, and the directory of its runs, "" without a sweep."""
@@ -141,7 +135,8 @@ def _changed(model: MotionModel, name: str, value: str) -> MotionModel:
     if name == "alpha-scale":
         if number < 0.0:
             raise ModelError(f"--sweep alpha-scale: {value}; it must not be below 0")
-        squared = _VARIANCES.get(model.noise.law_name, frozenset())
+        # coefficients that scale a variance grow fourfold to double the noise
+        squared = model.noise.law.alphas if model.noise.law.degree == 1 else ()
         factors = {one: number**2 if one in squared else number for one in known}
         errors = {key: error * factors.get(key, 1.0) for key, error in model.standard_errors.items()}
         scaled = replace(k, **{one: getattr(k, one) * factors[one] for one in known})

@@ -87,7 +87,7 @@ def _size(_ctx: click.Context, _option: click.Parameter, text: str | None) -> in
 
 
 container_options = added(
-    overwrite_option(),
+    overwrite_option(passed=True),
     click.option(
         "--compression", metavar="NAME",
         help="none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (ROS 2 directories). [default: as in the input]",

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FILE = click.Path(dir_okay=False, path_type=Path)
-PICTURES = ("png", "svg", "pdf")
 Decorator: TypeAlias = "Callable[[Callable[..., Any]], Callable[..., Any]]"
 
 
@@ -38,6 +37,39 @@ def one_of(*words: str, among: Sequence[str], text: str, default: str | None = N
     """Return an option with a choice of words, by default the first; its help is `text` and the default."""
     chosen = default or among[0]
     return click.option(*words, type=click.Choice(among), default=chosen, help=f"{text} [default: {chosen}]")
+
+
+PICTURES = ("png", "svg", "pdf")
+
+
+def kind_of(path: Path) -> str:
+    """Return the suffix of a file name in lower case, without its dot."""
+    return path.suffix.lower().removeprefix(".")
+
+
+class OutputFile(click.Path):
+    """A file that a command writes; `overwrite_option` refuses one that cannot be written before any work is done.
+
+    kinds : suffixes that its name may have, without the dot; () for all
+    drawn : whether it has pictures, which the drawing library makes
+    """
+
+    def __init__(self, *kinds: str, drawn: bool = False) -> None:
+        super().__init__(dir_okay=False, path_type=Path)
+        self._kinds, self._drawn = kinds, drawn
+
+    def require_writable(self, path: Path, *, overwrite: bool) -> None:
+        """Raise an error if a file has another suffix, exists already, or the drawing library is missing."""
+        kind = kind_of(path)
+        if self._kinds and kind not in self._kinds:
+            *others, last = (f".{one}" for one in self._kinds)
+            raise click.UsageError(f"{path}: ends in {path.suffix or 'nothing'}; write {', '.join(others)} or {last}")
+        if self._drawn or kind in PICTURES:
+            require("matplotlib", "pictures need it", "study")
+        refuse_existing(path, overwrite=overwrite)
+
+
+OUTPUT, PICTURE, PAGE = OutputFile(), OutputFile(*PICTURES), OutputFile(drawn=True)
 
 
 class Number(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
@@ -126,29 +158,8 @@ def usage_errors(kind: type[OdomCorruptError], before: str = "") -> Iterator[Non
         raise click.UsageError(f"{before}{error}") from error
 
 
-def need_pictures() -> None:
-    """Raise an error with the extra to install if the drawing library is missing."""
-    require("matplotlib", "pictures need it", "study")
-
-
-def picture_kind(path: Path) -> str | None:
-    """Return the picture format of a file name, None if it is not a picture."""
-    kind = path.suffix.lower().removeprefix(".")
-    return kind if kind in PICTURES else None
-
-
-def check_picture(path: Path | None, *, overwrite: bool) -> None:
-    """Refuse a name that is not a picture's or exists already; called before any work is done."""
-    if path is None:
-        return
-    if picture_kind(path) is None:
-        raise click.UsageError(f"{path}: ends in {path.suffix or 'nothing'}; write .png, .svg or .pdf")
-    need_pictures()
-    refuse_existing(path, overwrite=overwrite)
-
-
 def save_picture(path: Path, figure: Figure) -> None:
     """Write a figure in the format of its file name, completely or not at all."""
     from odomcorrupt.report.plots.figure import rendered
 
-    write_bytes(path, rendered(figure, picture_kind(path) or "png"))
+    write_bytes(path, rendered(figure, kind_of(path)))

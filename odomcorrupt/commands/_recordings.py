@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import FILE, TRACK, Number, Share, added, need_pictures
+from odomcorrupt.commands._options import OUTPUT, PAGE, TRACK, Number, Share, added
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
-from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.result_files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from odomcorrupt.api.diagnosis import Findings
+    from odomcorrupt.api.findings import Findings
     from odomcorrupt.api.recordings import Recordings
     from odomcorrupt.commands._standard import Console, Files
 
@@ -188,22 +188,19 @@ def _spooled(path: Path) -> Path:
     return target
 
 
-advice_options = added(
-    click.option(
-        "--drive", type=FILE, help="Write the drive that would answer the open questions, as /cmd_vel in an MCAP."
-    ),
-    click.option("--report", type=FILE, help="Write the full result as one HTML page with pictures."),
-)
-
-
-def check_advice(drive: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Refuse output names that cannot be written; called before any work is done."""
+def _mcap(_ctx: click.Context, _option: click.Parameter, drive: Path | None) -> Path | None:
     if drive is not None and drive.suffix != ".mcap":
         raise click.UsageError(f"--drive {drive}: commands are written as MCAP; end the name in .mcap")
-    if report is not None:
-        need_pictures()
-    for path in (drive, report):
-        refuse_existing(path, overwrite=overwrite)
+    return drive
+
+
+advice_options = added(
+    click.option(
+        "--drive", type=OUTPUT, callback=_mcap,
+        help="Write the drive that would answer the open questions, as /cmd_vel in an MCAP.",
+    ),
+    click.option("--report", type=PAGE, help="Write the full result as one HTML page with pictures."),
+)  # fmt: skip
 
 
 def advice_files(result: Findings, drive: Path | None, report: Path | None) -> Files:

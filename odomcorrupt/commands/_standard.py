@@ -16,7 +16,7 @@ import click
 from click.core import ParameterSource
 
 from odomcorrupt import commands
-from odomcorrupt.commands._options import Decorator, added
+from odomcorrupt.commands._options import Decorator, OutputFile, added
 from odomcorrupt.input_files import read_input
 from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.summary import Summary, wrapped
@@ -145,9 +145,24 @@ def typed_words(*without: str) -> list[str]:
     return kept
 
 
-def overwrite_option(what: str = "an existing output") -> Decorator:
-    """Return the option that permits replacing outputs."""
-    return click.option("--overwrite", "--force", "overwrite", is_flag=True, help=f"Replace {what}.")
+def overwrite_option(what: str = "an existing output", *, passed: bool = False) -> Decorator:
+    """Return the option that permits replacing outputs; options of type `OutputFile` are checked against it.
+
+    passed : whether the command receives it, because it writes other files, too
+    """
+
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def checked(*args: Any, overwrite: bool, **given: Any) -> Any:
+            for option in click.get_current_context().command.params:
+                path = given.get(option.name or "")
+                if isinstance(option.type, OutputFile) and path is not None:
+                    option.type.require_writable(path, overwrite=overwrite)
+            return command(*args, **given, **({"overwrite": overwrite} if passed else {}))
+
+        return click.option("--overwrite", "--force", "overwrite", is_flag=True, help=f"Replace {what}.")(checked)
+
+    return add
 
 
 def output_option(metavar: str = "OUTPUT") -> Decorator:

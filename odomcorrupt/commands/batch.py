@@ -92,8 +92,8 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
     Called again, it makes the missing runs. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
     from odomcorrupt.api.batch import Batch
-    from odomcorrupt.batching.engine import Shard
-    from odomcorrupt.batching.plan import require_odometry, run_batch
+    from odomcorrupt.batching.engine import Shard, require_odometry, run_batch
+    from odomcorrupt.batching.estimate import need_of
     from odomcorrupt.commands._progress import Rate
 
     inputs, target = _paths(paths, output_option)
@@ -101,7 +101,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
     shard = Shard(*(given["shard"] or (1, 1)))
     runs = range(given["runs"])
     if given["dry_run"]:
-        need = _need(jobs, runs, shard)
+        need = need_of(jobs, runs, shard)
         said = _dry(need, jobs, given["jobs"])
         console.print(said, said, {"schema": 2, **asdict(need)})
         return 0
@@ -133,7 +133,7 @@ def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...
 def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
     from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.bags.pipeline import default_threads
-    from odomcorrupt.batching.plan import BatchSpec, plan, seed_of
+    from odomcorrupt.batching.job import BatchSpec, plan, seed_of
 
     model = _model(given)
     options, container = split_options(bag_words(given))
@@ -221,16 +221,6 @@ def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
     return words
 
 
-def _need(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
-    from odomcorrupt.batching.engine import count_missing
-    from odomcorrupt.batching.estimate import Need, estimate, free_bytes
-
-    needs = [(count_missing(job, runs, shard), estimate(job)) for job in jobs]
-    size, overlay = sum(n * each.bytes for n, each in needs), sum(n * each.overlay_bytes for n, each in needs)
-    seconds = sum((n * each.seconds for n, each in needs), 0.0)
-    return Need(sum(n for n, _ in needs), size, seconds, overlay, free_bytes(jobs[0].directory))
-
-
 def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:
     """Return the resources that a batch needs, in sentences."""
     saved = 1.0 - need.overlay_bytes / need.bytes if need.bytes else 0.0
@@ -239,7 +229,7 @@ def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:
         f"{need.core_seconds / 60.0:.3g} core minutes"
     )
     text += f", {need.core_seconds / 60.0 / processes:.3g} minutes with {processes} processes" * (processes > 1) + "."
-    if jobs[0].output == "full":
+    if jobs[0].batch.output == "full":
         text += f" --output overlay would write {need.overlay_bytes / 1e9:.3g} GB, {saved:.0%} less."
     if need.bytes > need.free_bytes:
         text += " The disk cannot hold it."
@@ -248,7 +238,8 @@ def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:
 
 def _require_space(jobs: Sequence[Job], runs: range, shard: Shard) -> None:
     """Refuse a batch that the disk cannot hold; sizes are estimated only if space may be short."""
-    from odomcorrupt.batching.estimate import bytes_of, free_bytes, require_space
+    from odomcorrupt.batching.estimate import free_bytes, need_of, require_space
+    from odomcorrupt.batching.manifest import bytes_of
 
     if 5 * len(runs) * sum(bytes_of(job.source) for job in jobs) > free_bytes(jobs[0].directory):
-        require_space(_need(jobs, runs, shard), jobs[0].shown_directory)
+        require_space(need_of(jobs, runs, shard), jobs[0].shown_directory)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._options import FILE, check_picture, need_pictures
+from odomcorrupt.commands._options import PAGE, PICTURE
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
-from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.result_files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -27,13 +27,13 @@ _NAMES = ("error", "path", "nees", "residuals", "map", "pit")
 @click.command("compare", short_help="Compare models with measurements; see where they fail.")
 @click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... MODEL.toml...")
 @recording_options
-@click.option("--report", type=FILE, help="Write the full result as one HTML page with pictures.")
+@click.option("--report", type=PAGE, help="Write the full result as one HTML page with pictures.")
 @click.option(
     "--plot", multiple=True, metavar="[NAME=]FILE",
     help=f"Write one picture as .png, .svg or .pdf (repeatable): {', '.join(_NAMES)}. [default name: error]",
 )  # fmt: skip
 @click.option("--fail-if-rejected", is_flag=True, help="Exit with 4 where the last model is REJECTED.")
-@overwrite_option("existing outputs")
+@overwrite_option("existing outputs", passed=True)
 @standard_options
 def command(
     arguments: tuple[str, ...],
@@ -56,10 +56,7 @@ def command(
         raise click.UsageError("no model given; name one or more .toml files that `odomcorrupt fit` wrote")
     plots = _plots(plot)
     for picture in plots:
-        check_picture(picture, overwrite=overwrite)
-    if report is not None:
-        need_pictures()
-    refuse_existing(report, overwrite=overwrite)
+        PICTURE.require_writable(picture, overwrite=overwrite)
     models = named_models(list(dict.fromkeys(names)))
     track = next((m.motion_model.track_m for m in models.values() if m.motion_model.track_m is not None), None)
     with reading.stages(console) as stages:

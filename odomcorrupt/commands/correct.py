@@ -45,7 +45,7 @@ def command(input_: str, output: str | None, output_option: str | None, *, conso
     INPUT is read twice, because the correction at a time depends on the whole motion; it cannot be a pipe, OUTPUT can.
     Random effects cannot be undone, except lost increments and the bias of a gyro at rest; the summary names them.
     """
-    from odomcorrupt.api.correction import correct
+    from odomcorrupt.api.corruption import correct
     from odomcorrupt.correction.run import require_start
 
     target = chosen_output(output, output_option)

@@ -10,7 +10,7 @@ import click
 
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_move, move_options
-from odomcorrupt.commands._options import FILE, POSE, check_picture, one_of, save_picture, usage_errors
+from odomcorrupt.commands._options import PICTURE, POSE, one_of, save_picture, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.command(
     "density", cls=AlphaCommand, short_help="Evaluate the density of end poses, p(x_t | u_t, x_t-1), and draw samples."
 )
-@click.option("-o", "--output", type=FILE, help="Picture: .png, .svg or .pdf.")
+@click.option("-o", "--output", type=PICTURE, help="Picture: .png, .svg or .pdf.")
 @move_options
 @one_of(
     "--reading", among=["pose", "product", "hypothetical"],
@@ -40,7 +40,6 @@ def command(
     *,
     reading: Literal["pose", "product", "hypothetical"],
     poses: tuple[tuple[float, ...], ...],
-    overwrite: bool,
     console: Console,
     **given: Any,
 ) -> None:
@@ -53,7 +52,6 @@ def command(
     from odomcorrupt.api.motion import density
     from odomcorrupt.rng import draw_seed
 
-    check_picture(output, overwrite=overwrite)
     chosen = choose_move(given)
     with usage_errors(ModelError):
         condition = choose_condition(given, None, "")

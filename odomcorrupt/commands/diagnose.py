@@ -8,19 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._recordings import (
-    advice_files,
-    advice_options,
-    check_advice,
-    recording_options,
-    split_arguments,
-)
+from odomcorrupt.commands._recordings import advice_files, advice_options, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from odomcorrupt.api.diagnosis import Diagnosis
+    from odomcorrupt.api.findings import Diagnosis
     from odomcorrupt.commands._recordings import Reading
 
 
@@ -36,17 +30,15 @@ def command(
     reading: Reading,
     drive: Path | None,
     report: Path | None,
-    overwrite: bool,
     console: Console,
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and suggest the next command."""
-    from odomcorrupt.api.diagnosis import diagnose
+    from odomcorrupt.api.findings import diagnose
     from odomcorrupt.api.model import Model
 
     paths, names = split_arguments(arguments)
     if len(names) > 1:
         raise click.UsageError(f"{len(names)} models given; diagnose one at a time")
-    check_advice(drive, report, overwrite=overwrite)
     # an unreadable model is reported before minutes of work
     model = Model.load(names[0]) if names else None
     with reading.stages(console) as stages:

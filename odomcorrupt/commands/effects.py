@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._standard import Console, standard_options
+from odomcorrupt.report.json.numbers import picked
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -90,13 +91,11 @@ def _facts(kind: type[Effect]) -> dict[str, Any]:
     about = kind.about
     return {
         "schema": 2,
-        "name": kind.name,
-        "kind": kind.kind,
-        "summary": kind.summary,
+        **picked(kind, "name", "kind", "summary"),
         "equation": about.equation if about else None,
         "parameters": [
-            {"name": p.name, "meaning": p.meaning, "unit": p.unit, "low": p.low, "high": p.high, "typical": p.typical,
-             "default": p.identity, "role": "amplitude" if p.amplitude else "shape"}
+            picked(p, "name", "meaning", "unit", "low", "high", "typical")
+            | {"default": p.identity, "role": "amplitude" if p.amplitude else "shape"}
             for p in parameters(kind)
         ],
         "words": {word: list(options) for word, options in choices(kind).items()},
@@ -106,9 +105,7 @@ def _facts(kind: type[Effect]) -> dict[str, Any]:
         "twin_of": kind.aliased_with,
         "drive": about.drive if about else None,
         "drive_types": sorted(kind.drives) if kind.drives is not None else None,
-        "needs_gyro": kind.needs_gyro,
-        "needs_track": kind.needs_track,
-        "needs_sideways": kind.needs_sideways,
+        **picked(kind, "needs_gyro", "needs_track", "needs_sideways"),
     }  # fmt: skip
 
 

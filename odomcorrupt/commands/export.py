@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, TRACK, Decorator, Number, usage_errors
+from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Decorator, Number, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError
-from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.result_files import write_text
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -48,22 +48,27 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
     metavar="NAME",
     help="Name of the node in the YAML.",
 )
-@click.option("-o", "--output", type=FILE, help="Write the YAML to a file.")
+@click.option("-o", "--output", type=OUTPUT, help="Write the YAML to a file.")
 @overwrite_option()
 @standard_options
-def command(
-    model: Path, *, target: str, controller: str, output: Path | None, overwrite: bool, console: Console, **given: Any
-) -> None:
+def command(model: Path, *, target: str, controller: str, output: Path | None, console: Console, **given: Any) -> None:
     """Print a model's parameters as YAML for another program.
 
     -v adds comments: assumptions, and effects that the program cannot express. -o writes all of it to a file.
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
-    from odomcorrupt.export.parameters import Steady, amcl_alphas, twist_variances, wheel_multipliers
-    from odomcorrupt.export.yaml_text import amcl_text, condensed, twists_text, wheels_text
+    from odomcorrupt.export import (
+        Steady,
+        amcl_alphas,
+        amcl_text,
+        condensed,
+        twist_variances,
+        twists_text,
+        wheel_multipliers,
+        wheels_text,
+    )
     from odomcorrupt.model.model_file import read_model
 
-    refuse_existing(output, overwrite=overwrite)
     robot = read_model(model)
     with usage_errors(ModelError):
         drive = Steady(given["speed"], given["turn_rate"], given["rate"])
@@ -89,7 +94,7 @@ def command(
 
 def _brief(robot: MotionModel, name: str, text: str, following: Sequence[object]) -> Summary:
     """Return the exported numbers, the effects that cannot be expressed, and the suggested next command."""
-    from odomcorrupt.export.yaml_text import numbers_of, unexpressed
+    from odomcorrupt.export import numbers_of, unexpressed
 
     left = unexpressed(text, robot)
     lines = [Line("EXPORTED", name, "warning" if left else "good")]

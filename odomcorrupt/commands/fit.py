@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._options import FILE
+from odomcorrupt.commands._options import FILE, OUTPUT
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
-from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 @click.command("fit", short_help="Fit a robot's motion model to odometry and truth.")
 @click.argument("recordings", nargs=-1, required=True)
 @recording_options
-@click.option("-o", "--output", type=FILE, help="Model file to write.")
+@click.option("-o", "--output", type=OUTPUT, help="Model file to write.")
 @click.option("--start", type=FILE, help="Model file whose effects to refit.")
 @click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable).")
 @click.option(
@@ -50,7 +49,6 @@ def command(
     law: str | None,
     returns: bool,
     ends: tuple[str, ...],
-    overwrite: bool,
     console: Console,
 ) -> None:
     """Fit the noise coefficients, the truth's own noise, clocks and set-up, and the requested effects.
@@ -64,7 +62,6 @@ def command(
     paths, models = split_arguments(recordings)
     if models:
         raise click.UsageError(f"{models[0]} is a model; pass it with --start")
-    refuse_existing(output, overwrite=overwrite)
     if returns or ends:
         if ends and reading.scan:
             raise click.UsageError("--end and --scan: scans measure where a drive ended; leave one of them out")
@@ -92,7 +89,7 @@ def _square_test(
     console: Console,
 ) -> None:
     """Fit a square test's effects to the ends of drives."""
-    from odomcorrupt.api.returns import fit_returns
+    from odomcorrupt.api.fit import fit_returns
 
     given = {"--truth": reading.truth, "--truth-bag": reading.truth_bags, "--imu": reading.imu,
              "--relative": reading.relative}  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
-from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture, usage_errors
+from odomcorrupt.commands._options import PICTURE, one_of, save_picture, usage_errors
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.result_files import refuse_existing
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.trajectories.reader import Drive
+    from odomcorrupt.trajectories import Drive
 
 _BAG = click.Path(path_type=Path)
 
@@ -41,8 +41,8 @@ _BAG = click.Path(path_type=Path)
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of the noise. [default: drawn, and printed]")
 @click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry whose twists are taken.")
 @click.option("--truth", metavar="TOPIC", help="Poses to compare with. [default: a topic named like a truth]")
-@click.option("--plot", type=FILE, help="Picture: .png, .svg or .pdf.")
-@overwrite_option("existing outputs")
+@click.option("--plot", type=PICTURE, help="Picture: .png, .svg or .pdf.")
+@overwrite_option("existing outputs", passed=True)
 @unpack_option
 @standard_options
 def command(input_: Path, output: Path | None, output_option: str | None, *, console: Console, **given: Any) -> None:
@@ -56,8 +56,7 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.bags.open import form_of, open_reader
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.trajectories.integrate import integrate, noisy_twists
-    from odomcorrupt.trajectories.reader import find_truth, read_drive, read_poses
+    from odomcorrupt.trajectories import find_truth, integrate, noisy_twists, read_drive, read_poses
 
     if output is not None or output_option is not None:
         output = Path(chosen_output(None if output is None else str(output), output_option))
@@ -66,7 +65,6 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
         raise OdomCorruptError("-: integration reads the whole drive first, which is impossible on a pipe; name files")
     if given["runs"] > 1 and noise is None:
         raise click.UsageError(f"--runs {given['runs']}: without --twist-noise all runs are the same")
-    check_picture(plot, overwrite=given["overwrite"])
     refuse_existing(output, overwrite=given["overwrite"])
     if output is not None:  # refuse a name that is not that of a bag before any work is done
         with open_reader(input_) as reader:
@@ -113,7 +111,7 @@ def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], followin
 def _rewrite(
     source: Path, target: Path, drive: Drive, xyt: Array, provenance: dict[str, str], *, overwrite: bool
 ) -> str:
-    from odomcorrupt.trajectories.integrate import rewrite_path
+    from odomcorrupt.trajectories import rewrite_path
 
     done = rewrite_path(source, target, drive, xyt, provenance, overwrite=overwrite)
     return f"wrote {target}: {done.messages} odometry messages, {done.transforms} transforms"
@@ -135,7 +133,7 @@ def _compared(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | No
     """Return the distance of integrated odometry from the truth, and from the bag's own poses."""
     import numpy as np
 
-    from odomcorrupt.trajectories.integrate import path_error
+    from odomcorrupt.trajectories import path_error
 
     error = None if truth is None else path_error(drive.stamps_ns, xyt, truth)
     own = path_error(drive.stamps_ns, xyt, drive.trajectory)
@@ -168,7 +166,7 @@ def _draw(
     noise: tuple[float, float] | None,
 ) -> None:
     from odomcorrupt.report.plots.paths import draw_errors, draw_runs
-    from odomcorrupt.trajectories.integrate import path_error
+    from odomcorrupt.trajectories import path_error
 
     reference = drive.trajectory if truth is None else truth
     error = path_error(drive.stamps_ns, clean, reference)

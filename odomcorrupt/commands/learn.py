@@ -9,16 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._options import FILE, check_picture
-from odomcorrupt.commands._recordings import (
-    advice_files,
-    advice_options,
-    check_advice,
-    recording_options,
-    split_arguments,
-)
+from odomcorrupt.commands._options import OUTPUT, PICTURE
+from odomcorrupt.commands._recordings import advice_files, advice_options, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
-from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,12 +22,12 @@ if TYPE_CHECKING:
 @click.command("learn", short_help="Fit, diagnose and add effects until none is missing.")
 @click.argument("recordings", nargs=-1, required=True)
 @recording_options
-@click.option("-o", "--output", type=FILE, help="Model file to write.")
+@click.option("-o", "--output", type=OUTPUT, help="Model file to write.")
 @click.option(
     "--validate", "--judge", "validate", type=click.Path(path_type=Path), multiple=True,
     help="Recording to evaluate the result on (repeatable).",
 )  # fmt: skip
-@click.option("--plot", type=FILE, help="Picture of the errors, before and after.")
+@click.option("--plot", type=PICTURE, help="Picture of the errors, before and after.")
 @advice_options
 @overwrite_option("existing outputs")
 @standard_options
@@ -47,21 +40,17 @@ def command(
     plot: Path | None,
     report: Path | None,
     drive: Path | None,
-    overwrite: bool,
     console: Console,
 ) -> None:
     """Learn which effects a robot has, write its model, and show how the error changes.
 
     Without --validate, the models are cross-validated on halves of the recordings themselves.
     """
-    from odomcorrupt.api.learning import learn
+    from odomcorrupt.api.findings import learn
 
     paths, models = split_arguments(recordings)
     if models:
         raise click.UsageError(f"{models[0]} is a model; `fit --start` and `diagnose` take models")
-    refuse_existing(output, overwrite=overwrite)
-    check_picture(plot, overwrite=overwrite)
-    check_advice(drive, report, overwrite=overwrite)
     with reading.stages(console) as stages:
         runs, held_out = reading.read_with_held_out(paths, validate, console, stages)
         result = learn(runs, validate=held_out or (), watch=stages)

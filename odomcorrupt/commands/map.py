@@ -10,7 +10,7 @@ import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
+from odomcorrupt.commands._options import FILE, PAGE, PICTURE, POSE, Number, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words
 from odomcorrupt.errors import OdomCorruptError
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     "--method", among=["odometry", "laser"],
     text="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png.",
 )  # fmt: skip
-@overwrite_option("existing outputs")
+@overwrite_option("existing outputs", passed=True)
 @unpack_option
 @standard_options
 def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -> None:
@@ -62,8 +62,8 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
     odomcorrupt map drive.mcap --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.corruption.summary import model_brief
+    from odomcorrupt.mapping.scan_map import maps_brief, maps_json, maps_table
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.sampling.text import law_words
 
     if str(bag) == "-":
         raise OdomCorruptError("-: a map is made from the whole drive, which is impossible on a pipe; name a file")
@@ -71,7 +71,8 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
         _by_laser(bag, output, given, console)
         return
     beside = {} if output is None else {name: output.with_name(f"{output.stem}_{name}") for name in ("clean", "noisy")}
-    check_picture(output, overwrite=given["overwrite"])
+    if output is not None:
+        PICTURE.require_writable(output, overwrite=given["overwrite"])
     for path in (p.with_suffix(end) for p in beside.values() for end in (".pgm", ".yaml")):
         refuse_existing(path, overwrite=given["overwrite"])
     chosen = choose_model(given)
@@ -79,24 +80,24 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
     with Stages("drawing maps", quiet=console.quiet):
         notes, maps = _scan_maps(bag, chosen.motion_model, seed, given)
     origin = f" ({chosen.origin})" if chosen.origin else ""
-    noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
-    text = "\n".join([noise, *notes, _table(maps)])
+    noise = f"noise: {chosen.motion_model.noise.words}{origin}, seed {seed}, run {given['run']}"
+    text = "\n".join([noise, *notes, maps_table(maps)])
     model = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
     following = ["odomcorrupt", "map", *typed_words("--output", "--overwrite"), "-o", "map.png"]
     if output is not None:
         following = ["odomcorrupt", "preview", str(bag)]
-    brief = _brief(maps, notes, (model, f"{seed}, run {given['run']}"), following)
+    brief = maps_brief(maps, notes, (model, f"{seed}, run {given['run']}"), following)
     files: dict[Path, Callable[[], object]] = {}
     if output is not None:
         for scan_map, path in zip(maps, beside.values(), strict=False):
             files[path.with_suffix(".yaml")] = partial(_write_map, scan_map, path)
         files[output] = partial(_draw, output, maps, "added by noise")
-    console.print(brief, text, _values(maps, notes, seed), files=files)
+    console.print(brief, text, maps_json(maps, notes, seed), files=files)
 
 
 def _write_map(scan_map: ScanMap, path: Path) -> None:
     """Write a map as image and YAML, whatever the suffix of the path."""
-    from odomcorrupt.mapping.mapfile import format_map
+    from odomcorrupt.mapping.occupancy_grid import format_map
 
     image, text = format_map(scan_map.grid, path.with_suffix(".pgm").name)
     write_bytes(path.with_suffix(".pgm"), image)
@@ -114,6 +115,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], console: Co
     """Write the map made by scan matching with its trajectory, and the picture of the maps side by side."""
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.laser.mapping import largest_part, laser_maps, tum_text
+    from odomcorrupt.mapping.scan_map import maps_json
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.study.io.laser_truth import laser_run
     from odomcorrupt.study.io.topic_selection import parse_address
@@ -124,9 +126,8 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], console: Co
     if output is not None:
         if output.suffix != ".yaml":
             raise click.UsageError(f"{output}: --method laser writes a map for nav2; name it .yaml")
-        need_pictures()
         for path in files.values():
-            refuse_existing(path, overwrite=given["overwrite"])
+            PAGE.require_writable(path, overwrite=given["overwrite"])
     chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
@@ -153,25 +154,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], console: Co
         ".png": lambda: _draw(files[".png"], drawn.maps, "added by the odometry"),
     }
     named = {files[end]: write for end, write in writers.items()} if files else {}
-    console.print(Summary((*lines, command_line(following))), said, _values(drawn.maps, notes, seed), files=named)
-
-
-def _brief(
-    maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
-) -> Summary:
-    """Return the increase in wall thickness, the distance of hits from the walls, and the noise."""
-    from odomcorrupt.mapping.scan_map import added_thickness
-
-    clean, noisy = (100.0 * s.thickness_m[-1] for s in maps[:2])
-    added = 100.0 * added_thickness(maps[0].thickness_m, maps[1].thickness_m)[-1]
-    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
-    said = f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added"
-    lines = [Line("THICKER", said, "warning") if noisy > clean else Line("NO THICKER", said, "good")]
-    lines.append(Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"))
-    lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in maps[2:]]
-    lines += [Line("seed", drawn[1]), Line("model", drawn[0])]
-    lines += [Line("scans" if "rays" in note else "note", note) for note in notes]
-    return Summary((*lines, command_line(following)))
+    console.print(Summary((*lines, command_line(following))), said, maps_json(drawn.maps, notes, seed), files=named)
 
 
 def _scan_maps(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[tuple[str, ...], list[ScanMap]]:
@@ -180,10 +163,9 @@ def _scan_maps(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.mapping.frames import mount_at
-    from odomcorrupt.mapping.raycast import canvas_for
-    from odomcorrupt.mapping.scan_map import make_scan_map, place, slow_rays
-    from odomcorrupt.mapping.scans import read_rays
-    from odomcorrupt.trajectories.reader import read_drive, read_poses
+    from odomcorrupt.mapping.occupancy_grid import canvas_for
+    from odomcorrupt.mapping.scan_map import make_scan_map, place, read_rays, slow_rays
+    from odomcorrupt.trajectories import read_drive, read_poses
 
     drive = read_drive(bag, given["odom_topic"])
     mount = None if given["laser_pose"] is None else mount_at(np.array(given["laser_pose"]))
@@ -202,39 +184,3 @@ def _scan_maps(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple
     notes = (*drive.notes, f"{len(slow.rays)} rays of {rays.scans} scans from {rays.frame_id}", *slow.notes)
     clean = views["clean odometry"]
     return notes, [make_scan_map(n, paths[n].xyt, view, clean, slow.travelled_m, canvas) for n, view in views.items()]
-
-
-def _table(maps: Sequence[ScanMap]) -> str:
-    from odomcorrupt.mapping.scan_map import WINDOW_M, added_thickness
-
-    heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in maps), "added", "hits off"]
-    lines = [
-        f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m),",
-        "what the noise added to it, and how far noisy hits are off the clean walls, cm",
-        "  after      " + "".join(f"{head:>12}" for head in heads),
-    ]
-    clean, noisy = (s.thickness_m for s in maps[:2])
-    added = added_thickness(clean, noisy)
-    for i, mark in enumerate(maps[0].marks_m):
-        values = (*(s.thickness_m[i] for s in maps), added[i], maps[1].off_surface_m[i])
-        lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
-    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
-    grown = f"{noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them"
-    hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
-    lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
-    return "\n".join(lines)
-
-
-def _values(maps: Sequence[ScanMap], notes: Sequence[str], seed: int) -> dict[str, Any]:
-    from odomcorrupt.mapping.scan_map import added_thickness
-
-    return {
-        "schema": 2,
-        "seed": seed,
-        "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
-        "travelled_m": maps[0].marks_m.tolist(),
-        "thickness_m": {s.name: s.thickness_m.tolist() for s in maps},
-        "added_m": added_thickness(maps[0].thickness_m, maps[1].thickness_m).tolist(),
-        "off_surface_m": {s.name: s.off_surface_m.tolist() for s in maps[1:]},
-        "notes": list(notes),
-    }

@@ -11,7 +11,7 @@ from odomcorrupt.commands import corrupt
 from odomcorrupt.commands._bag import bag_options, report_losses, source_of
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import FILE, check_picture, save_picture
+from odomcorrupt.commands._options import PICTURE, save_picture
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 )
 @bag_options
 @map_options
-@click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")
+@click.option("-o", "--output", type=PICTURE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("an existing picture")
 @standard_options
 def command(input_: str, output: Path | None, *, console: Console, **given: Any) -> int:
@@ -47,7 +47,6 @@ def command(input_: str, output: Path | None, *, console: Console, **given: Any)
 
     chosen = choose_model(given)
     model = chosen.motion_model
-    check_picture(output, overwrite=given["overwrite"])
     source, seed = source_of(input_), given["seed"]
     options = Options(given["odom_topic"], given["odom_frame"], given["base_frame"])
     condition = choose_condition_of_run(given, source, options, model)

@@ -14,30 +14,21 @@ import click
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
-from odomcorrupt.commands._options import (
-    FILE,
-    PICTURES,
-    Number,
-    need_pictures,
-    picture_kind,
-    save_picture,
-    usage_errors,
-)
+from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, save_picture, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError, OdomCorruptError
-from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.result_files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
+_RESULT = OutputFile(*PICTURES, "csv", "json")
 _RUNS = 300
 """Default number of runs along a bag."""
 
 
-def _sample_along(
-    bag: Path, output: Path | None, kind: str | None, *, console: Console, given: Mapping[str, Any]
-) -> None:
+def _sample_along(bag: Path, output: Path | None, *, console: Console, given: Mapping[str, Any]) -> None:
     """Draw runs of a bag's drive, evaluate them at distances along it, and print and write the result."""
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.mapping.conditioned_runs import free_paths
@@ -45,14 +36,13 @@ def _sample_along(
     from odomcorrupt.sampling.particles import (
         brief,
         csv_text,
-        json_text,
         particles_at,
+        particles_json,
         places_along,
         report_text,
         sample_particles,
     )
-    from odomcorrupt.sampling.text import law_words
-    from odomcorrupt.trajectories.reader import read_drive
+    from odomcorrupt.trajectories import read_drive
 
     taken = [name for name in ("example", "start", "end") if given[name] is not None]
     if taken:
@@ -76,11 +66,13 @@ def _sample_along(
         cloud = particles_at(drive, places, free.xyt, seed)
         console.note(free.account())
     origin = f" ({chosen.origin})" if chosen.origin else ""
-    text = f"noise: {law_words(chosen.motion_model.noise)}{origin}\n{report_text(cloud)}"
+    text = f"noise: {chosen.motion_model.noise.words}{origin}\n{report_text(cloud)}"
+    values = particles_json(cloud)
 
     def write(path: Path) -> None:
-        if kind not in PICTURES:
-            write_text(path, csv_text(cloud) if kind == ".csv" else json_text(cloud))
+        if kind_of(path) not in PICTURES:
+            as_json = json.dumps(values, indent=1) + "\n"
+            write_text(path, csv_text(cloud) if kind_of(path) == "csv" else as_json)
             return
         from odomcorrupt.report.plots.samples import draw_cloud
 
@@ -94,7 +86,7 @@ def _sample_along(
         following = ["odomcorrupt", "preview", str(bag)]
     words = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
     said = brief(cloud, words, f"{drive.topic} of {bag}", following)
-    console.print(said, text, {"schema": 2, **json.loads(json_text(cloud))}, files=written(output, write))
+    console.print(said, text, {"schema": 2, **values}, files=written(output, write))
 
 
 def _round(value: float) -> float:
@@ -105,7 +97,7 @@ def _round(value: float) -> float:
 
 @click.command("sample", cls=AlphaCommand, short_help="Sample the end poses of one motion (the banana-shaped cloud).")
 @click.argument("bag", metavar="[BAG]", type=click.Path(path_type=Path), required=False)
-@click.option("-o", "--output", type=FILE, help="Result: .png, .svg, .pdf, .csv or .json.")
+@click.option("-o", "--output", type=_RESULT, help="Result: .png, .svg, .pdf, .csv or .json.")
 @move_options
 @map_options
 @click.option(
@@ -119,7 +111,7 @@ def _round(value: float) -> float:
 @overwrite_option()
 @unpack_option
 @standard_options
-def command(bag: Path | None, output: Path | None, *, overwrite: bool, console: Console, **given: Any) -> None:
+def command(bag: Path | None, output: Path | None, *, console: Console, **given: Any) -> None:
     """Sample the end poses of one motion or, with a BAG, the robot's poses along its drive.
 
     \b
@@ -131,16 +123,9 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, console: 
     odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import sample
-    from odomcorrupt.sampling.text import csv_text, drawn_json
 
-    refuse_existing(output, overwrite=overwrite)
-    kind = None if output is None else picture_kind(output) or output.suffix.lower()
-    if kind not in (None, ".csv", ".json", *PICTURES):
-        raise click.UsageError(f"{output}: ends in {kind or 'nothing'}; write .png, .svg, .pdf, .csv or .json")
-    if kind in PICTURES:
-        need_pictures()
     if bag is not None:
-        _sample_along(bag, output, kind, console=console, given=given)
+        _sample_along(bag, output, console=console, given=given)
         return
     chosen = choose_move(given)
     condition = choose_condition(given, None, "odom")
@@ -149,11 +134,13 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, console: 
         drawn = sample(chosen.start_xyt, chosen.end_xyt, model=chosen.model, **asked)
 
     def write(path: Path) -> None:
-        if kind in PICTURES:
+        if kind_of(path) in PICTURES:
             drawn.plot(path)
         else:
-            as_json = json.dumps(drawn_json(drawn.drawn), indent=1) + "\n"
-            write_text(path, csv_text(drawn.xyt) if kind == ".csv" else as_json)
+            values = drawn.to_dict()
+            del values["schema"]
+            as_json = json.dumps(values, indent=1) + "\n"
+            write_text(path, drawn.csv() if kind_of(path) == "csv" else as_json)
 
     following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png"]
     if output is not None:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import FILE, Number, check_picture, need_pictures, one_of, save_picture
+from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, Number, one_of, save_picture
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.input_files import read_input
-from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.result_files import write_text
 
 if TYPE_CHECKING:
     from odomcorrupt.scoring.gate import Verdict
@@ -72,9 +72,9 @@ _BASELINE_BYTES = 1 << 28
     help='Exit with 1 if this rule holds, as in "ate_p90 +20%", "lost +5%", "ate_median > 0.3" (repeatable).',
 )  # fmt: skip
 @click.option("--each", is_flag=True, help="Print a line for every run, not only for those that failed.")
-@click.option("--save", type=FILE, help="Write the result as JSON: a baseline for later.")
-@click.option("--report", type=FILE, help="Write the full result as one HTML page.")
-@click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")
+@click.option("--save", type=OUTPUT, help="Write the result as JSON: a baseline for later.")
+@click.option("--report", type=PAGE, help="Write the full result as one HTML page.")
+@click.option("-o", "--output", type=PICTURE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("existing outputs")
 @unpack_option
 @standard_options
@@ -87,7 +87,8 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
     from odomcorrupt.scoring.gate import check, parse_rule
     from odomcorrupt.scoring.run import score
 
-    _refuse(given)
+    if given["baseline"] is not None and not given["rules"]:
+        raise click.UsageError('--baseline: is for a gate; give a rule, as in --fail-if "ate_p90 +20%"')
     for rule in given["rules"]:
         parse_rule(rule)
     baseline = None if given["baseline"] is None else _baseline(given["baseline"])
@@ -105,17 +106,6 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
     following = ["odomcorrupt", "score", *runs, *(("--estimate", given["estimate"]) if given["estimate"] else ())]
     _tell(report, verdicts, given | {"following": [*following, "--report", "page.html"]}, console)
     return 1 if any(verdict.failed for verdict in verdicts) else 0
-
-
-def _refuse(given: dict[str, Any]) -> None:
-    """Raise before any work if an output cannot be written."""
-    check_picture(given["output"], overwrite=given["overwrite"])
-    if given["baseline"] is not None and not given["rules"]:
-        raise click.UsageError('--baseline: is for a gate; give a rule, as in --fail-if "ate_p90 +20%"')
-    if given["report"] is not None:
-        need_pictures()
-    for path in (given["report"], given["save"]):
-        refuse_existing(path, overwrite=given["overwrite"])
 
 
 def _baseline(path: Path) -> dict[str, Any]:

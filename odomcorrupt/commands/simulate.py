@@ -114,7 +114,7 @@ def _size(text: str) -> float:
     help="Duration of the drive, seconds. [default: 600, or that of --drive]",
 )
 @click.option("--answer", type=FILE, help="File for the true faults. [default: OUTPUT.answer.toml]")
-@overwrite_option("existing files")
+@overwrite_option("existing files", passed=True)
 @standard_options
 def command(
     output: str | None,

@@ -49,7 +49,7 @@ def pose_corrections(t_s: Array, xyt: Array) -> PoseCorrections:
         Poses in the odom frame, metres and radians.
     """
     steps, dt_s = increments(xyt), np.diff(t_s)
-    moved = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1)
+    moved = steps.rows
     driven = (dt_s > 0.0) & (np.hypot(moved[:, 0], moved[:, 1]) <= JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S))
     rows = np.flatnonzero(driven)
     if len(rows) < 3:
@@ -67,5 +67,5 @@ def pose_corrections(t_s: Array, xyt: Array) -> PoseCorrections:
     for column in range(3):
         rate[sudden, column] = np.interp(middle_s[sudden], middle_s[~sudden], rate[~sudden, column])
     moved[rows[sudden]] = rate[sudden] * dt_s[rows[sudden], None]
-    free = accumulate(xyt[0], Increments(*np.ascontiguousarray(moved.T)))
+    free = accumulate(xyt[0], Increments.of_rows(moved))
     return PoseCorrections(int(sudden.sum()), free - np.column_stack((xyt[:, :2], np.unwrap(xyt[:, 2]))))

@@ -17,8 +17,6 @@ from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.errors import BagError, EffectError
 from odomcorrupt.geometry.rounded_stamps import evened
 from odomcorrupt.geometry.se2 import compose, inverse
-from odomcorrupt.model.motion_model import MotionModel, Noise
-from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,6 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel, Noise
 
 
 class MeasuredPath:
@@ -156,10 +155,6 @@ def _sums(noise: Noise, undone: Undone, corrected_xyt: Array, origin_xy: Array) 
     return np.cumsum(np.concatenate((np.zeros((SUMS, 1)), terms), axis=1), axis=1)
 
 
-NOISE_FREE = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
-"""Model without noise and effects, to read the odometry unchanged."""
-
-
 @dataclass(frozen=True, slots=True)
 class Effects:
     """Effects of a model off their identity: those that a correction removes, and those it cannot."""
@@ -253,9 +248,8 @@ def correct_bag(
     """
     effects = split_effects(model)
     if not (effects.undone or model.setup.pose_corrections):
-        identity_model = replace(NOISE_FREE, source=model.source)
         copied = corrupt_bag(
-            source, target, identity_model, seed=0, run=0, options=options, container=container, watch=watch
+            source, target, model.identity, seed=0, run=0, options=options, container=container, watch=watch
         )
         return Corrected(model=model, effects=effects, unplaced=(), run=copied)
     path = CorrectedPath(_measured(source, model, options, container).corrected(model, start_xyt))
@@ -289,7 +283,7 @@ def correct_bag(
 
 def _measured(source: Path, model: MotionModel, options: Options, container: Container) -> MeasuredPath:
     """Read the odometry, in the order of the second pass."""
-    transform, measured = Transform(replace(NOISE_FREE, source=model.source), 0, 0, options), MeasuredPath()
+    transform, measured = Transform(model.identity, 0, 0, options), MeasuredPath()
     transform.watchers.append(measured)
     with open_reader(source, recover=container.recover) as reader:
         for _ in transform.blocks(reader, reader.name):

@@ -127,12 +127,12 @@ def undo_effects(
     dt_s = np.diff(t_s)
     world = np.diff(measured_xyt[:, :2], axis=0)
     jump = np.hypot(world[:, 0], world[:, 1]) > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
-    raw = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1)
+    raw = steps.rows
     raw[jump] = 0.0
     driven_s = np.where(jump, 0.0, dt_s)
-    smooth = accumulate(compose(frame_xyt, measured_xyt[0]), _increments(raw))
+    smooth = accumulate(compose(frame_xyt, measured_xyt[0]), Increments.of_rows(raw))
     motion = replace(motion_of(t_s - t_s[0], smooth, track_m=track_m), dt_s=driven_s)
-    before = np.stack((motion.v, motion.vy, motion.omega), axis=1) * driven_s[:, None]
+    before = motion.twist * driven_s[:, None]
 
     # without jumps the path determines the positions directly; across jumps they are found by iteration
     place = (
@@ -147,7 +147,7 @@ def undo_effects(
         error = _error(raw, added, world, measured_xyt)
         found = compose(frame_xyt, (measured_xyt + error)[:-1])
         if place is None or np.abs(found - place).max(initial=0.0) <= PLACE_TOLERANCE:
-            return Undone(error, _increments(raw + added), driven_s, jump)
+            return Undone(error, Increments.of_rows(raw + added), driven_s, jump)
         place = found
     raise EffectError(
         "position-dependent effects: cannot be removed from this odometry, the iteration of its positions does not "
@@ -157,8 +157,7 @@ def undo_effects(
 
 def _stays_rough(effects: Sequence[Effect], motion: Motion, place: Array | None) -> bool:
     """Tell whether odometry is rough, and rough still after the exact inversion: a real robot's, not a simulation's."""
-    twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
-    if not (any(effect.rectifies for effect in effects) and is_rough(twist, motion.dt_s)):
+    if not (any(effect.rectifies for effect in effects) and is_rough(motion.twist, motion.dt_s)):
         return False
     try:
         return is_rough(corrected_twist(effects, motion, place), motion.dt_s)
@@ -176,7 +175,3 @@ def _error(raw: Array, added: Array, world: Array, measured_xyt: Array) -> Array
     more = np.stack((less * world[:, 0] - s * world[:, 1], s * world[:, 0] + less * world[:, 1]), axis=1)
     shift = np.cumsum(more + rotate(added[:, :2], middle + swing), axis=0)
     return np.column_stack((np.concatenate((np.zeros((1, 2)), shift)), heading))
-
-
-def _increments(rows: Array) -> Increments:
-    return Increments(*np.ascontiguousarray(rows.T))

@@ -10,6 +10,8 @@ import numpy as np
 from odomcorrupt.geometry.se2 import rotate, wrap
 
 if TYPE_CHECKING:
+    from typing import Self
+
     from odomcorrupt.geometry.se2 import Array
 
 BEARING_MIN_M = 0.05
@@ -31,6 +33,16 @@ class Increments:
 
     def __len__(self) -> int:
         return len(self.ds_m)
+
+    @classmethod
+    def of_rows(cls, rows: Array) -> Self:
+        """Return the increments of rows (n, 3): ds, dl, dtheta."""
+        return cls(*np.ascontiguousarray(rows.T))
+
+    @property
+    def rows(self) -> Array:
+        """The increments as an array (n, 3)."""
+        return np.stack((self.ds_m, self.dl_m, self.dtheta_rad), axis=1)
 
 
 class RotTransRot(NamedTuple):

@@ -73,6 +73,11 @@ class Motion:
         return np.cumsum(np.concatenate(([before_m], (self.v + arm_m * self.omega) * self.dt_s)))
 
     @property
+    def twist(self) -> Array:
+        """The reported speeds (n, 3): v, vy, omega."""
+        return np.stack((self.v, self.vy, self.omega), axis=1)
+
+    @property
     def in_step(self) -> Motion:
         """The motion with all speeds in step with their accelerations: integrals of their products do not drift."""
         if self.trail is None:
@@ -298,7 +303,7 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
     steps = increments(xyt)
     dt = np.diff(t_s)
     rate = np.divide(1.0, dt, out=np.zeros_like(dt), where=dt > 0.0)
-    twist = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1) * rate[:, None]
+    twist = steps.rows * rate[:, None]
     travel = np.hypot(steps.ds_m, steps.dl_m)
     faster = accelerations(twist, dt)
     return Motion(

@@ -19,6 +19,11 @@ UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
 """Variance along an axis from which a pose counts as unknown, m^2; least fraction of poses that must be known."""
 
 
+def distance_along(poses: Array) -> Array:
+    """Return the distance (n,) travelled along poses (n, 2 or 3) since the first one, metres."""
+    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
+
+
 @dataclass(frozen=True, slots=True)
 class Trajectory:
     """A trajectory of n poses with strictly increasing stamps.

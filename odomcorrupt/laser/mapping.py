@@ -10,9 +10,8 @@ import numpy as np
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.mapping.frames import Mount
-from odomcorrupt.mapping.raycast import canvas_for
-from odomcorrupt.mapping.scan_map import make_scan_map, place
-from odomcorrupt.mapping.scans import Rays
+from odomcorrupt.mapping.occupancy_grid import canvas_for
+from odomcorrupt.mapping.scan_map import Rays, make_scan_map, place
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array

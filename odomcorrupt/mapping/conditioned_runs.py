@@ -31,7 +31,11 @@ FIRST_TRIES = 12
 
 
 class NoFreePoseError(MapError):
-    """No try of an increment ended in free space."""
+    """No path in free space explains a drive."""
+
+    def __init__(self, why: str) -> None:
+        way_out = "check --map-pose, --robot-radius and --unknown, or leave out --map"
+        super().__init__(f"the map and the drive do not match: {why}; {way_out}")
 
 
 def rounds(tries: int) -> tuple[int, ...]:
@@ -105,13 +109,13 @@ class MotionReader:
         travel = np.hypot(*np.diff(poses[:, :2], axis=0).T)
         jump = travel > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
         whole = increments(poses)
-        steps = Increments(*(np.where(jump, 0.0, part) for part in (whole.ds_m, whole.dl_m, whole.dtheta_rad)))
+        steps = Increments.of_rows(np.where(jump[:, None], 0.0, whole.rows))
         grown = noise_variances(self._noise, steps, np.where(jump, 0.0, dt_s), self._growth)
         v = grown.variances
         sd = np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
         bearing = np.arctan2(steps.dl_m, steps.ds_m) * self._noise.law.along_travel
         self._growth, self._last = grown.growth, (int(stamps_ns[-1]), clean_xyt[-1].copy())
-        return Motions(poses, jump, np.column_stack((steps.ds_m, steps.dl_m, steps.dtheta_rad, bearing)), sd)
+        return Motions(poses, jump, np.column_stack((steps.rows, bearing)), sd)
 
 
 def swing_of(model: MotionModel) -> float:
@@ -308,9 +312,8 @@ class _Walk:
             if not len(alive):
                 x, y = pose[:, :2].mean(axis=0)
                 raise NoFreePoseError(
-                    f"the map and the drive do not match: about ({x:.2f} m, {y:.2f} m) none of {self._within.tries} "
-                    f"tries of any of {len(pose)} paths ends where the map is free; check --map-pose, --robot-radius "
-                    "and --unknown, or leave out --map"
+                    f"about ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries of any of {len(pose)} paths ends "
+                    "where the map is free"
                 )
             self.resampled += len(stuck)
             parents[stuck] = alive[self._choose.integers(len(alive), size=len(stuck))]

@@ -20,7 +20,6 @@ import numpy as np
 
 from odomcorrupt.corruption.drift import DriftMeter
 from odomcorrupt.corruption.path import NoisyPath, PathSamples
-from odomcorrupt.errors import MapError
 from odomcorrupt.mapping.conditioned_runs import (
     FreeRuns,
     MotionReader,
@@ -111,10 +110,7 @@ def whole_path(
     require_free(within.space, clean_xyt[0])
     astray = 1.0 - float(np.mean(within.space.free(clean_xyt[:, :2])))
     if astray > _MOST_OUTSIDE:
-        raise MapError(
-            f"the map and the drive do not match: {astray:.0%} of the odometry's own poses are not free; check "
-            "--map-pose, --robot-radius and --unknown, or leave out --map"
-        )
+        raise NoFreePoseError(f"{astray:.0%} of the odometry's own poses are not free")
     try:
         _refuse_held_back(FreePath(model, within, seed, run).feed(stamps_ns, clean_xyt))
     except NoFreePoseError:
@@ -131,9 +127,8 @@ def _refuse_held_back(samples: PathSamples) -> None:
     drift = meter.result()
     if drift is not None and drift.end_drawn_m > _MOST_SIGMAS * drift.end_expected_m > 0.0:
         raise NoFreePoseError(
-            f"the map and the drive do not match: within the map the odometry ends {drift.end_drawn_m:.3g} m from "
-            f"where it was recorded, and noise of this model accounts for about {drift.end_expected_m:.2g} m; check "
-            "--map-pose, --robot-radius and --unknown, or leave out --map"
+            f"within the map the odometry ends {drift.end_drawn_m:.3g} m from where it was recorded, and noise of this "
+            f"model accounts for about {drift.end_expected_m:.2g} m"
         )
 
 
@@ -250,8 +245,7 @@ class FreePath:
                     return samples
         x, y = self._pose[:2]
         raise NoFreePoseError(
-            f"the map and the drive do not match: at ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries ends "
-            "where the map is free; check --map-pose, --robot-radius and --unknown, or leave out --map"
+            f"at ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries ends where the map is free"
         )
 
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import MapError
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.mapping.mapfile import OCCUPIED, UNKNOWN, Grid
-from odomcorrupt.mapping.raycast import traverse
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, UNKNOWN, Grid, traverse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

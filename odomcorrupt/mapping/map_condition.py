@@ -17,8 +17,8 @@ from odomcorrupt.mapping.conditioned_runs import without_effects
 from odomcorrupt.mapping.constrained_path import FreePath, whole_path
 from odomcorrupt.mapping.frames import FrameTree
 from odomcorrupt.mapping.free_space import Check, Constraint, free_space
-from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN, Grid, read_map
 from odomcorrupt.mapping.messages import GRID, read_grid
+from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, read_map
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

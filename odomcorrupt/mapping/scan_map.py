@@ -1,5 +1,7 @@
 """Laser maps through different odometries, and their growing wall thickness: the mean plane variance of the walls.
 
+The scans of a bag become rays in the robot's frame, each with its own time; a path places them in a map.
+
 Razlaw, Droeschel, Holz & Behnke, "Evaluation of registration methods for sparse 3D laser scans" (ECMR 2015), evaluate
 a map without truth by the variance of its points about the plane through their neighbours: the smallest eigenvalue of
 the covariance of all points near a point, averaged over points. Here planes are lines, neighbours are those in a
@@ -10,28 +12,129 @@ every map, so the difference between two maps of one drive measures the effect o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.errors import RecordingError
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.mapping.raycast import Canvas, draw_map
+from odomcorrupt.mapping.frames import FrameTree, Mount
+from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_scan
+from odomcorrupt.mapping.occupancy_grid import Canvas, draw_map
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.block import Channel
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.mapping.mapfile import Grid
-    from odomcorrupt.mapping.scans import Rays
-    from odomcorrupt.trajectories.reader import Drive
+    from odomcorrupt.mapping.occupancy_grid import Grid
+    from odomcorrupt.trajectories import Drive
+
+
+@dataclass(frozen=True, slots=True)
+class Rays:
+    """n rays with a return.
+
+    stamps_ns : (n,) time of each ray
+    from_xy : (2,) position of the laser in the robot's frame, metres
+    to_xy : (n, 2) end of each ray, in the robot's frame at the ray's time
+    scans : number of scans
+    frame_id : frame of the laser
+    notes : omissions, in words
+    """
+
+    stamps_ns: NDArray[np.int64]
+    from_xy: Array
+    to_xy: Array
+    scans: int
+    frame_id: str
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+def read_rays(path: Path, topic: str | None, base_frame: str, mount: Mount | None) -> Rays:
+    """Read all scans of a topic.
+
+    path : a bag
+    topic : topic of laser scans; None takes the only one
+    base_frame : the robot's frame, which TF must connect with the laser's
+    mount : pose of the laser, to be used instead of TF
+
+    Raises
+    ------
+    TopicError
+        If there are no scans, several topics of them, or TF does not contain the laser's pose.
+    """
+    scans: list[ScanMessage] = []
+    tree = FrameTree()
+    with open_reader(path) as reader:
+        channels = _choose(list(reader.channels.values()), topic, reader.name)
+        for block in reader.blocks():
+            tree.take(block, reader.channels.values())
+            for channel in channels:
+                for row in block.table[block.table["channel"] == channel.id]:
+                    data = block.data[row["offset"] : row["offset"] + row["length"]].tobytes()
+                    scans.append(read_scan(data, channel.topic, channel.encoding))
+        name = reader.name
+    if not scans:
+        raise RecordingError(f"{name}: {channels[0].topic} holds no scan; name another topic with --scan")
+    frame = scans[0].frame_id
+    if mount is None:
+        mount = tree.mount(base_frame, frame, name)
+    return _rays(scans, mount, frame)
+
+
+def _choose(channels: list[Channel], topic: str | None, bag: str) -> list[Channel]:
+    scans = [c for c in channels if c.msgtype == SCAN]
+    found = ", ".join(sorted({c.topic for c in scans})) or "none"
+    if topic is not None:
+        chosen = [c for c in scans if c.topic.lstrip("/") == topic.lstrip("/")]
+        if not chosen:
+            raise TopicError(f"{bag}: no sensor_msgs/LaserScan on {topic} (found {found}); name another with --scan")
+        return chosen
+    if not scans:
+        there = ", ".join(sorted({c.topic for c in channels})) or "no topic at all"
+        raise TopicError(f"{bag}: no sensor_msgs/LaserScan topic (found {there}); a map needs laser scans")
+    if len({c.topic for c in scans}) > 1:
+        raise TopicError(f"{bag}: topics of sensor_msgs/LaserScan: {found}; name one with --scan")
+    return scans
+
+
+def _rays(scans: list[ScanMessage], mount: Mount, frame: str) -> Rays:
+    stamps, ends = [], []
+    lost = total = 0
+    for scan in scans:
+        number = np.arange(len(scan.ranges_m))
+        # comparisons with NaN are false: such rays are dropped, as are those without a return
+        good = (scan.ranges_m >= scan.range_min_m) & (scan.ranges_m < scan.range_max_m)
+        total += len(number)
+        lost += int(np.count_nonzero(~good))
+        hit, ranges = number[good], scan.ranges_m[good]
+        angle = scan.angle_min + scan.angle_step * hit
+        direction = np.column_stack((np.cos(angle), np.sin(angle))) @ mount.plane.T
+        ends.append(mount.position_xy + ranges[:, None] * direction)
+        stamps.append(scan.stamp_ns + np.rint(hit * scan.time_step_s * 1e9).astype(np.int64))
+    every, xy = np.concatenate(stamps), np.concatenate(ends)
+    usable = np.isfinite(xy).all(axis=1)
+    notes = (f"{lost} of {total} rays have no return within the laser's range",) if lost else ()
+    return Rays(every[usable], mount.position_xy, xy[usable], len(scans), frame, notes)
+
 
 WINDOW_M = 1.0
 """Side of the square of neighbours, metres; walls more than half of it apart are separate walls."""
 
 MIN_NEIGHBOURS = 8
+_MARKS = 8
+"""Number of distances at which the walls are measured."""
 
 _CELL_M = 0.02
 """Side of the cells into which points are binned, metres."""
@@ -194,19 +297,67 @@ def place(rays: Rays, path: Trajectory) -> View:
     return View(start, poses[:, :2] + rotate(rays.to_xy, poses[:, 2]))
 
 
-def make_scan_map(
-    name: str, path_xyt: Array, view: View, clean: View, travelled_m: Array, canvas: Canvas, marks: int = 8
-) -> ScanMap:
+def make_scan_map(name: str, path_xyt: Array, view: View, clean: View, travelled_m: Array, canvas: Canvas) -> ScanMap:
     """Return the map of a view, its wall thickness against distance, and the distance of its hits from the clean walls.
 
     clean : the same rays through the clean odometry
     """
-    ends = np.linspace(0.0, float(travelled_m.max()), marks + 1)[1:]
+    ends = np.linspace(0.0, float(travelled_m.max()), _MARKS + 1)[1:]
     thickness = np.array([wall_thickness(view.to_xy[travelled_m <= end]) for end in ends])
     off = distance_to_surface(clean.to_xy, view.to_xy)
-    leg = np.minimum(np.searchsorted(ends, travelled_m), marks - 1)
+    leg = np.minimum(np.searchsorted(ends, travelled_m), _MARKS - 1)
     known = np.isfinite(off)
-    count = np.bincount(leg[known], minlength=marks)
-    square = np.bincount(leg[known], off[known] ** 2, minlength=marks)
-    off_surface = np.sqrt(np.divide(square, count, out=np.full(marks, np.nan), where=count > 0))
+    count = np.bincount(leg[known], minlength=_MARKS)
+    square = np.bincount(leg[known], off[known] ** 2, minlength=_MARKS)
+    off_surface = np.sqrt(np.divide(square, count, out=np.full(_MARKS, np.nan), where=count > 0))
     return ScanMap(name, path_xyt, draw_map(canvas, view.from_xy, view.to_xy), ends, thickness, off_surface)
+
+
+def maps_brief(
+    maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
+) -> Summary:
+    """Return the increase in wall thickness, the distance of hits from the walls, and the noise."""
+    clean, noisy = (100.0 * s.thickness_m[-1] for s in maps[:2])
+    added = 100.0 * added_thickness(maps[0].thickness_m, maps[1].thickness_m)[-1]
+    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
+    said = f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added"
+    lines = [Line("THICKER", said, "warning") if noisy > clean else Line("NO THICKER", said, "good")]
+    lines.append(Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"))
+    lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in maps[2:]]
+    lines += [Line("seed", drawn[1]), Line("model", drawn[0])]
+    lines += [Line("scans" if "rays" in note else "note", note) for note in notes]
+    return Summary((*lines, command_line(following)))
+
+
+def maps_table(maps: Sequence[ScanMap]) -> str:
+    """Return a table of the wall thickness along the drive."""
+    heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in maps), "added", "hits off"]
+    lines = [
+        f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m),",
+        "what the noise added to it, and how far noisy hits are off the clean walls, cm",
+        "  after      " + "".join(f"{head:>12}" for head in heads),
+    ]
+    clean, noisy = (s.thickness_m for s in maps[:2])
+    added = added_thickness(clean, noisy)
+    for i, mark in enumerate(maps[0].marks_m):
+        values = (*(s.thickness_m[i] for s in maps), added[i], maps[1].off_surface_m[i])
+        lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
+    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
+    grown = f"{noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them"
+    hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
+    lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
+    return "\n".join(lines)
+
+
+def maps_json(maps: Sequence[ScanMap], notes: Sequence[str], seed: int) -> dict[str, Any]:
+    """Return the wall thickness and the distance of hits from the walls as plain values, metres."""
+    return {
+        "schema": 2,
+        "seed": seed,
+        "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
+        "travelled_m": maps[0].marks_m.tolist(),
+        "thickness_m": {s.name: s.thickness_m.tolist() for s in maps},
+        "added_m": added_thickness(maps[0].thickness_m, maps[1].thickness_m).tolist(),
+        "off_surface_m": {s.name: s.off_surface_m.tolist() for s in maps[1:]},
+        "notes": list(notes),
+    }

@@ -136,11 +136,9 @@ class Correlation:
         if len(self) < 2:
             return []
         names = ", ".join(f'"{name}"' for name in self.names)
-        rows = [f"  [{', '.join(f'{value:.{_DIGITS}f}' for value in row)}],  # {name}" for name, row in self._rows()]
+        pairs = zip(self.names, self.matrix, strict=True)
+        rows = [f"  [{', '.join(f'{value:.{_DIGITS}f}' for value in row)}],  # {name}" for name, row in pairs]
         return ["", "[fit.correlation]", f"parameters = [{names}]", "matrix = [", *rows, "]"]
-
-    def _rows(self) -> Iterable[tuple[str, tuple[float, ...]]]:
-        return zip(self.names, self.matrix, strict=True)
 
 
 def _matrix(rows: Any, n: int) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from odomcorrupt.errors import ModelError
@@ -79,6 +79,19 @@ class Noise:
     def law(self) -> Law:
         """The noise law."""
         return law_named(self.law_name)
+
+    @property
+    def numbers(self) -> list[tuple[str, float]]:
+        """Names and values of the first four coefficients, and of others that are not zero."""
+        values = asdict(self.coefficients)
+        return [(name, value) for i, (name, value) in enumerate(values.items()) if i < 4 or value]
+
+    @property
+    def words(self) -> str:
+        """The law and its coefficients, with their alpha convention."""
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in self.numbers)
+        step = f", once per {self.step}" if self.step is not None else ""
+        return f"law {self.law_name} ({self.law.meaning}{step}): {numbers}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +176,15 @@ class MotionModel:
         return replace(self, effects=tuple(effect for effect in self.effects if effect not in self.placed))
 
     @property
+    def identity(self) -> MotionModel:
+        """Model without noise and effects, of the odometry that this one was learned from."""
+        return replace(NOISE_FREE, source=self.source)
+
+    @property
     def is_identity(self) -> bool:
         """Whether the model changes nothing."""
         return self.noise.coefficients.noise_free and not self.effects
+
+
+NOISE_FREE = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
+"""Model without noise and effects."""

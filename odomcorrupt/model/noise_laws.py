@@ -95,6 +95,7 @@ class Law(NamedTuple):
     per_step : whether its drift depends on the step that it is applied to
     degree : degree of homogeneity of the variances in the coefficients, used by fits
     alphas : names of the coefficients alpha1, alpha2, ...
+    meaning : what a coefficient is, for reports
     split : whether rot1 is measured to the bearing of the step; otherwise the turn is split evenly
     arc : whether rot1 is distributed evenly over the translation, instead of preceding it
     along_travel : whether trans and across refer to the direction of travel, instead of the body's x and y
@@ -106,6 +107,7 @@ class Law(NamedTuple):
     degree: int
     per_step: bool = True
     alphas: tuple[str, ...] = _FOUR
+    meaning: str = "variance = coefficient x motion^2"
     split: bool = False
     arc: bool = False
     along_travel: bool = False
@@ -177,15 +179,17 @@ def _omni(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
     )
 
 
+_SQUARED = "deviation = (coefficient x motion)^2"
+
 LAWS: Mapping[str, Law] = {
     law.name: law
     for law in (
-        Law("diffusion", _diffusion, per_step=False, degree=2),
-        Law("linear", _linear, degree=2, split=True),
+        Law("diffusion", _diffusion, per_step=False, degree=2, meaning="deviation after 1 m or 1 rad"),
+        Law("linear", _linear, degree=2, split=True, meaning="deviation = coefficient x motion"),
         Law("quadratic", _quadratic, degree=1, split=True),
         Law("velocity", _velocity, degree=1, alphas=_VELOCITY, arc=True),
         Law("omni", _omni, degree=1, alphas=(*_FOUR, "across_trans"), along_travel=True),
-        Law("article-code", _article_code, degree=4, split=True, fitted=False),
+        Law("article-code", _article_code, degree=4, split=True, fitted=False, meaning=_SQUARED),
     )
 }
 """Noise laws by name; the module's docstring gives their sources."""

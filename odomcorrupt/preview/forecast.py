@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corruption.drift import MARKS_M
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message, size_words
 from odomcorrupt.corruption.transform import Transform
-from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -101,10 +102,7 @@ def read_clean_drive(
     TopicError
         If there is no odometry source.
     """
-    identity_model = replace(
-        model, noise=replace(model.noise, coefficients=Coefficients(0.0, 0.0, 0.0, 0.0)), effects=()
-    )
-    transform, stretches = Transform(identity_model, 0, 0, options), _Stretches()
+    transform, stretches = Transform(model.identity, 0, 0, options), _Stretches()
     transform.watchers.append(stretches)
     for block in transform.blocks(reader, reader.name):
         watch(block)
@@ -114,6 +112,12 @@ def read_clean_drive(
         np.concatenate([samples.stamps_ns for samples in longest]),
         np.concatenate([samples.clean_xyt for samples in longest]),
     )
+
+
+def clean_drive_of(source: Path, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive:
+    """Return the clean path of the odometry of a bag, see `read_clean_drive`; `recover` reads a damaged one."""
+    with open_reader(source, recover=recover) as reader:
+        return read_clean_drive(reader, model, options)
 
 
 def forecast(drive: CleanDrive, model: MotionModel, paths: Iterable[PathSource], *, first_run: int = 0) -> Forecast:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.trajectories.reader import Drive
+    from odomcorrupt.trajectories import Drive
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +109,8 @@ def csv_text(particles: ParticleSet) -> str:
     return "\n".join(lines) + "\n"
 
 
-def json_text(particles: ParticleSet) -> str:
-    """Return mean and covariance at every place, as JSON."""
+def particles_json(particles: ParticleSet) -> dict[str, Any]:
+    """Return mean and covariance at every place as plain values."""
     places: list[dict[str, Any]] = []
     for i, distance in enumerate(particles.distance_m):
         moments = sample_moments(particles.xyt[:, i])
@@ -123,4 +122,4 @@ def json_text(particles: ParticleSet) -> str:
                 "covariance": moments.covariance.tolist(),
             }
         )
-    return json.dumps({"seed": particles.seed, "runs": len(particles.xyt), "places": places}, indent=1) + "\n"
+    return {"seed": particles.seed, "runs": len(particles.xyt), "places": places}

@@ -15,6 +15,7 @@ import numpy as np
 
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.geometry.se2 import between, compose, inverse, rotate, wrap
+from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.validate.trajectory_error import aligned_at_origin, aligned_rigidly, relative_errors
 
 if TYPE_CHECKING:
@@ -177,8 +178,7 @@ def path_errors(
         x, y = (np.interp(t_s, truth_s, truth.xyt[:, i]) for i in (0, 1))
         true = np.column_stack((x, y, np.full(len(t_s), np.nan)))
     aligned = _aligned(true, own, align)
-    steps = np.linalg.norm(np.diff(truth.xyt[:, :2], axis=0), axis=1)
-    gone = np.concatenate(([0.0], np.cumsum(steps)))
+    gone = distance_along(truth.xyt)
     distance = np.interp(t_s, truth_s, gone)
     coverage = float((distance[-1] - distance[0]) / gone[-1]) if gone[-1] > 0.0 else 1.0
     nees, inside = np.zeros(0), float("nan")

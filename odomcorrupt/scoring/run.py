@@ -11,6 +11,7 @@ import numpy as np
 from odomcorrupt.batching.manifest import BEGINNING, read_beginning, read_records
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.scoring.errors import Alignment, Failure, Limits, PathErrors, ScoreError, path_errors
 from odomcorrupt.scoring.estimates import NoEstimateError, find_estimate, read_estimate, read_first
 from odomcorrupt.scoring.statistics import Breakdown, Growth, Section, Summary, breakdown, growth, sections, summarise
@@ -223,10 +224,9 @@ def score(
     if clean is None or not any(run.metrics for run in found):
         first = found[0]
         raise ScoreError(f"none of {len(found)} runs has an estimate that can be scored; {first.name}: {first.reason}")
-    steps = np.linalg.norm(np.diff(clean.xyt[:, :2], axis=0), axis=1)
     return ScoreReport(
         tuple(found), estimate or "text files", ", ".join(sorted(truths)), align, limits, count_missing,
-        np.concatenate(([0.0], np.cumsum(steps))), clean.xyt[:, :2], tuple(_notes(found, truths, frames, align)),
+        distance_along(clean.xyt), clean.xyt[:, :2], tuple(_notes(found, truths, frames, align)),
     )  # fmt: skip
 
 

@@ -10,11 +10,10 @@ formula for the resulting odometry error, so it is an independent test of the di
 """
 
 from odomcorrupt.simulation.bag import write_mcap
-from odomcorrupt.simulation.encoders import Rig
 from odomcorrupt.simulation.faults import CAUSES, OUTSIDE
 from odomcorrupt.simulation.routes import ROUTES, Commands, Segment, read_commands
 from odomcorrupt.simulation.run import SimulatedRun, simulate, simulate_without
-from odomcorrupt.simulation.tracker import TRACKERS, Tracker
+from odomcorrupt.simulation.sensors import TRACKERS, Rig, Tracker
 
 __all__ = ["CAUSES", "OUTSIDE", "ROUTES", "TRACKERS", "Commands", "Rig", "Segment", "SimulatedRun", "Tracker",
            "read_commands", "simulate", "simulate_without", "write_mcap"]  # fmt: skip

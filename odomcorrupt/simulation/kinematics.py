@@ -8,12 +8,50 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import lfilter
 
-from odomcorrupt.simulation.planar import add_up_steps
-from odomcorrupt.simulation.robot import Robot
 from odomcorrupt.simulation.streams import Streams, gauss_markov_noise
 
 if TYPE_CHECKING:
     from odomcorrupt.simulation.robot import Bursts, Floor, Robot, Slippery
+
+
+def add_up_steps(forward_m: np.ndarray, left_m: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:
+    """Return the poses (n + 1, 3) reached from the origin by steps of constant body twist, each an exact circular arc.
+
+    forward_m, left_m : (n,) arc lengths along the body's x and y axes, m
+    turn_rad : (n,) heading change of each step, rad
+    """
+    heading = np.concatenate(([0.0], np.cumsum(turn_rad)))
+    midway = heading[:-1] + 0.5 * turn_rad
+    chord = np.sinc(turn_rad / (2 * np.pi)) * (forward_m + 1j * left_m) * np.exp(1j * midway)
+    place = np.concatenate(([0.0], np.cumsum(chord)))
+    return np.column_stack((place.real, place.imag, heading))
+
+
+def attach(pose_xyt: np.ndarray, mounted_xyt: tuple[float, float, float]) -> np.ndarray:
+    """Return the poses (n, 3) of a frame fixed to a moving body; m, m, rad.
+
+    pose_xyt : (n, 3) poses of the body; m, m, rad
+    mounted_xyt : the attached frame seen from the body; m, m, rad
+    """
+    x, y, yaw = mounted_xyt
+    place = pose_xyt[:, 0] + 1j * pose_xyt[:, 1] + (x + 1j * y) * np.exp(1j * pose_xyt[:, 2])
+    return np.column_stack((place.real, place.imag, pose_xyt[:, 2] + yaw))
+
+
+def sample(grid_s: np.ndarray, values: np.ndarray, at_s: np.ndarray) -> np.ndarray:
+    """Return the columns (m, c) of a finely sampled signal interpolated at other times (headings must be unwrapped).
+
+    grid_s : (n,) increasing times, s
+    values : (n, c) the signal, any unit
+    at_s : (m,) times wanted, s
+    """
+    return np.column_stack([np.interp(at_s, grid_s, column) for column in values.T])
+
+
+def wrap(angle_rad: np.ndarray) -> np.ndarray:
+    """Return angles wrapped to (-pi, pi], rad."""
+    return np.pi - (np.pi - angle_rad) % (2 * np.pi)
+
 
 HUNTING_MPS_PER_RIPPLE = 0.4
 HUNTING_TAU_S = 0.25
@@ -82,7 +120,7 @@ def roll(wheel_rad: np.ndarray, step_s: float, robot: Robot, creep: float, strea
     if robot.scrub_arm_m > 0.0:
         apart_m = np.abs(turned_rad[:, :1] - turned_rad[:, 1:]) * robot.nominal_radius_m
         rubbed_m = rubbed_m + apart_m * (robot.scrub_arm_m / robot.nominal_track_m)
-    draws = streams.open("contact").normal(size=turned_rad.shape)
+    draws = streams("contact").normal(size=turned_rad.shape)
     noise_m = creep * robot.travel_noise_m_per_sqrt_m * np.sqrt(rubbed_m) * draws
     if robot.floor.jolts_inverse_dof > 0.0:
         noise_m = noise_m * _roughness(len(noise_m), step_s, robot.floor.jolts_inverse_dof, streams)[:, None]
@@ -106,7 +144,7 @@ def _radius_now(wheel_rad: np.ndarray, step_s: float, robot: Robot) -> np.ndarra
 def _roughness(n: int, step_s: float, inverse_dof: float, streams: Streams) -> np.ndarray:
     """Return factors (n,) that turn normal draws into Student's t, constant over each section of floor."""
     per_jolt = round(JOLT_S / step_s)
-    chi2 = streams.open("jolts").chisquare(1.0 / inverse_dof, size=n // per_jolt + 1)
+    chi2 = streams("jolts").chisquare(1.0 / inverse_dof, size=n // per_jolt + 1)
     return np.repeat(1.0 / np.sqrt(chi2 * inverse_dof), per_jolt)[:n]
 
 
@@ -226,7 +264,7 @@ def hold(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot,
     """
     travel_m = lose_by_speed(travel_m, rim_mps, step_s, robot.floor)
     for i, bursts in enumerate(robot.floor.bursts):
-        travel_m = lose_by_chance(travel_m, step_s, bursts, streams.open(f"bursts {i}"))
+        travel_m = lose_by_chance(travel_m, step_s, bursts, streams(f"bursts {i}"))
     return travel_m
 
 
@@ -284,9 +322,7 @@ def _carry(
     turn_rad = _turn(travel_m[:, 0] - travel_m[:, 1], rim_mps[:, 0] - rim_mps[:, 1], step_s, robot, streams)
     forward_m = yield_along(rolled_m, 0.5 * (rim_mps[:, 0] + rim_mps[:, 1]), step_s, robot)
     for i, (sigma, tau_s) in enumerate(robot.floor.uneven):
-        forward_m = forward_m * (
-            1.0 + gauss_markov_noise(sigma, tau_s, step_s, len(forward_m), streams.open(f"uneven {i}"))
-        )
+        forward_m = forward_m * (1.0 + gauss_markov_noise(sigma, tau_s, step_s, len(forward_m), streams(f"uneven {i}")))
     left_m = creep_sideways(forward_m / step_s, turn_rad / step_s, step_s, robot)
     if robot.rotation_centre_behind_m != 0.0:
         left_m = left_m + robot.rotation_centre_behind_m * turn_rad
@@ -311,6 +347,6 @@ def _turn(apart_m: np.ndarray, apart_mps: np.ndarray, step_s: float, robot: Robo
         turn_rad = turn_rad / (1.0 + robot.scrub_s * np.abs(apart_mps) / robot.track_m)
     for i, (sigma, tau_s) in enumerate(robot.play_of_track):
         turn_rad = turn_rad * (
-            1.0 + gauss_markov_noise(sigma, tau_s, step_s, len(turn_rad), streams.open(f"play of track {i}"))
+            1.0 + gauss_markov_noise(sigma, tau_s, step_s, len(turn_rad), streams(f"play of track {i}"))
         )
     return np.asarray(turn_rad)

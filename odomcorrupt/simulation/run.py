@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.simulation.encoders import Odometry, Rig, reckon
 from odomcorrupt.simulation.faults import (
     CAUSES,
     EVERY,
@@ -19,12 +19,11 @@ from odomcorrupt.simulation.faults import (
     source_of_turns,
     with_faults,
 )
-from odomcorrupt.simulation.kinematics import drive, wheel_angles
-from odomcorrupt.simulation.planar import add_up_steps, wrap
+from odomcorrupt.simulation.kinematics import add_up_steps, drive, wheel_angles, wrap
 from odomcorrupt.simulation.robot import build_robot
 from odomcorrupt.simulation.routes import ROUTES, Commands, Segment, follow, obey
-from odomcorrupt.simulation.streams import Streams, stream
-from odomcorrupt.simulation.tracker import TRACKERS, Track, Tracker, dock, watch
+from odomcorrupt.simulation.sensors import TRACKERS, Odometry, Rig, Track, Tracker, dock, reckon, watch
+from odomcorrupt.simulation.streams import stream
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -188,9 +187,9 @@ def simulate(
     faults = {name: draw_fault(name, what.size, robot_seed, path, given.get(name)) for name in causes}
     robot = with_faults(build_robot(stream(robot_seed, "robot"), what.drive_type), faults)
 
-    streams = Streams(seed)
+    streams = partial(stream, seed)
     speeds = _speeds(what.route, what.duration_s, seed, grid_s)
-    angle_rad = wheel_angles(speeds, STEP_S, robot, what.rig.motor_ripple, streams.open("motor"))
+    angle_rad = wheel_angles(speeds, STEP_S, robot, what.rig.motor_ripple, streams("motor"))
     driven = drive(grid_s, angle_rad, robot, what.rig.creep, streams, start_xyt)
     odom = reckon(driven, robot, what.rig, yaw_from, streams)
     track = watch(driven, robot, tracker, streams)

@@ -1,7 +1,8 @@
 """One random stream per layer, so that a change of one layer leaves the draws of all others unchanged."""
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from scipy.signal import lfilter
@@ -16,15 +17,8 @@ def stream(seed: int, layer: str) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(layer.encode())])
 
 
-@dataclass(frozen=True, slots=True)
-class Streams:
-    """The streams of one run. Opening a layer restarts its stream, so each is opened once."""
-
-    seed: int
-
-    def open(self, layer: str) -> np.random.Generator:
-        """Return the generator of a layer, at the start of its stream."""
-        return stream(self.seed, layer)
+Streams: TypeAlias = Callable[[str], np.random.Generator]
+"""The streams of one run by layer. Opening a layer restarts its stream, so each is opened once."""
 
 
 def gauss_markov_noise(sigma: float, tau_s: float, step_s: float, n: int, rng: np.random.Generator) -> np.ndarray:

@@ -15,7 +15,7 @@ import pytest
 import odomcorrupt as oc
 from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError, OdomCorruptError
-from odomcorrupt.trajectories.reader import read_drive
+from odomcorrupt.trajectories import read_drive
 
 ROOT = Path(__file__).parent.parent.parent
 OFFICE = ROOT / "fixtures" / "office.mcap"
@@ -37,7 +37,7 @@ def test_every_public_name_can_be_had_and_no_other():
 
 
 def test_functions_stay_functions_when_rooms_are_imported():
-    for room in ("corruption.run", "correction.run", "batching.plan", "simulation.run"):
+    for room in ("corruption.run", "correction.run", "batching.job", "simulation.run"):
         importlib.import_module(f"odomcorrupt.{room}")
     assert all(callable(getattr(oc, name)) for name in ("corrupt", "correct", "batch", "simulate"))
 
@@ -118,7 +118,7 @@ def test_corrupting_again_is_said(tmp_path, capsys):
     assert [one["seed"] for one in json.loads(capsys.readouterr().out)["provenance"]] == ["7", "8"]
 
 
-@pytest.mark.parametrize("module", ["batch", "correction", "corruption", "model", "motion", "simulation"])
+@pytest.mark.parametrize("module", ["batch", "corruption", "model", "motion", "simulation"])
 def test_the_examples_of_docstrings_run(module, tmp_path, monkeypatch):
     (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
     monkeypatch.chdir(tmp_path)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bag_contents import rows_of
 
-from odomcorrupt.api.correction import correct
+from odomcorrupt.api.corruption import correct
 from odomcorrupt.cli import run
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import wrap

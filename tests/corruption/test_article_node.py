@@ -10,7 +10,7 @@ from odomcorrupt.cli import run
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.trajectories.reader import read_drive
+from odomcorrupt.trajectories import read_drive
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 

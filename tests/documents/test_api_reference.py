@@ -9,7 +9,7 @@ import pytest
 
 import odomcorrupt
 from odomcorrupt.api.bag_options import BagOptions
-from odomcorrupt.api.diagnosis import Findings
+from odomcorrupt.api.findings import Findings
 from odomcorrupt.api.result import Result
 
 PAGE = (Path(__file__).parents[2] / "docs/api-reference.md").read_text()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.export.parameters import (
+from odomcorrupt.export import (
     FLOOR,
     Steady,
     amcl_alphas,

@@ -8,7 +8,7 @@ import pytest
 from texts import MODEL, PGM, YAML
 
 from odomcorrupt.errors import MapError, OdomCorruptError
-from odomcorrupt.mapping.mapfile import read_map
+from odomcorrupt.mapping.occupancy_grid import read_map
 from odomcorrupt.model.model_file import read_model
 
 WATCHED = (

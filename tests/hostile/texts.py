@@ -13,7 +13,7 @@ from trials import FoundError, command, judged
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.mapping.mapfile import read_map
+from odomcorrupt.mapping.occupancy_grid import read_map
 from odomcorrupt.model.model_file import format_model, parse_model, read_model
 from odomcorrupt.study.io.text import is_text, read_text
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from odomcorrupt.mapping.mapfile import OCCUPIED, Grid
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
 

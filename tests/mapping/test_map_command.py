@@ -8,12 +8,11 @@ from odomcorrupt.cli import run
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.mapping.frames import mount_at
-from odomcorrupt.mapping.mapfile import OCCUPIED, read_map
-from odomcorrupt.mapping.scan_map import place, slow_rays, wall_thickness
-from odomcorrupt.mapping.scans import read_rays
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, read_map
+from odomcorrupt.mapping.scan_map import place, read_rays, slow_rays, wall_thickness
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
-from odomcorrupt.trajectories.reader import read_drive, read_poses
+from odomcorrupt.trajectories import read_drive, read_poses
 from recordings import RECORDINGS
 
 GAZEBO = RECORDINGS / "real" / "rob521_gazebo.mcap"

@@ -12,7 +12,7 @@ from odomcorrupt.errors import TopicError
 from odomcorrupt.mapping import map_condition
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.map_condition import read_map_from_odom, read_recorded_map
-from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN, read_map
+from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, read_map
 from recordings import RECORDINGS
 
 GAZEBO, MAPS = RECORDINGS / "real" / "rob521_gazebo.mcap", RECORDINGS / "bags" / "maps"

@@ -11,8 +11,8 @@ from odomcorrupt.cli import run
 from odomcorrupt.commands._options import POSE
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.map_condition import read_map_from_odom
-from odomcorrupt.mapping.mapfile import OCCUPIED, Grid, format_map, read_map
-from odomcorrupt.trajectories.reader import read_drive
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid, format_map, read_map
+from odomcorrupt.trajectories import read_drive
 from recordings import RECORDINGS
 
 MAPS, OLIN = RECORDINGS / "bags" / "maps", RECORDINGS / "bags" / "olin_tb4"

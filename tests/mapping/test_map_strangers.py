@@ -11,11 +11,10 @@ from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import BagError, MapError, RecordingError, TopicError
 from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.map_condition import read_map_from_odom, read_odom_frame, read_recorded_map
-from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN, read_map
 from odomcorrupt.mapping.messages import read_grid, read_scan
-from odomcorrupt.mapping.scan_map import slow_rays
-from odomcorrupt.mapping.scans import read_rays
-from odomcorrupt.trajectories.reader import Drive
+from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, read_map
+from odomcorrupt.mapping.scan_map import read_rays, slow_rays
+from odomcorrupt.trajectories import Drive
 
 SCAN, GRID = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid"
 MOUNT = mount_at(np.zeros(3))

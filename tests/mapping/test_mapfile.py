@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import MapError
-from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN, Grid, format_map, read_map
+from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, format_map, read_map
 
 YAML = "image: m.pgm\nresolution: 0.1\norigin: [-1.0, 2.0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
 PGM = b"P5\n# by a camera\n3 1\n255\n\x00\x80\xfe"

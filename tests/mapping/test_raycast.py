@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN
-from odomcorrupt.mapping.raycast import canvas_for, draw_map, traverse
+from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, canvas_for, draw_map, traverse
 
 
 def crossed(start, end):

@@ -1,6 +1,7 @@
 """One recording of the body: commands in, contact forces in between, odometry and truth out."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -8,13 +9,12 @@ import numpy as np
 from mujocosim.body import RADIUS_M, TRACK_M, Body, Standing, build
 from mujocosim.causes import CAUSES
 from odomcorrupt.simulation import ROUTES, TRACKERS, Rig, Segment, SimulatedRun, Tracker
-from odomcorrupt.simulation.encoders import reckon
 from odomcorrupt.simulation.kinematics import Drive
 from odomcorrupt.simulation.robot import Robot
 from odomcorrupt.simulation.routes import follow
 from odomcorrupt.simulation.run import record
-from odomcorrupt.simulation.streams import Streams, stream
-from odomcorrupt.simulation.tracker import watch
+from odomcorrupt.simulation.sensors import reckon, watch
+from odomcorrupt.simulation.streams import stream
 
 CONTROL_S = 0.01
 STEPS = 10
@@ -58,7 +58,7 @@ def simulate_body(
         route = ROUTES[route](duration_s, stream(seed, "route"))
     grid_s = np.arange(round(duration_s / CONTROL_S) + 1) * CONTROL_S
     driven = _drive(standing, body, follow(route, grid_s), grid_s)
-    streams = Streams(seed)
+    streams = partial(stream, seed)
     odom = reckon(driven, DRIVER, rig or Rig(), yaw_from, streams)
     track = watch(driven, DRIVER, TRACKERS[truth] if isinstance(truth, str) else truth, streams)
     flaws = CAUSES[cause].answer(standing, drawn) if cause else {}

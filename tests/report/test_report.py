@@ -21,8 +21,7 @@ from odomcorrupt.report.json.comparison import comparison_json
 from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.report.plots.paths import draw_paths
-from odomcorrupt.report.text.brief import comparison_brief
-from odomcorrupt.report.text.comparison import MOST, judgement_sentence, sentence
+from odomcorrupt.report.text.comparison import MOST, comparison_brief, judgement_sentence, sentence
 from odomcorrupt.study.validate.compare import compare
 
 VOID = {"meta", "img", "link", "br", "hr"}

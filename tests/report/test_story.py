@@ -15,6 +15,7 @@ from test_report import parsed_page
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.user import user_effect
+from odomcorrupt.report.findings import dependences_found, effects_found
 from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
@@ -23,7 +24,7 @@ from odomcorrupt.report.text.brief import _contact_words, _found_lines, findings
 from odomcorrupt.report.text.comparison import comparison_text, rejection, within
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.diagnosis import NOTHING, fit_text, found_text, laws_table, shares_text
-from odomcorrupt.report.text.numbers import clock_lines, fitted_expression, law_numbers, value_text
+from odomcorrupt.report.text.numbers import clock_lines, value_text
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import plan_of
@@ -174,7 +175,10 @@ def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich
 
 
 def test_a_name_below_even_odds_follows_dependences_and_noise_with_perhaps(rich, sequence, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.report.text.brief.step_confidence", lambda *_: 0.27)
+    def doubted(*given):
+        return [one._replace(confidence=0.27) for one in effects_found(*given)]
+
+    monkeypatch.setattr("odomcorrupt.report.text.brief.effects_found", doubted)
     known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
     lines = findings_brief(known, NONE, sequence).lines
     assert lines[0].text.startswith("the yaw error depends on speed")
@@ -328,10 +332,11 @@ def test_an_included_law_is_reported_with_the_numbers_of_the_model(searched):
     learned = replace(searched, unknown=(found,), laws=(found,))
     text = found_text(learned, NONE, fit=fit)
     assert "fitted: yaw += v * (0.0123 * a)  (k 0.7047 +- 0.057 deg s^2/m^2)" in text
-    numbers = law_numbers(found, learned, fit)
-    assert numbers == {"k": (0.0123, 0.001, "rad s^2/m^2")}
-    assert fitted_expression(found, {}) == found.expression
-    assert law_numbers(found, replace(learned, laws=()), fit) == {}
+    (included,) = dependences_found(learned, fit)
+    assert included.numbers == {"k": (0.0123, 0.001, "rad s^2/m^2")}
+    (suggested,) = dependences_found(replace(learned, laws=()), fit)
+    assert suggested.expression == found.expression
+    assert suggested.numbers == {}
 
 
 def test_a_clock_is_no_reason_to_say_that_nothing_is_missing(poor):

@@ -15,7 +15,7 @@ from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.text.numbers import clocks_found
+from odomcorrupt.report.findings import clocks_found
 from odomcorrupt.study.estimate.clocks import Clocks
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.drift_error import Drift

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.trajectories.integrate import RULES, integrate, noisy_twists
+from odomcorrupt.trajectories import RULES, integrate, noisy_twists
 
 
 def textbook(start, twist, t, rule):

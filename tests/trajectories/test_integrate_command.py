@@ -7,8 +7,7 @@ import pytest
 from odomcorrupt.bags.messages import gather, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
-from odomcorrupt.trajectories.integrate import integrate
-from odomcorrupt.trajectories.reader import read_drive, read_poses
+from odomcorrupt.trajectories import integrate, read_drive, read_poses
 from recordings import RECORDINGS
 
 GAZEBO = RECORDINGS / "real" / "rob521_gazebo.mcap"

@@ -10,7 +10,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.sampling.particles import sample_particles
-from odomcorrupt.trajectories.reader import Drive, read_drive
+from odomcorrupt.trajectories import Drive, read_drive
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 MODEL = MotionModel(Noise("diffusion", Coefficients(0.05, 0.02, 0.05, 0.01)))

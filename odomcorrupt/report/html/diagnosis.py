@@ -7,6 +7,7 @@ from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
+from odomcorrupt.report.findings import dependences_found, effects_found, noise_found
 from odomcorrupt.report.html.comparison import sequence_table
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
@@ -16,28 +17,15 @@ from odomcorrupt.report.plots.residuals import draw_residuals
 from odomcorrupt.report.text.comparison import SIGNS, rejection, size
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.text.diagnosis import NOTHING, evidence_words, selected_instead, unnamed
-from odomcorrupt.report.text.numbers import (
-    clock_lines,
-    effects_with_errors,
-    fitted_expression,
-    law_numbers,
-    noise_confidence,
-    noise_text,
-    numbers_text,
-    step_confidence,
-    words_text,
-)
-from odomcorrupt.study.estimate.drive_type import readings_of
+from odomcorrupt.report.text.numbers import clock_lines, noise_text, numbers_text, words_text
 from odomcorrupt.study.validate.compare import agreement_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.report.findings import FoundDependence, FoundEffect, FoundNoise
     from odomcorrupt.study.design.advise import Advice
-    from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.random_effects import DetectedRandomEffect
-    from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Comparison
 
 
@@ -103,9 +91,7 @@ _UNKNOWN = "Residual error after all effects found are removed, as a curve with 
 
 def _verdict(story: SearchReport) -> str:
     learned, parts = story.learned, []
-    if any(name not in learned.of_setup for name in learned.added):
-        steps = [(step.added, step.alternatives) for step in learned.steps if step.added is not None]
-        names = [_named(name, rivals, learned) for name, rivals in steps if name not in learned.of_setup]
+    if names := [_named(one) for one in effects_found(learned) if one.effect.name not in learned.of_setup]:
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise found: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
@@ -118,13 +104,10 @@ def _verdict(story: SearchReport) -> str:
     return text[0].upper() + text[1:]
 
 
-def _named(name: str, alternatives: Sequence[str], learned: Learned) -> str:
+def _named(one: FoundEffect) -> str:
     """Return a name with its aliases, its alternatives after "or", and a note if it is negligible."""
-    own = next((effect for effect in learned.fit.effects if effect.name == name), name)
-    twins = readings_of(own, learned.drive_type)
-    rivals = [other for other in alternatives if other not in twins]
-    said = " or ".join([f"{name} (= {', '.join(twins)})" if twins else name, *rivals])
-    return f"{said} (negligible)" if learned.is_negligible(name) else said
+    said = " or ".join([one.names, *one.rivals])
+    return f"{said} (negligible)" if one.negligible else said
 
 
 def _next(story: SearchReport) -> str:
@@ -167,12 +150,11 @@ def _legend(version: str) -> str:
 
 def _cards(learned: Learned, sequence: Comparison) -> list[str]:
     """Return all findings as cards: name, numbers, confidence, and the error before and after."""
-    own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(learned.fit)}
     names = [recording.name for recording in learned.fit.problem.recordings]
     found = [_clock(line) for line in clock_lines(names, learned.clocks)]
-    found += [_effect(step, learned, *own[step.added], sequence) for step in learned.steps if step.added in own]
-    found += [_noise(gain, learned) for gain in learned.noise]
-    found += [_unknown(unknown, learned) for unknown in learned.unknown[:3]]
+    found += [_effect(one, sequence) for one in effects_found(learned)]
+    found += [_noise(one) for one in noise_found(learned)]
+    found += [_unknown(one) for one in dependences_found(learned)[:3]]
     return [f'<div class="cards">{"".join(found)}</div>'] if found else []
 
 
@@ -185,16 +167,17 @@ def _clock(line: str) -> str:
     return _card("setup", "clock", [f'<p class="value">{escape(value)}</p>', f"<p>of {escape(name)}</p>"])
 
 
-def _effect(step: Step, learned: Learned, effect: Effect, errors: Sequence[float], sequence: Comparison) -> str:
-    lines = [*_values(numbers_text(effect, errors)), f"<p>{escape(effect.summary)}</p>"]
-    if twins := readings_of(effect, learned.drive_type):
-        lines.append(f"<p>= {escape(', '.join(twins))}: one error under two names</p>")
-    if rivals := [name for name in step.alternatives if name not in twins]:
-        lines.append(f"<p>or {escape(', '.join(rivals))}: these data do not separate them</p>")
-    lines += _meter(step_confidence(step, learned), step.candidates[0].gain)
-    for one, other in pairwise(sequence.judgements):
-        before, after = one.ten_second_error_m, other.ten_second_error_m
-        if other.name == f"+ {step.added}" and isfinite(before) and isfinite(after):
+def _effect(one: FoundEffect, sequence: Comparison) -> str:
+    effect = one.effect
+    lines = [*_values(numbers_text(effect, one.errors)), f"<p>{escape(effect.summary)}</p>"]
+    if one.aliases:
+        lines.append(f"<p>= {escape(', '.join(one.aliases))}: one error under two names</p>")
+    if one.rivals:
+        lines.append(f"<p>or {escape(', '.join(one.rivals))}: these data do not separate them</p>")
+    lines += _meter(one.confidence, one.gain_nats)
+    for model, extended in pairwise(sequence.judgements):
+        before, after = model.ten_second_error_m, extended.ten_second_error_m
+        if extended.name == f"+ {effect.name}" and isfinite(before) and isfinite(after):
             change = f"{size('along', before)} → <strong>{size('along', after)}</strong>"
             lines.append(f"<p>10 s error {change}, held out</p>")
     return _card(effect.kind, effect.name + words_text(effect), lines)
@@ -211,17 +194,13 @@ def _meter(probability: float, nats: float) -> list[str]:
     ]
 
 
-def _noise(gain: DetectedRandomEffect, learned: Learned) -> str:
-    channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
-    lines = [*_values(noise_text(gain.effect)), f"<p>noise: {escape(gain.effect.summary)}</p>"]
-    lines += _meter(noise_confidence(gain, learned), gain.nats)
-    return _card("noise", gain.effect.name + channel, lines)
+def _noise(one: FoundNoise) -> str:
+    lines = [*_values(noise_text(one.effect)), f"<p>noise: {escape(one.effect.summary)}</p>"]
+    return _card("noise", one.name, lines + _meter(one.confidence, one.nats))
 
 
-def _unknown(unknown: Dependence, learned: Learned) -> str:
-    expression = fitted_expression(unknown, law_numbers(unknown, learned))
-    then = "fitted" if unknown in learned.laws else "suggested"
-    lines = [f"<p>{escape(evidence_words(unknown))}; {then}:</p>", f"<p><code>{escape(expression)}</code></p>"]
-    mean = learned.mean_of(unknown)
-    lines += [f"<p>in the model: its mean, {mean:.4g}</p>"] if mean is not None else []
+def _unknown(one: FoundDependence) -> str:
+    then = "fitted" if one.fitted else "suggested"
+    lines = [f"<p>{escape(evidence_words(one.law))}; {then}:</p>", f"<p><code>{escape(one.expression)}</code></p>"]
+    lines += [f"<p>in the model: its mean, {one.mean:.4g}</p>"] if one.mean is not None else []
     return _card("unknown", "unknown", lines)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.json.numbers import finite, picked
 from odomcorrupt.report.text.comparison import SIGNS, judgement_sentence, sentence
 
 if TYPE_CHECKING:
@@ -49,18 +49,14 @@ def _judgement(j: Judgement) -> dict[str, Any]:
         "gain_error": j.nats.gain_error,
         "blocks": j.nats.blocks,
         "verdict": {
-            "rejected": j.verdict.rejected,
-            "fails": j.verdict.fails,
-            "misfit": j.verdict.misfit,
-            "level": j.verdict.level,
+            **picked(j.verdict, "rejected", "fails", "misfit", "level"),
             "checks": [{"question": test.question, "p": test.p} for test in j.verdict.checks],
             "threshold": j.verdict.threshold,
             "sentence": judgement_sentence(j),
         },
         "horizons": [_horizon(h) for h in j.horizons],
         "pit": {
-            name: {"p": pit.p, "inside_95": pit.inside, "at": pit.at, "difference": pit.difference,
-                   "low": pit.low, "high": pit.high}
+            name: {"p": pit.p, "inside_95": pit.inside, **picked(pit, "at", "difference", "low", "high")}
             for name, pit in j.pits.items()
         },
         "whiteness": {
@@ -75,13 +71,9 @@ def _judgement(j: Judgement) -> dict[str, Any]:
 
 def _failure(f: Failure) -> dict[str, Any]:
     return {
-        "kind": f.kind,
-        "channel": f.channel,
-        "where": f.where,
+        **picked(f, "kind", "channel", "where"),
         "unit": ("rad" if f.channel == "yaw" else "m") + (f"/{f.per}" if f.per else ""),
-        "measured": f.measured,
-        "expected": f.expected,
-        "amount": f.amount,
+        **picked(f, "measured", "expected", "amount"),
         "p": math.exp(f.log_p),
         "log_p": f.log_p,
         "besides_the_ones_before": f.besides,

@@ -6,31 +6,29 @@ from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.findings import (
+    clocks_found,
+    dependences_found,
+    effects_found,
+    effects_with_errors,
+    noise_found,
+)
+from odomcorrupt.report.json.numbers import finite, picked
 from odomcorrupt.report.text.comparison import rejection, reproduction_sentence
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
-from odomcorrupt.report.text.numbers import (
-    clocks_found,
-    effects_with_errors,
-    fitted_expression,
-    law_numbers,
-    noise_confidence,
-    step_confidence,
-)
 from odomcorrupt.study.estimate.first_contact import unexplained_events
 from odomcorrupt.study.validate.trajectory_error import clock_gain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from odomcorrupt.report.text.numbers import LawNumber
+    from odomcorrupt.report.findings import FoundDependence
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.validate.predictive_check import Reproduction
@@ -52,16 +50,14 @@ def learned_json(
     evaluated : evaluation of the final model, if available: the last model of the sequence lacks noise terms
     fit : fit of the final model, if it is not that of the search
     """
-    own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(learned.fit)}
     found = [*_clocks_found(learned)]
-    for place, step in enumerate(learned.steps):
-        if step.added is not None:
-            entry = _entry(*own[step.added], step.alternatives, step_confidence(step, learned))
-            held_out = {"held_out": _held_out(sequence[place], sequence[place + 1])}
-            found.append(entry | held_out | _matters(step.added, learned))
+    for place, one in enumerate(effects_found(learned)):
+        entry = _entry(one.effect, one.errors, one.step.alternatives, one.confidence)
+        held_out = {"held_out": _held_out(sequence[place], sequence[place + 1])}
+        found.append(entry | held_out | _matters(one.effect.name, learned))
     unmeasured = {"held_out": None, "negligible": False}
     # parameters of random effects have no standard errors
-    found += [_entry(gain.effect, (), (), noise_confidence(gain, learned)) | unmeasured for gain in learned.noise]
+    found += [_entry(one.effect, (), (), one.confidence) | unmeasured for one in noise_found(learned)]
     missing = bool(learned.lacking or learned.noise)
     return finite(
         {
@@ -73,9 +69,8 @@ def learned_json(
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
             "unknown": [
-                _unknown(u, law_numbers(u, learned, fit), fitted=u in learned.laws)
-                | {"negligible": learned.hardly_moves(u), "mean_in_model": learned.mean_of(u)}
-                for u in learned.unknown
+                _unknown(one) | {"negligible": learned.hardly_moves(one.law), "mean_in_model": one.mean}
+                for one in dependences_found(learned, fit)
             ],
             "not_testable": [
                 {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
@@ -83,23 +78,16 @@ def learned_json(
             ],
             "events": [
                 {
-                    "recording": one.recording,
-                    "start_s": one.start_s,
-                    "end_s": one.end_s,
+                    **picked(one, "recording", "start_s", "end_s"),
                     "x_m": one.place_xy[0],
                     "y_m": one.place_xy[1],
-                    "along_m": one.along_m,
-                    "across_m": one.across_m,
-                    "yaw_rad": one.yaw_rad,
+                    **picked(one, "along_m", "across_m", "yaw_rad"),
                 }
                 for one in unexplained_events(learned.fit)
             ],
             "disagreements": [
                 {
-                    "effect": one.effect,
-                    "parameter": one.parameter,
-                    "unit": one.unit,
-                    "p": one.p,
+                    **picked(one, "effect", "parameter", "unit", "p"),
                     "recordings": [
                         {"name": name, "value": value, "standard_error": error}
                         for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
@@ -161,10 +149,7 @@ def _advice(advice: Advice) -> dict[str, Any]:
             }
             for choice in advice.choices
         ],
-        "detectable": [
-            {"effect": limit.effect, "parameter": limit.parameter, "size": limit.size, "unit": limit.unit}
-            for limit in advice.limits
-        ],
+        "detectable": [picked(limit, "effect", "parameter", "size", "unit") for limit in advice.limits],
         "next_drive": None
         if best is None
         else {
@@ -200,10 +185,7 @@ def _matters(name: str, learned: Learned) -> dict[str, Any]:
     spans = () if own is None else (("10s", own.ten_seconds), ("50m", own.far))
     return {
         "negligible": learned.is_negligible(name),
-        "contribution": {
-            key: span and {"moved_m": span.moved_m, "error_m": span.error_m, "travelled_m": span.travelled_m}
-            for key, span in spans
-        }
+        "contribution": {key: span and picked(span, "moved_m", "error_m", "travelled_m") for key, span in spans}
         or None,
     }
 
@@ -219,7 +201,8 @@ def _held_out(before: Judgement, after: Judgement) -> dict[str, Any] | None:
     }
 
 
-def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: bool) -> dict[str, Any]:
+def _unknown(found: FoundDependence) -> dict[str, Any]:
+    unknown = found.law
     return {
         "channel": unknown.channel,
         "depends_on": unknown.regressor,
@@ -228,17 +211,14 @@ def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: b
             "curve": unknown.curve,
             "standard_error": unknown.curve_error,
             "p": unknown.p,
-            "nats": unknown.nats,
-            "per": unknown.per,
-            "wavelength_m": unknown.wavelength_m,
-            "wheels": unknown.wheels,
+            **picked(unknown, "nats", "per", "wavelength_m", "wheels"),
         },
-        "expression": fitted_expression(unknown, numbers),
+        "expression": found.expression,
         "parameters": {
             name: {"value": number.value, "standard_error": number.error, "unit": number.unit}
-            for name, number in numbers.items()
+            for name, number in found.numbers.items()
         },
-        "in_model": fitted,
+        "in_model": found.fitted,
         "instead_of": ", ".join(unknown.instead_of) or None,
     }
 
@@ -297,10 +277,7 @@ def fit_json(result: RobotFit, laws: Mapping[str, RobotFit]) -> dict[str, Any]:
         {
             "schema": SCHEMA,
             "law": fit.problem.approach.law_name,
-            "coefficients": {
-                i.name: {"value": i.value, "low": i.low, "high": i.high, "identifiable": i.identifiable}
-                for i in result.intervals
-            },
+            "coefficients": {i.name: picked(i, "value", "low", "high", "identifiable") for i in result.intervals},
             "effects": [_effect(effect, errors) for effect, errors in effects_with_errors(fit)],
             "clocks": [
                 {

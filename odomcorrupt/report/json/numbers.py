@@ -1,10 +1,15 @@
-"""Conversion of values to valid JSON, which has no NaN and no infinity."""
+"""Conversion of values to valid JSON, which has no NaN and no infinity, and of objects by the names of their fields."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from typing import Any
+
+
+def picked(one: object, *names: str) -> dict[str, Any]:
+    """Return attributes of an object by their names."""
+    return {name: getattr(one, name) for name in names}
 
 
 def finite(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.json.numbers import finite, picked
 from odomcorrupt.scoring.run import METRICS, RunScore, ScoreReport
 
 if TYPE_CHECKING:
@@ -23,9 +23,7 @@ def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[st
     return finite(
         {
             "schema": SCHEMA,
-            "estimate": report.estimate,
-            "truth": report.truth,
-            "align": report.align,
+            **picked(report, "estimate", "truth", "align"),
             "limits": asdict(report.limits),
             "count_missing": report.count_missing,
             "summary": {name: asdict(report.summary(name)) for name in METRICS},
@@ -44,22 +42,14 @@ def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[st
 def _run(run: RunScore, report: ScoreReport) -> dict[str, Any]:
     counted = run.scored or report.count_missing
     return {
-        "name": run.name,
-        "seed": run.seed,
-        "run": run.run,
-        "status": run.status,
-        "reason": run.reason,
-        "scored": run.scored,
+        **picked(run, "name", "seed", "run", "status", "reason", "scored"),
         "counted": counted,
         "failed": report.failed(run),
-        "drift": run.drift,
-        "drift_end_m": run.drift_end_m,
+        **picked(run, "drift", "drift_end_m"),
         "metrics": {name: run.metrics.get(name) for name in METRICS},
         "failure": None if run.failure is None else asdict(run.failure),
         "jumps_s": list(run.jumps_s),
-        "coverage": run.coverage,
-        "frame": run.frame,
-        "source": run.source,
+        **picked(run, "coverage", "frame", "source"),
         "events": [{"effect": name, "from_s": begin, "to_s": end} for name, begin, end in run.events],
         "notes": list(run.notes),
     }

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.transforms import Affine2D
 
-from odomcorrupt.mapping.mapfile import OCCUPIED, Grid
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid
 from odomcorrupt.mapping.scan_map import added_thickness
 from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, RED, drawing, new_figure
 

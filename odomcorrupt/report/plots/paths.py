@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import EffectError
+from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, model_panels, new_figure, short_name
 from odomcorrupt.study.validate.predictive_check import Replay, replay
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.preview.forecast import Forecast
     from odomcorrupt.study.validate.compare import Comparison
-    from odomcorrupt.trajectories.integrate import PathError
+    from odomcorrupt.trajectories import PathError
 
 _RUNS = 100
 _MARKS = 20
@@ -77,7 +78,7 @@ def draw_corruption(
     """
     count = min(len(before_xyt), len(after_xyt))
     before, after = before_xyt[:count], after_xyt[:count]
-    driven_m = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(before[:, :2], axis=0).T))))
+    driven_m = distance_along(before)
     error = after - before
     with drawing():
         figure = new_figure(9.0, 4.6)

@@ -1,4 +1,4 @@
-"""Result of a study in eight lines: verdict, findings with their sizes, held-out errors, and the next command."""
+"""Findings and fit of a study in eight lines: verdict, sizes, held-out errors, and the next command."""
 
 from __future__ import annotations
 
@@ -7,31 +7,26 @@ from math import degrees, isfinite, radians
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.report.findings import (
+    SIGNIFICANT,
+    clocks_found,
+    dependences_found,
+    effects_found,
+    effects_with_errors,
+    noise_found,
+)
 from odomcorrupt.report.text.comparison import (
     HELD,
-    failed_test,
+    TONES,
     measures_words,
     reproduction_sentence,
-    sentence,
     size,
-    within,
 )
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
-from odomcorrupt.report.text.numbers import (
-    SIGNIFICANT,
-    clocks_found,
-    confidence_words,
-    effects_with_errors,
-    fitted_expression,
-    law_numbers,
-    noise_confidence,
-    noise_text,
-    numbers_text,
-    step_confidence,
-)
-from odomcorrupt.study.estimate.drive_type import DriveType, readings_of
-from odomcorrupt.study.select.confidence import EVEN_ODDS, may_be_scale_of_truth
+from odomcorrupt.report.text.numbers import clock_text, confidence_words, noise_text, numbers_text
+from odomcorrupt.study.estimate.drive_type import readings_of
+from odomcorrupt.study.select.confidence import EVEN_ODDS
 from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.summary import ALWAYS, FIRST, SPARE, USUAL, Line, Summary, Tone, command_line
 
@@ -40,13 +35,13 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.report.findings import FoundDependence
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned
-    from odomcorrupt.study.validate.compare import Comparison, JudgedOn
+    from odomcorrupt.study.validate.compare import Comparison, JudgedOn, Judgement
     from odomcorrupt.study.validate.predictive_check import Reproduction
 
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
@@ -54,21 +49,12 @@ _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
 _LEAST_TURNED_RAD, _LEAST_APART_M = radians(0.1), 0.005
 """Least yaw and displacement of the truth's tracked point that are reported; mountings are rarely measured better."""
 _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
-_TONES: dict[str, Tone] = {"better": "good", "mixed": "warning", "worse": "bad", "same": "plain"}
 _PERHAPS = "perhaps"
 """Label of names below even odds."""
 _Rank = tuple[int, int, float]
 """Place of a finding: kind, whether it is not in the model, negative evidence in nats."""
 _OF_ONE_DRIVE = ("time", "distance")
 """Regressors that no manoeuvre varies: another drive shows whether an error recurs."""
-_SHOWN_MODELS = 4
-"""Largest number of models with a line each in a comparison."""
-
-
-def readings(effect: Effect, drive: DriveType) -> str:
-    """Return an effect's name with its alias: a second name of the same error, which no recording can separate."""
-    twins = readings_of(effect, drive)
-    return f"{effect.name} (= {', '.join(twins)})" if twins else effect.name
 
 
 def findings_brief(
@@ -76,7 +62,6 @@ def findings_brief(
     advice: Advice,
     comparison: Comparison,
     *,
-    fit: Fit | None = None,
     robot: RobotFit | None = None,
     written: MotionModel | None = None,
     notes: Sequence[str] = (),
@@ -88,66 +73,99 @@ def findings_brief(
 
     search, advice : the findings, and the alternatives that the data leave undecided
     comparison : the evaluated models; the first one lacks the findings
-    fit : final fit, if it is not that of the search
-    robot : source of the noise with intervals, for the noise that a localisation hides
+    robot : final fit of the robot, if it is not that of the search, with the noise that a localisation hides
     written : the model as written, which may lack findings that cannot be applied
     notes, alerts : the reader's notes on the recordings, and findings that are shown in any case
     reproduction : drift of the final model relative to the recordings, if known
     following : suggested next command, "" for none
     """
     undecided = {name for choice in advice.choices for name in choice.names}
-    lines, negligible = _found_lines(search, fit or search.fit, undecided, held_out=comparison.judged_on)
+    fit, last = search.fit if robot is None else robot.fit, comparison.judgements[-1]
+    lines, negligible = _found_lines(search, fit, undecided, held_out=comparison.judged_on)
     verdict, tone = _verdict(search, comparison, lines)
     # errors and warnings follow the effects and dependences with evidence, and precede noise and clocks
     at = max(next((i for i, line in enumerate(lines) if line.label), len(lines)), 1)
-    mounted = _mounting_words(search, fit or search.fit)
-    apart = ", and ".join([*_clock_words(search), *([mounted] if mounted else [])])
-    none = "no relevant effect is missing" if negligible else "no known effect explains more than chance"
-    none = f"the robot's model is complete; {apart}" if apart else none
+    mounted = _mounting_words(search, fit)
     named = verdict != "COMPLETE" and bool(lines)
-    if named and mounted:
-        lines.append(Line("set-up", mounted))
-    label = lines[0].label if named and lines[0].label != _PERHAPS else ""
-    first = ": ".join(filter(None, (label, lines[0].text))) if named else none
+    if named:
+        first = ": ".join(filter(None, (lines[0].label.replace(_PERHAPS, ""), lines[0].text)))
+        lines += [Line("set-up", mounted)] if mounted else []
+    else:
+        apart = ", and ".join([*_clock_words(search), *([mounted] if mounted else [])])
+        none = "no relevant effect is missing" if negligible else "no known effect explains more than chance"
+        first = f"the robot's model is complete; {apart}" if apart else none
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: intervals that the fit left out as outliers"
     lines = [Line(verdict, first, tone), *lines[named:]]
-    lines += _hidden_noise(robot) if robot is not None else []
-    lines += [*_track_lines(search, failed=comparison.judgements[-1].verdict.fails), *negligible]
-    held = HELD[comparison.judged_on]
-    if len(comparison.judgements) > 1:
-        agreement = agreement_of(comparison)
-        said = f"{measures_words(comparison)} ({held})"
-        said += "; effects are chosen by likelihood" if agreement.verdict == "mixed" else ""
-        short = f"{measures_words(comparison, most=1)} ({held})"
-        lines.insert(at, Line("errors", said, _TONES[agreement.verdict], ALWAYS, short))
-    elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
-        change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
-        lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected", weight=ALWAYS))
-    # the identity of an effect is more important than its gain
-    lines[at:at] = [*_open_lines(search, advice), *_limit_lines(advice), *_drive_lines(search)]
-    if written is not None and (absent := _absent(search, written)):
-        said = f"without {' and '.join(absent)}, which cannot be applied as found (-v states why)"
-        lines.insert(at, Line("model", said, "warning", FIRST))
-    last = comparison.judgements[-1]
-    if last.verdict.fails:
-        misfit = last.verdict.misfit
-        why = "the model's noise is too large" if misfit < 1.0 else "the model is still rejected"
-        said = f"{why}: errors are {misfit:.2g} times the predicted ones"
-        lines.insert(at, Line("rejected", said, "warning", FIRST))
-    drifts = reproduction_sentence(reproduction) if reproduction is not None else ""
-    named = any(gain.effect.name == "slip_burst" for gain in search.noise)
-    if drifts and named:
+    if len(comparison.judgements) == 1:
+        lines[1:1] = _clock_error_lines(comparison)
+    lines[at:at] = [
+        *(Line("data", alert, "warning", FIRST) for alert in alerts),
+        *_drift_lines(search, reproduction),
+        *_rejected_lines(last),
+        *_written_lines(search, written),
+        # the identity of an effect is more important than its gain
+        *_open_lines(search, advice),
+        *_limit_lines(advice),
+        *_drive_lines(search),
+        *_error_lines(comparison),
+    ]
+    lines += [*_hidden_noise(robot), *_track_lines(search, failed=last.verdict.fails), *negligible]
+    if reproduction is not None and reproduction_sentence(reproduction) and _bursts(search):
         # noise that causes most of the error is more important than effects that cause less
         lines = [line._replace(weight=FIRST) if line.label == "noise" else line for line in lines]
-    if reproduction is not None and drifts and not (reproduction.holds and named):
-        # before all but the names: a simulation with this model would drift far too little or far too much
-        lines.insert(at, Line("outliers" if reproduction.holds else "drift", drifts, "warning", FIRST))
-    lines[at:at] = [Line("data", alert, "warning", FIRST) for alert in alerts]
     if notes := tuple(dict.fromkeys(notes)):
         said = notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them"
         lines.append(Line("notes", said, "warning", SPARE))
     return Summary((*lines, command_line(following)))
+
+
+def _error_lines(comparison: Comparison) -> list[Line]:
+    """Return the errors without and with the findings by all measures, if several models were evaluated."""
+    if len(comparison.judgements) == 1:
+        return []
+    held, verdict = HELD[comparison.judged_on], agreement_of(comparison).verdict
+    said = f"{measures_words(comparison)} ({held})"
+    said += "; effects are chosen by likelihood" if verdict == "mixed" else ""
+    return [Line("errors", said, TONES[verdict], ALWAYS, f"{measures_words(comparison, most=1)} ({held})")]
+
+
+def _clock_error_lines(comparison: Comparison) -> list[Line]:
+    """Return the error without and with the clock corrected, if that changes it."""
+    before, after = comparison.raw_error_m, comparison.clock_error_m
+    if before == after or not isfinite(after):
+        return []
+    change = f"{size('along', before)} -> {size('along', after)}"
+    return [Line("errors", f"10 s error {change} with the clock corrected", weight=ALWAYS)]
+
+
+def _written_lines(search: Learned, written: MotionModel | None) -> list[Line]:
+    """Return the effects of the fit that the written model lacks."""
+    kept = {effect.name for effect in written.effects} if written is not None else set(search.added)
+    fitted = {effect.name for effect in search.fit.effects if effect.kind != "setup"}
+    absent = [name for name in search.added if name in fitted - kept]
+    said = f"without {' and '.join(absent)}, which cannot be applied as found (-v states why)"
+    return [Line("model", said, "warning", FIRST)] if absent else []
+
+
+def _rejected_lines(last: Judgement) -> list[Line]:
+    """Return that the last model is still rejected, and by how much."""
+    misfit = last.verdict.misfit
+    why = "the model's noise is too large" if misfit < 1.0 else "the model is still rejected"
+    said = f"{why}: errors are {misfit:.2g} times the predicted ones"
+    return [Line("rejected", said, "warning", FIRST)] if last.verdict.fails else []
+
+
+def _bursts(search: Learned) -> bool:
+    return any(noise.effect.name == "slip_burst" for noise in search.noise)
+
+
+def _drift_lines(search: Learned, reproduction: Reproduction | None) -> list[Line]:
+    """Return how far a simulation with the model would drift, if that is far too little or too much."""
+    if reproduction is None or (reproduction.holds and _bursts(search)):
+        return []
+    said = reproduction_sentence(reproduction)
+    return [Line("outliers" if reproduction.holds else "drift", said, "warning", FIRST)] if said else []
 
 
 def _verdict(search: Learned, comparison: Comparison, lines: Sequence[Line]) -> tuple[str, Tone]:
@@ -161,7 +179,7 @@ def _verdict(search: Learned, comparison: Comparison, lines: Sequence[Line]) -> 
         return _PERHAPS.upper(), "warning"
     if search.unexplained and not search.laws:
         # an effect was identified, but a dependence beside it remains unexplained
-        named = any(s.added in search.lacking and step_confidence(s, search) >= EVEN_ODDS for s in search.steps)
+        named = any(one.effect.name in search.lacking and one.confidence >= EVEN_ODDS for one in effects_found(search))
         return "PROBABLY" if named else "UNKNOWN", "warning"
     mixed = len(comparison.judgements) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
     return "MISSING", "warning" if mixed else "good"
@@ -220,43 +238,37 @@ def _found_lines(
     undecided : names in the line of undecided alternatives
     held_out : data of the evaluation
     """
-    own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(fit)}
-    drive = search.drive_type
     ranked: list[tuple[_Rank, Line]] = []
     ranks: dict[str, _Rank] = {}
     small: list[str] = []
-    for step in search.steps:
-        if step.added is not None and step.added in own:
-            effect, _ = own[step.added]
-            said = f"{readings(effect, drive)}  {', '.join(numbers_text(*own[step.added]))}"
-            if search.is_negligible(step.added):
-                small.append(said)
-                continue
-            rivals = [name for name in step.alternatives if name not in {*readings_of(effect, drive), *undecided}]
-            probability = step_confidence(step, search)
-            said += f"  {confidence_words(probability)}"
-            said += f", or {', '.join(rivals)}" if rivals else ""
-            doubtful = probability < EVEN_ODDS
-            label = "set-up" if step.added in search.of_setup else _PERHAPS if doubtful else ""
-            rank = ranks[step.added] = (("", "noise", _PERHAPS, "set-up").index(label), 0, -step.candidates[0].gain)
-            ranked.append(
-                (rank, Line(label, said + _contact_words(effect, search), weight=SPARE if doubtful else USUAL))
-            )
-    for unknown in search.unknown[:2]:
-        expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
-        if unknown in search.unexplained or unknown.instead_of:
-            other = f"or, instead of {' and '.join(unknown.instead_of)}, " if unknown.instead_of else ""
-            said = f"{other}{dependence(unknown)}: {expression}{_left_out(unknown, search, held_out)}"
-            beside = [ranks[name] for name in unknown.instead_of if name in ranks]
-            rank = max(beside, default=(0, unknown not in search.laws, -unknown.nats))
+    for one in effects_found(search, fit):
+        name, said = one.effect.name, f"{one.names}  {', '.join(numbers_text(one.effect, one.errors))}"
+        if one.negligible:
+            small.append(said)
+            continue
+        rivals = [rival for rival in one.rivals if rival not in undecided]
+        said += f"  {confidence_words(one.confidence)}"
+        said += f", or {', '.join(rivals)}" if rivals else ""
+        doubtful = one.confidence < EVEN_ODDS
+        label = "set-up" if name in search.of_setup else _PERHAPS if doubtful else ""
+        rank = ranks[name] = (("", "noise", _PERHAPS, "set-up").index(label), 0, -one.gain_nats)
+        said += _contact_words(one.effect, search)
+        ranked.append((rank, Line(label, said, weight=SPARE if doubtful else USUAL)))
+    for unknown in dependences_found(search, fit)[:2]:
+        law = unknown.law
+        if law in search.unexplained or law.instead_of:
+            other = f"or, instead of {' and '.join(law.instead_of)}, " if law.instead_of else ""
+            said = f"{other}{dependence(law)}: {unknown.expression}{_left_out(unknown, search, held_out)}"
+            beside = [ranks[name] for name in law.instead_of if name in ranks]
+            rank = max(beside, default=(0, not unknown.fitted, -law.nats))
             ranked.append((rank, Line("", said, weight=SPARE if rank[0] else USUAL)))
         else:
-            small.append(expression)
-    for gain in search.noise:
-        probability = noise_confidence(gain, search)
-        said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}  {confidence_words(probability)}"
-        said += ", or the scale of the truth varies" if may_be_scale_of_truth(gain, search) else ""
-        doubtful = probability < EVEN_ODDS
+            small.append(unknown.expression)
+    for noise in noise_found(search):
+        values = ", ".join(noise_text(noise.effect))
+        said = f"{noise.effect.name}, {values}  {confidence_words(noise.confidence)}"
+        said += ", or the scale of the truth varies" if noise.of_truth else ""
+        doubtful = noise.confidence < EVEN_ODDS
         ranked.append(((1 + doubtful, 0, 0.0), Line("noise", said, weight=SPARE if doubtful else USUAL)))
     lines = [line for _, line in sorted(ranked, key=lambda one: one[0])]
     lines += _clock_lines(search.clocks, search.fit)
@@ -269,17 +281,17 @@ def _found_lines(
     return lines, [Line("negligible", said, weight=SPARE)] if small else []
 
 
-def _left_out(unknown: Dependence, search: Learned, held_out: JudgedOn) -> str:
+def _left_out(unknown: FoundDependence, search: Learned, held_out: JudgedOn) -> str:
     """Return that a dependence is reported only, not in the model, and what decides; "" if nothing is to be said."""
-    if unknown in search.laws:
+    law = unknown.law
+    if unknown.fitted:
         return ""
-    other = "to decide, validate on another drive (--validate OTHER)" if unknown.regressor in _OF_ONE_DRIVE else ""
-    if unknown.instead_of:
+    other = "to decide, validate on another drive (--validate OTHER)" if law.regressor in _OF_ONE_DRIVE else ""
+    if law.instead_of:
         return f" ({other})" if other else ""
     if held_out == "recordings":
-        other = search.left_out.get(unknown.name, "")
-    mean = search.mean_of(unknown)
-    said = "not in the model" if mean is None else f"the model has its mean, {mean:.4g}"
+        other = search.left_out.get(law.name, "")
+    said = "not in the model" if unknown.mean is None else f"the model has its mean, {unknown.mean:.4g}"
     return f" ({'; '.join(filter(None, (said, other)))})"
 
 
@@ -289,13 +301,7 @@ def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
     names = [run.clock.rpartition(" from ")[0] or run.name for run in runs]
     first = [[one.clock or one.name for one in runs].index(run.clock or run.name) for run in runs]
     found = [one for one in clocks_found(clocks) if first[one.recording] == one.recording]
-    return [Line("clock", f"{one.name} {one.text} in {names[one.recording]}") for one in found]
-
-
-def _absent(search: Learned, written: MotionModel) -> list[str]:
-    """Return the names of included effects that the written model lacks."""
-    kept = {effect.name for effect in written.effects}
-    return [name for name in search.added if name in {e.name for e in search.fit.effects if e.kind != "setup"} - kept]
+    return [Line("clock", f"{one.name} {clock_text(one)} in {names[one.recording]}") for one in found]
 
 
 def _drive_lines(search: Learned) -> list[Line]:
@@ -339,38 +345,9 @@ def _limit_lines(advice: Advice) -> list[Line]:
     return [Line("not testable", f"{one.effect}: {one.why}; {one.hint}", "warning") for one in hidden]
 
 
-def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
-    """Return the verdict on the last model, and a line for each model with error, likelihood and rejection."""
-    last = comparison.judgements[-1]
-    if len(comparison.judgements) == 1:
-        failed = last.verdict.fails
-        words = "is rejected by these data" if failed else "explains these data"
-        if last.verdict.rejected and not failed:
-            words = f"holds in practice: {within(last)}"
-        first = Line("REJECTED" if failed else "HOLDS", f"{last.name} {words}", "bad" if failed else "good")
-    else:
-        agreement = agreement_of(comparison)
-        said = f"{last.name}: {measures_words(comparison)}"
-        first = Line(agreement.verdict.upper(), said, _TONES[agreement.verdict])
-    lines = [first]
-    if isfinite(comparison.raw_error_m):
-        lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as measured"))
-    shown = comparison.judgements[-_SHOWN_MODELS:]
-    for one in shown:
-        said = f"{one.name}: 10 s error {size('along', one.ten_second_error_m)}, {one.nats.per_m:.4g} nats/m, "
-        said += "rejected" if one.verdict.fails else "not rejected"
-        lines.append(Line("model" if one is shown[0] else "", said))
-    if last.verdict.fails:
-        lines.append(Line("fails", sentence(last.failures[0]) if last.failures else failed_test(last), "warning"))
-    elif last.failures:
-        worst = sentence(last.failures[0])
-        lines.append(Line("deviation", f"the largest one, too small to reject {last.name}: {worst}"))
-    return Summary((*lines, command_line(following)))
-
-
-def _hidden_noise(result: RobotFit) -> list[Line]:
+def _hidden_noise(result: RobotFit | None) -> list[Line]:
     """Return a line on noise for which a localisation gives only an upper bound."""
-    hidden = [i for i in result.noise_at_most if i.name in _PER_METRE]
+    hidden = [] if result is None else [i for i in result.noise_at_most if i.name in _PER_METRE]
     if not hidden:
         return []
     bounds = [f"{degrees(i.high):.2g} deg" if i.name == "rot_trans" else f"{i.high * 1e3:.2g} mm" for i in hidden]

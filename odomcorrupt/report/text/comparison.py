@@ -1,4 +1,4 @@
-"""A comparison as plain text for the terminal; lack of fit as sentences, also for the report and JSON."""
+"""A comparison as a summary and in full, as plain text; lack of fit as sentences, also for the report and JSON."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR, size_question
+from odomcorrupt.summary import Line, Summary, Tone, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.predictive_check import Reproduction
     from odomcorrupt.study.validate.trajectory_error import TrajectoryError
 
+TONES: dict[str, Tone] = {"better": "good", "mixed": "warning", "worse": "bad", "same": "plain"}
+"""Tone of a line on the agreement of the measures."""
+_SHOWN_MODELS = 4
+"""Largest number of models with a line each in a comparison."""
 _BAR = 30
 _NAME = 24
 """Columns of a model's name; a longer one gets a separate line, so that bars are aligned."""
@@ -43,6 +48,35 @@ def comparison_text(comparison: Comparison) -> str:
     if any(j.failures for j in comparison.judgements):
         lines += ["", SIGNS]
     return "\n".join(lines)
+
+
+def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
+    """Return the verdict on the last model, and a line for each model with error, likelihood and rejection."""
+    last = comparison.judgements[-1]
+    if len(comparison.judgements) == 1:
+        failed = last.verdict.fails
+        words = "is rejected by these data" if failed else "explains these data"
+        if last.verdict.rejected and not failed:
+            words = f"holds in practice: {within(last)}"
+        first = Line("REJECTED" if failed else "HOLDS", f"{last.name} {words}", "bad" if failed else "good")
+    else:
+        agreement = agreement_of(comparison)
+        said = f"{last.name}: {measures_words(comparison)}"
+        first = Line(agreement.verdict.upper(), said, TONES[agreement.verdict])
+    lines = [first]
+    if isfinite(comparison.raw_error_m):
+        lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as measured"))
+    shown = comparison.judgements[-_SHOWN_MODELS:]
+    for one in shown:
+        said = f"{one.name}: 10 s error {size('along', one.ten_second_error_m)}, {one.nats.per_m:.4g} nats/m, "
+        said += "rejected" if one.verdict.fails else "not rejected"
+        lines.append(Line("model" if one is shown[0] else "", said))
+    if last.verdict.fails:
+        lines.append(Line("fails", sentence(last.failures[0]) if last.failures else failed_test(last), "warning"))
+    elif last.failures:
+        worst = sentence(last.failures[0])
+        lines.append(Line("deviation", f"the largest one, too small to reject {last.name}: {worst}"))
+    return Summary((*lines, command_line(following)))
 
 
 def failure_lines(judgement: Judgement) -> list[str]:

@@ -7,33 +7,27 @@ from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.report.findings import dependences_found, effects_found, effects_with_errors, noise_found
 from odomcorrupt.report.text.comparison import rejection, size, within
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.numbers import (
     clock_lines,
     confidence_words,
-    effects_with_errors,
-    fitted_expression,
-    law_numbers,
-    noise_confidence,
     noise_text,
     numbers_text,
-    step_confidence,
     value_text,
     words_text,
 )
 from odomcorrupt.study.estimate.clocks import RIVALS
-from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.estimate.first_contact import unexplained_events
 from odomcorrupt.study.estimate.outliers import Event, events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
-from odomcorrupt.study.select.confidence import may_be_scale_of_truth
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from odomcorrupt.report.text.numbers import LawNumber
+    from odomcorrupt.report.findings import FoundDependence
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.confidence_intervals import Interval
@@ -56,16 +50,13 @@ def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None 
     lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
     if learned.added:
         lines += ["missing, in the order of evidence, each added to those before:", _sequence_text(learned)]
-    for gain in learned.noise:
-        values = ", ".join(noise_text(gain.effect))
-        channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
-        probability = confidence_words(noise_confidence(gain, learned))
-        probability += ", or the scale of the truth varies" if may_be_scale_of_truth(gain, learned) else ""
-        lines.append(f"noise: {gain.effect.name}{channel}, {values} ({probability}): {gain.effect.summary}")
-    for unknown in learned.unknown[:3]:
-        lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), fitted=unknown in learned.laws)
-        mean = learned.mean_of(unknown)
-        lines += [f"  in the model: its mean, {mean:.4g}"] if mean is not None else []
+    for noise in noise_found(learned):
+        probability = confidence_words(noise.confidence)
+        probability += ", or the scale of the truth varies" if noise.of_truth else ""
+        values = ", ".join(noise_text(noise.effect))
+        lines.append(f"noise: {noise.name}, {values} ({probability}): {noise.effect.summary}")
+    for unknown in dependences_found(learned, fit)[:3]:
+        lines += _unknown_lines(unknown)
     lines += [_event_line(one) for one in unexplained_events(learned.fit)]
     like_a_clock = [name for name in learned.added if name in RIVALS]
     if like_a_clock and learned.clocks.ambiguous_nats > 0.0:
@@ -148,12 +139,13 @@ def unnamed(why: str, *, found: bool) -> str:
     return f"no {'further ' if found else ''}known effect is missing, but the model is rejected: {why}"
 
 
-def _unknown_lines(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: bool) -> list[str]:
-    other = " and ".join(unknown.instead_of)
-    finding = f"{f'or instead of {other}' if other else 'unknown'}: {evidence_words(unknown)}"
-    spread = ", ".join(f"{name} {value_text(*number)}" for name, number in numbers.items())
-    shown = f"{fitted_expression(unknown, numbers)}{f'  ({spread})' if spread else ''}"
-    return [finding, f"  {'fitted' if fitted else 'suggested'}: {shown}"]
+def _unknown_lines(unknown: FoundDependence) -> list[str]:
+    other = " and ".join(unknown.law.instead_of)
+    finding = f"{f'or instead of {other}' if other else 'unknown'}: {evidence_words(unknown.law)}"
+    spread = ", ".join(f"{name} {value_text(*number)}" for name, number in unknown.numbers.items())
+    shown = f"{unknown.expression}{f'  ({spread})' if spread else ''}"
+    mean = [f"  in the model: its mean, {unknown.mean:.4g}"] if unknown.mean is not None else []
+    return [finding, f"  {'fitted' if unknown.fitted else 'suggested'}: {shown}", *mean]
 
 
 def evidence_words(unknown: Dependence) -> str:
@@ -224,20 +216,16 @@ def _candidate_line(candidate: Candidate) -> str:
 
 def _sequence_text(learned: Learned) -> str:
     """Return the 10 s error of the fitted data after each step."""
-    lines, own = [], {effect.name: effect for effect in learned.fit.effects}
-    for step in learned.steps:
-        if step.added is not None:
-            before, after = step.candidates[0].rmse
-            twins = readings_of(own[step.added], learned.drive_type)
-            others = [name for name in step.alternatives if name not in twins]
-            rivals = f" (= {', '.join(twins)}: the same error)" if twins else ""
-            rivals += f" (or {', '.join(others)}: these data do not separate them)" if others else ""
-            name = step.added + words_text(own[step.added])
-            probability = confidence_words(step_confidence(step, learned))
-            lines.append(
-                f"  + {name:<16}{step.candidates[0].gain:+8.1f} nats   "
-                f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {probability}{rivals}"
-            )
+    lines = []
+    for one in effects_found(learned):
+        before, after = one.step.candidates[0].rmse
+        rivals = f" (= {', '.join(one.aliases)}: the same error)" if one.aliases else ""
+        rivals += f" (or {', '.join(one.rivals)}: these data do not separate them)" if one.rivals else ""
+        name = one.effect.name + words_text(one.effect)
+        lines.append(
+            f"  + {name:<16}{one.gain_nats:+8.1f} nats   "
+            f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {confidence_words(one.confidence)}{rivals}"
+        )
     return "\n".join(lines)
 
 

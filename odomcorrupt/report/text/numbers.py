@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 from math import degrees
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.effects.region_slip import RegionSlip
-from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, noise_evidence
+from odomcorrupt.report.findings import ClockFound, clocks_found
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.study.estimate.clocks import Clocks
-    from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.estimate.returns import ReturnsFit
-    from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.random_effects import DetectedRandomEffect
-    from odomcorrupt.study.select.stepwise import Learned, Step
-
-
-def effects_with_errors(fit: Fit | ReturnsFit) -> list[tuple[Effect, list[float]]]:
-    """Return the effects of a fit, each with the standard errors of its amplitudes."""
-    errors = iter(fit.standard_errors)
-    return [(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in fit.effects]
-
 
 _COMMON = {"m": (1e3, "mm"), "s": (1e3, "ms"), "": (1e2, "%")}
 
@@ -78,9 +66,16 @@ def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
     """Return a line for every recording with a clock error, with its confidence."""
     parts: dict[int, list[str]] = {}
     for one in clocks_found(clocks):
-        said = f"{one.name.rpartition('_')[2]} {one.text} ({confidence_words(one.confidence)})"
+        said = f"{one.name.rpartition('_')[2]} {clock_text(one)} ({confidence_words(one.confidence)})"
         parts.setdefault(one.recording, []).append(said)
     return [f"{names[i]}: the odometry's clock is off: {', '.join(parts[i])}" for i in sorted(parts)]
+
+
+def clock_text(one: ClockFound) -> str:
+    """Return the value and standard error of a clock error: ms of an offset, ppm of a skew."""
+    if one.name == "time_offset":
+        return value_text(one.value, one.error, "s")
+    return f"{one.value * 1e6:.0f} +- {one.error * 1e6:.2g} ppm"
 
 
 def words_text(effect: Effect) -> str:
@@ -93,80 +88,6 @@ def words_text(effect: Effect) -> str:
     return f" ({', '.join(said)})" if said else ""
 
 
-_CLOCKS = ("time_offset", "clock_skew")
-SIGNIFICANT = 3.9
-"""Standard errors from which a clock error counts as significant; others were only estimated."""
-
-
-class ClockFound(NamedTuple):
-    """A significant clock error: its effect, recording, value, standard error and confidence."""
-
-    name: str
-    recording: int
-    value: float
-    error: float
-    confidence: float
-
-    @property
-    def text(self) -> str:
-        """Value and standard error: ms of an offset, ppm of a skew."""
-        if self.name == "time_offset":
-            return value_text(self.value, self.error, "s")
-        return f"{self.value * 1e6:.0f} +- {self.error * 1e6:.2g} ppm"
-
-
-class LawNumber(NamedTuple):
-    """A coefficient of a law, with its standard error and unit."""
-
-    value: float
-    error: float
-    unit: str
-
-
-def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
-    """Yield the significant clock errors: a skew also makes an offset free, which need not be significant."""
-    for position, name in enumerate(_CLOCKS):
-        for i, (clock, free, errors) in enumerate(zip(clocks.clocks, clocks.free, clocks.errors, strict=True)):
-            value, error = (clock.offset_s, clock.rate)[position], errors[position]
-            if free[position] and abs(value) > SIGNIFICANT * error:
-                own = 0.5 * (value / error) ** 2
-                margins, left = (clocks.margins_nats, clocks.left_nats) if name == "time_offset" else ((), 0.0)
-                probability = confidence(Evidence(own, tuple(own - max(nats, 0.0) for nats in margins), left))
-                yield ClockFound(name, i, float(value), float(error), probability)
-
-
-def step_confidence(step: Step, learned: Learned) -> float:
-    """Return the confidence in the name of the effect added by a step."""
-    return confidence(evidence_of(step, learned))
-
-
-def noise_confidence(gain: DetectedRandomEffect, learned: Learned) -> float:
-    """Return the confidence in the name of a random effect."""
-    return confidence(noise_evidence(gain, learned))
-
-
 def confidence_words(probability: float) -> str:
     """Return "confidence 0.99", rounded down: 0.999 is not certain."""
     return f"confidence {int(100.0 * probability) / 100.0:.2f}"
-
-
-def law_numbers(unknown: Dependence, learned: Learned, fit: Fit | None = None) -> dict[str, LawNumber]:
-    """Return the coefficients of a fitted dependence by name, from the final fit; none for one that is not fitted.
-
-    fit : the reported fit, if it is not that of the search
-    """
-    fit = fit or learned.fit
-    if unknown not in learned.laws or unknown.best is None:
-        return {}
-    for effect, errors in effects_with_errors(fit):
-        if effect.name == unknown.name:
-            own = zip(amplitudes(effect), errors, strict=True)
-            return {p.name: LawNumber(getattr(effect, p.name), error, p.unit) for p, error in own}
-    return {}
-
-
-def fitted_expression(unknown: Dependence, numbers: Mapping[str, LawNumber]) -> str:
-    """Return the expression of a dependence, with these coefficients if it was fitted."""
-    if unknown.best is None or not numbers:
-        return unknown.expression
-    return unknown.best.term.expression([number.value for number in numbers.values()])

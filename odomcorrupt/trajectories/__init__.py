@@ -1,1 +1,0 @@
-"""Whole trajectories of a bag: poses, velocities, and odometry integrated from velocities."""
