@@ -28,6 +28,8 @@ of a gyro as the truth, which has a filter."""
 LOCAL_BIAS = 1e-3
 """Standard deviation of the scale of a map cell: keyframes half a metre apart have errors of one or two millimetres."""
 CELL_M = 2.0
+MAP_STRAIN = 1e-3
+"""Standard deviation of the stretch and of the shear of a whole map, in its axes: that of its cells."""
 GYRO_WANDER_RADPS, _WANDER_S = 1.5e-4, 30.0
 """Standard deviation of a gyro's bias about its mean, 0.009 deg/s as usual for MEMS, and duration of each bias, s."""
 SHARED = 6
@@ -61,6 +63,10 @@ def bias_roots(problem: Problem) -> Array:
         lag_s = np.maximum(LAG_BIAS_S * matched, GYRO_LAG_S * by_gyro)
         columns += [lag_s[:, None] * part for part in np.moveaxis(problem.columns(kind()), 2, 0)]
     columns += [_of_turn(-GYRO_WANDER_RADPS * by_gyro * part) for part in _stretches(problem, duration)]
+    for r, run in enumerate(runs):
+        if run.matched:
+            own = along * (problem.run == r)[:, None]
+            columns += [_of_travel(MAP_STRAIN * part) for part in _strains(problem, own)]
     cell = np.floor(intervals.truth_xyt[:, :2] / CELL_M).astype(np.int64)
     _, place, count = np.unique(
         np.column_stack((problem.run.astype(np.int64), cell)), axis=0, return_inverse=True, return_counts=True
@@ -91,6 +97,16 @@ def _smooth_motion(problem: Problem) -> tuple[Array, Array, Array]:
     along = -problem.intervals.column(travel)[:, :2]
     turn = -problem.intervals.column(twist * (0.0, 0.0, 1.0))[:, 2]
     return along, turn, np.hypot(along[:, 0], along[:, 1]) / (problem.intervals.end_s - problem.intervals.start_s)
+
+
+def _strains(problem: Problem, along: Array) -> tuple[Array, Array]:
+    """Return the residual of travel (K, 2) per unit stretch of the map's x axis, which shortens y, and per unit shear.
+
+    along : (K, 2) that per unit of scale error, in the axes of the robot at the end of each interval
+    """
+    twice = 2.0 * (problem.intervals.truth_xyt[:, 2] + problem.intervals.truth_step[:, 2])
+    c, s, (x, y) = np.cos(twice), np.sin(twice), along.T
+    return np.column_stack((c * x - s * y, -s * x - c * y)), np.column_stack((s * x + c * y, c * x - s * y))
 
 
 def _stretches(problem: Problem, duration: Array) -> list[Array]:
