@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import secrets
+from typing import SupportsIndex
 
 import numpy as np
 
@@ -27,10 +28,10 @@ def stream(seed: int, run: int, name: str, ordinal: int = 0) -> np.random.Genera
 
     Different names, ordinals or runs have independent streams: each has its own spawn key of the seed.
     """
-    if not 0 <= seed < SEED_LIMIT:
+    if not (isinstance(seed, SupportsIndex) and 0 <= seed < SEED_LIMIT):
         raise ModelError(f"seed: {seed}; it must be a whole number from 0 to 2^63 - 1")
-    if run < 0:
-        raise ModelError(f"run: {run}; runs are counted from 0")
+    if not (isinstance(run, SupportsIndex) and run >= 0):
+        raise ModelError(f"run: {run}; runs are whole numbers from 0")
     key = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
     sequence = np.random.SeedSequence(seed, spawn_key=(run, key & 0xFFFFFFFF, key >> 32, ordinal))
     return np.random.Generator(np.random.PCG64(sequence))

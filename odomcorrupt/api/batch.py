@@ -14,7 +14,7 @@ from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.batching.engine import run_batch
 from odomcorrupt.batching.job import BatchSpec, Job, plan, seed_of
-from odomcorrupt.batching.manifest import read_records
+from odomcorrupt.batching.manifest import BatchError, read_records
 from odomcorrupt.corruption.summary import places_lines
 from odomcorrupt.summary import Line, Summary, command_line
 
@@ -183,6 +183,8 @@ def batch(
     3
     """
     moved, container = split_options(options)
+    if runs < 1:
+        raise BatchError(f"runs: {runs}; make one or more")
     chosen = as_model(model)
     file = Path(fspath(model)) if isinstance(model, str | PathLike) and fspath(model).endswith(".toml") else None
     target = Path(fspath(directory))

@@ -74,7 +74,7 @@ class Fit(Result):
 
 def fit(
     recordings: Recordings | PathLikes,
-    effects: Sequence[str] = (),
+    effects: str | Sequence[str] = (),
     *,
     start: ModelLike | None = None,
     law: str | None = None,
@@ -85,7 +85,7 @@ def fit(
     ----------
     recordings : Recordings or paths
         Runs of one robot, each with its own clock offset.
-    effects : sequence of str
+    effects : str or sequence of str
         Names of effects to fit besides those of `start`.
     start : Model or path of a model file, optional
         Model that contributes effects to be refitted.
@@ -116,7 +116,7 @@ def fit(
     from odomcorrupt.study.validate.round_trip import verified_model
 
     begin = None if start is None else as_model(start).motion_model
-    wanted = effects_to_fit(begin, effects)
+    wanted = effects_to_fit(begin, (effects,) if isinstance(effects, str) else effects)
     law_name = law or (LAW if begin is None else begin.noise.law_name)
     runs = require_travel(as_recordings(recordings))
     if begin is not None:
@@ -226,7 +226,7 @@ def fit_returns(
     paths: PathLikes,
     ends: Sequence[tuple[float, float, float]] = (END,),
     *,
-    effects: Sequence[str] = (),
+    effects: str | Sequence[str] = (),
     odom: str | None = None,
     track_m: float | None = None,
     scan: str | None = None,
@@ -239,7 +239,7 @@ def fit_returns(
         Bags, TUM or CSV files with odometry, one drive each, in both directions of rotation.
     ends : sequence of (float, float, float)
         True end poses relative to the start: m, m, rad; one for all, or one for each.
-    effects : sequence of str
+    effects : str or sequence of str
         Effects to fit, unequal_wheels and wheelbase by default.
     odom : str, optional
         Topic of the odometry, if there are several.
@@ -278,4 +278,4 @@ def fit_returns(
         odometry, track = read_odometry(Source(path, odom=odom, track_m=track_m))
         real = np.array(end) if scan is None else end_seen(path, path.name, odom, scan)
         drives.append(closed_drive(path.name, odometry, real, track))
-    return SquareTest(fit_ends(drives, effects or USUAL))
+    return SquareTest(fit_ends(drives, (effects,) if isinstance(effects, str) else effects or USUAL))

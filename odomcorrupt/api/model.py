@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.model.noise_laws import Law
 
+    EffectsLike = str | Effect | Sequence[str | Effect]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
@@ -41,6 +43,11 @@ class Noise:
     twist_noise : (float, float), optional
         White noise on every twist, m/s and rad/s.
 
+    Raises
+    ------
+    ModelError
+        If there is no such law, or a number is invalid in it.
+
     Examples
     --------
     >>> import odomcorrupt as oc
@@ -52,6 +59,9 @@ class Noise:
     law: str = "diffusion"
     step: str | None = None
     twist_noise: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        self.as_motion_noise()
 
     def as_motion_noise(self) -> motion_model.Noise:
         """Return the law, its coefficients in radians and metres, and the step of its application.
@@ -101,7 +111,7 @@ class Model:
     ----------
     noise : Noise, optional
         None for no noise at all.
-    effects : sequence of str or Effect
+    effects : str, Effect, or sequence of these
         Systematic errors, as in "unequal_wheels:curvature=0.005" or "wheelbase:e=1%"; a name alone gets its typical
         size.
     track_m : float, optional
@@ -121,9 +131,7 @@ class Model:
     origin: str
     """Source of the numbers, in words; "" if given by the user."""
 
-    def __init__(
-        self, noise: Noise | None = None, *, effects: Sequence[str | Effect] = (), track_m: float | None = None
-    ) -> None:
+    def __init__(self, noise: Noise | None = None, *, effects: EffectsLike = (), track_m: float | None = None) -> None:
         from odomcorrupt.model import motion_model
 
         self.motion_model = motion_model.MotionModel((noise or Noise()).as_motion_noise(), track_m=track_m)
@@ -225,12 +233,12 @@ class Model:
         write_text(target, format_model(self.motion_model))
         return target
 
-    def with_effects(self, effects: Sequence[str | Effect]) -> Model:
+    def with_effects(self, effects: EffectsLike) -> Model:
         """Return this model with effects added.
 
         Parameters
         ----------
-        effects : sequence of str or Effect
+        effects : str, Effect, or sequence of these
             Each as text, as in "unequal_wheels:curvature=0.005", or as an effect of the library.
 
         Returns
@@ -245,10 +253,11 @@ class Model:
         """
         if not effects:
             return self
+        from odomcorrupt.effects.effect import Effect
         from odomcorrupt.model.effect_notation import parse_effect
 
         found, assumed = [], []
-        for given in effects:
+        for given in (effects,) if isinstance(effects, str | Effect) else effects:
             if isinstance(given, str):
                 written = parse_effect(given)
                 found.append(written.effect)
@@ -344,6 +353,16 @@ class Model:
         words = model_words(self.motion_model, self.origin)
         return f"<Model: {words[0].lower()}{words[1:]}>"
 
+    def _repr_html_(self) -> str:
+        from odomcorrupt.summary import Line, Summary
+
+        errors = self.standard_errors
+        numbers = [
+            Line(name, f"{value:.4g}" + (f" +- {errors[name]:.2g}" if name in errors else ""))
+            for name, value in self.parameters.items()
+        ]
+        return Summary((Line("law", self.motion_model.noise.law_name), *numbers)).html()
+
 
 ModelLike = Model | Noise | str | PathLike[str]
 """A model, noise alone, a model file (.toml), or the name of a preset."""
@@ -355,7 +374,7 @@ def as_model(given: ModelLike | MotionModel | None) -> Model:
     Raises
     ------
     ModelError
-        If a string names neither a model file nor a preset.
+        If a string names neither a model file nor a preset, or if it is no model at all.
     """
     if isinstance(given, Model):
         return given
@@ -372,4 +391,8 @@ def as_model(given: ModelLike | MotionModel | None) -> Model:
         if not name.endswith(".toml") and not Path(name).exists():
             raise ModelError(f"{name}: no model file and no preset; presets are {', '.join(PRESETS)}")
         return Model.load(name)
+    from odomcorrupt.model.motion_model import MotionModel
+
+    if not isinstance(given, MotionModel):
+        raise ModelError(f"model: {given!r}; give a Model, a Noise, a model file, or the name of a preset")
     return Model.of(given)

@@ -367,7 +367,7 @@ def density(
     Raises
     ------
     ModelError
-        If the noise has no density, e.g. no noise of the translation.
+        If the noise has no density, e.g. no noise of the translation, or an array does not hold poses.
 
     Examples
     --------
@@ -383,7 +383,10 @@ def density(
             return hypothetical(xyt, move, chosen.noise)
         return (pose_density if reading == "pose" else product)(xyt, move, variances)
 
-    at = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+    at = np.asarray(poses, dtype=np.float64)
+    if at.size and at.shape[-1] != 3:
+        raise ModelError(f"poses: an array of shape {at.shape}; give x, y and heading of each, shape (n, 3)")
+    at = at.reshape(-1, 3)
     values = density_of(at)
     grid = density_on_grid(move, variances, density_of=density_of)
     part = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.manifest import BatchError, read_beginning
@@ -58,6 +58,10 @@ class BatchSpec:
     suffix: str | None = None
     model_words: tuple[str, ...] | None = None
     map_words: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.output not in get_args(Output):
+            raise BatchError(f"output: {self.output}; give one of {', '.join(get_args(Output))}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

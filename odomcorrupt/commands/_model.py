@@ -177,7 +177,8 @@ move_options = added(
     model_options,
     click.option(
         "--example", metavar="NAME",
-        help="Motion and noise: article, or the lecture's balanced, translation-heavy, rotation-heavy. "
+        help="Motion, and noise if no option states any: article, or the lecture's balanced, translation-heavy, "
+        "rotation-heavy. "
         "[default: article]",
     ),
     click.option("--start", type=POSE, help="Odometry before the motion, as in 0,0,30deg."),

@@ -132,3 +132,36 @@ def test_the_examples_of_the_study_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for module in ("comparison", "diagnosis", "fit", "learning", "recordings"):
         assert doctest.testmod(importlib.import_module(f"odomcorrupt.api.{module}")).failed == 0
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda at: oc.corrupt(OFFICE, at / "out.mcap", model=3, seed=1), "model: 3; give a Model"),
+        (lambda at: oc.corrupt(OFFICE, at / "out.mcap", model=NOISE, seed=1.5), "seed: 1.5; it must be a whole number"),
+        (
+            lambda at: oc.batch(OFFICE, at / "runs", model=NOISE, runs=2, seed=1, output="foo"),
+            "output: foo; give one",
+        ),
+        (lambda at: oc.batch(OFFICE, at / "runs", model=NOISE, runs=0, seed=1), "runs: 0; make one or more"),
+        (lambda _: oc.density((0, 0, 0), (1, 0, 0), [[1, 0]], model=NOISE), r"shape \(1, 2\); give x, y and heading"),
+        (lambda _: oc.Noise(alpha=(0.1, 0.1, 0.1, 0.1), law="cubic"), "cubic"),
+    ],
+    ids=["model", "seed", "output", "runs", "poses", "law"],
+)
+def test_a_wrong_argument_is_named_with_its_value_and_leaves_nothing_behind(tmp_path, call, words):
+    with pytest.raises(OdomCorruptError, match=words):
+        call(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_effect_may_be_given_without_a_list():
+    alone, listed = (oc.Model(NOISE, effects=given) for given in ("wheelbase:e=1%", ["wheelbase:e=1%"]))
+    assert alone == listed
+    assert alone.with_effects(alone.effects[0]).effects == (*alone.effects, *alone.effects)
+
+
+def test_a_notebook_shows_the_numbers_of_a_model():
+    html = oc.Model(NOISE, effects="wheelbase:e=1%")._repr_html_()
+    assert "wheelbase.e" in html
+    assert "0.01" in html
