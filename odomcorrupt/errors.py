@@ -35,3 +35,7 @@ class RecordingError(OdomCorruptError):
 
 class FitError(OdomCorruptError):
     """A recording does not contain the data that a fit needs."""
+
+
+class BatchError(OdomCorruptError):
+    """A batch cannot be started, continued or read."""

@@ -13,9 +13,10 @@ from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.batching.engine import run_batch
-from odomcorrupt.batching.job import BatchSpec, Job, plan, seed_of
-from odomcorrupt.batching.manifest import BatchError, read_records
+from odomcorrupt.batching.job import BatchSpec, Job, plan
+from odomcorrupt.batching.manifest import read_records, seed_of
 from odomcorrupt.corruption.summary import places_lines
+from odomcorrupt.errors import BatchError
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.batching.manifest import BatchError, read_beginning, read_records
+from odomcorrupt.batching.manifest import read_beginning, read_records
 from odomcorrupt.batching.parameter_draws import Spread
 from odomcorrupt.batching.sinks import read_tum
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.errors import EffectError
+from odomcorrupt.errors import BatchError, EffectError
 from odomcorrupt.model.model_file import parse_model, read_model
 from odomcorrupt.summary import Line, Summary, command_line
 

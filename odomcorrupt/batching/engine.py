@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import (
-    BatchError,
     begin,
     bytes_of,
     fingerprint_of,
@@ -29,6 +28,7 @@ from odomcorrupt.batching.manifest import (
 from odomcorrupt.batching.runner import PAUSE_S, Failure, attempt
 from odomcorrupt.batching.sinks import read_tum, write_npz
 from odomcorrupt.corruption.transform import Transform
+from odomcorrupt.errors import BatchError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.batching.engine import count_missing
 from odomcorrupt.batching.job import Task
-from odomcorrupt.batching.manifest import PARTS, BatchError, bytes_of
+from odomcorrupt.batching.manifest import PARTS, bytes_of
 from odomcorrupt.batching.runner import make
+from odomcorrupt.errors import BatchError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, get_args
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.batching.manifest import BatchError, read_beginning
 from odomcorrupt.batching.parameter_draws import Spread, draw_robot, spreads_of, stated_spreads
 from odomcorrupt.batching.sweep import variants
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options
+from odomcorrupt.errors import BatchError
 from odomcorrupt.model.model_file import format_model, parse_model, read_model_text
-from odomcorrupt.rng import draw_seed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -237,9 +236,3 @@ def _option_words(options: Options, container: Container) -> list[str]:
     )
     words = [word for flag, value in values if value is not None for word in (flag, str(value))]
     return words + ["--keep-localisation"] * options.keep_localisation + ["--recover"] * container.recover
-
-
-def seed_of(directory: Path) -> int:
-    """Return the seed of the batch in a directory, or a new one."""
-    there = next(iter(sorted(directory.rglob("batch.json"))), None)
-    return draw_seed() if there is None else int(read_beginning(there.parent)["seed"])

@@ -21,10 +21,11 @@ import xxhash
 import odomcorrupt
 from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.placement import sweep
-from odomcorrupt.errors import BagError, OdomCorruptError
+from odomcorrupt.errors import BagError, BatchError
 from odomcorrupt.input_files import read_input
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.result_files import write_bytes
+from odomcorrupt.rng import draw_seed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -51,10 +52,6 @@ _WORDS = {
     "options": "other options",
     "version": "another version of odomcorrupt",
 }
-
-
-class BatchError(OdomCorruptError):
-    """A batch cannot be started, continued or read."""
 
 
 def fingerprint_of(source: Path) -> str:
@@ -103,6 +100,12 @@ def read_beginning(directory: Path) -> dict[str, Any]:
         raise BatchError(f"{path}: is not as batch writes it; restore it, or name another directory") from error
     beginning: dict[str, Any] = table
     return beginning
+
+
+def seed_of(directory: Path) -> int:
+    """Return the seed of the batch in a directory, or a new one."""
+    there = next(iter(sorted(directory.rglob(BEGINNING))), None)
+    return draw_seed() if there is None else int(read_beginning(there.parent)["seed"])
 
 
 def _require(true: bool) -> None:  # noqa: FBT001 - a condition, as of assert

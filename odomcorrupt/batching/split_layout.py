@@ -15,8 +15,8 @@ from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.provenance import mapping_of
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
-from odomcorrupt.batching.manifest import BatchError
 from odomcorrupt.batching.sinks import BagSink, bag_writer
+from odomcorrupt.errors import BatchError
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator

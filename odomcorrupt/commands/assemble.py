@@ -30,8 +30,9 @@ def command(
 ) -> None:
     """Write the whole bag of RUN, an overlay made by `batch --output overlay` that has only the changed topics."""
     from odomcorrupt.api.bag_options import split_options
-    from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
+    from odomcorrupt.batching.manifest import fingerprint_of, read_beginning
     from odomcorrupt.batching.split_layout import assemble
+    from odomcorrupt.errors import BatchError
 
     target = Path(chosen_output(output, output_option))
     if original is None:

@@ -133,7 +133,8 @@ def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...
 def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
     from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.bags.pipeline import default_threads
-    from odomcorrupt.batching.job import BatchSpec, plan, seed_of
+    from odomcorrupt.batching.job import BatchSpec, plan
+    from odomcorrupt.batching.manifest import seed_of
 
     model = _model(given)
     options, container = split_options(bag_words(given))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.laser.calibrate import Calibration
     from odomcorrupt.laser.slam import Tracked
-    from odomcorrupt.laser.stamps import WhiteNoise
     from odomcorrupt.laser.sweep import Sweeps
 
 _QUERY = 450
@@ -62,6 +61,14 @@ class LaserPath:
         """Return the poses selected by a mask (k,)."""
         arrays = ("row", "t_s", "xyt", "laser_xyt", "covariance", "part", "weak", "ratio")
         return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
+
+
+class WhiteNoise(NamedTuple):
+    """Ratios of position and heading variances to those of the matches, and standard deviation of the stamps, s."""
+
+    position: float
+    heading: float
+    stamps_s: float
 
 
 @dataclass(frozen=True, slots=True)

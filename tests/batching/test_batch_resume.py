@@ -18,9 +18,9 @@ from odomcorrupt.bags.placement import beside
 from odomcorrupt.batching import manifest
 from odomcorrupt.batching import runner as making
 from odomcorrupt.batching.estimate import Need, require_space
-from odomcorrupt.batching.manifest import BatchError
 from odomcorrupt.cli import run
 from odomcorrupt.commands._progress import left_words
+from odomcorrupt.errors import BatchError
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 TYPED = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7"]

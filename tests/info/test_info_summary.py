@@ -13,7 +13,7 @@ from odomcorrupt.bags.block import Channel
 from odomcorrupt.cli import run
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import compose, inverse
-from odomcorrupt.info.checks import CovarianceCheck
+from odomcorrupt.info.covariance_check import CovarianceCheck
 from odomcorrupt.info.scan import scan_bag
 from odomcorrupt.info.summary import summarise, summary_text
 

@@ -12,9 +12,9 @@ from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.closure import end_by_scans, lifted
 from odomcorrupt.laser.moving import without_moving
+from odomcorrupt.laser.pose_noise import white_noise, with_noise, with_view_errors, without_spikes
 from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
-from odomcorrupt.laser.stamps import white_noise, with_noise, with_view_errors, without_spikes
 from odomcorrupt.laser.trajectory import LaserRun, relocalised
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers

@@ -8,12 +8,12 @@ with the square of the yaw rate is jitter of the stamps.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose, wrap
-from odomcorrupt.laser.trajectory import UNKNOWN_M
+from odomcorrupt.laser.trajectory import UNKNOWN_M, WhiteNoise
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -36,14 +36,6 @@ _VIEW_M, _VIEW_RAD = 1e-3, 2e-4
 """Standard deviations of errors that change with the view; their scale is estimated with that of the matches."""
 _LEAST_M, _LEAST_RAD = 1e-4, 2e-5
 _USUAL = np.array([2.5e-3, 2.5e-3, 2e-3])
-
-
-class WhiteNoise(NamedTuple):
-    """Ratios of position and heading variances to those of the matches, and standard deviation of the stamps, s."""
-
-    position: float
-    heading: float
-    stamps_s: float
 
 
 def white_noise(path: LaserPath, motion: Motion) -> WhiteNoise:
