@@ -131,7 +131,7 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
         with ExitStack() as stack:
             threads = default_threads() if job.container.threads is None else job.container.threads
             workers = stack.enter_context(Workers(threads))
-            raw = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
+            raw = stack.enter_context(open_reader(job.source, recover=job.container.recover))
             output = job.container.target(job.path_of(0), raw) if job.output == "full" else Target(raw, _OVERLAY)
             made = _make(task, room, whole, stack, output, part(output.reader), workers)
         for record, sink in made:
