@@ -8,7 +8,6 @@ reads and writes, so an error or Ctrl-C takes effect at once, and no thread bloc
 from __future__ import annotations
 
 import os
-import sys
 import threading
 from collections import deque
 from functools import partial
@@ -28,9 +27,6 @@ WAITING_BYTES = 12 << 20
 
 _WORTH_BYTES = 1 << 20
 """Size of an input file below which one thread is used: a run ends before more threads could help."""
-
-_SWITCH_S = 1e-5
-"""Switch interval of Python threads, seconds; the default of 5 ms would cost a tenth of the wall time."""
 
 T = TypeVar("T")
 
@@ -95,7 +91,6 @@ class Workers:
         self._tasks: SimpleQueue[_Task[object] | None] = SimpleQueue()
         self._started: list[threading.Thread] = []
         self._closed = False
-        self._usual_s = sys.getswitchinterval()
 
     def submit(self, call: Callable[[], T]) -> _Task[T]:
         """Submit a call to the pool."""
@@ -134,14 +129,11 @@ class Workers:
         self._started.clear()
 
     def __enter__(self) -> Self:
-        if self.threads > 1:
-            sys.setswitchinterval(_SWITCH_S)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        sys.setswitchinterval(self._usual_s)
         self.close()
 
 

@@ -202,20 +202,13 @@ class Patcher:
     @np.errstate(over="ignore", invalid="ignore")  # NaN and infinite poses stay as they are
     def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:
         """Apply C(t) to a block's targets in place; first_ns is the first stamp, the origin of clock effects."""
-        at = curve.at(
-            np.concatenate([target.stamps_ns for target in targets]),
-            np.concatenate([target.time_ns for target in targets]),
-        )
-        self.changes.held += int(np.count_nonzero(at.held))
-        start = 0
         odometry: dict[str, list[tuple[Target, Correction]]] = {}
         for target in targets:
-            stop = start + len(target.stamps_ns)
-            part = _rows(at, slice(start, stop))
-            start = stop
+            at = curve.at(target.stamps_ns, target.time_ns)
+            self.changes.held += int(np.count_nonzero(at.held))
             if target.channel.msgtype == ODOMETRY:
                 self.changes.odometry[target.channel.topic] += len(target.stamps_ns)
-                odometry.setdefault(target.channel.topic, []).append((target, part))
+                odometry.setdefault(target.channel.topic, []).append((target, at))
             else:
                 item = target.item
                 edge = f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}"
@@ -223,7 +216,7 @@ class Patcher:
                 if target.channel.topic.endswith("tf_static"):
                     self.changes.static.add(edge)
                 if self._moves:
-                    _move(block, target, part.xyt, _poses(block, target))
+                    _move(block, target, at.xyt, _poses(block, target))
             if self._clocks:
                 self._shift_stamps(block, target, first_ns)
         if self._moves:

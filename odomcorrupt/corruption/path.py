@@ -310,7 +310,8 @@ class NoisyPath:
             noisy = (poses[:, :2] + error[:, :2] - self._origin).T
             moved = (steps.ds_m + along, steps.dl_m + across)
             stepped = NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, *moved, arc=self._law.arc)
-            sums = np.cumsum(np.concatenate((self._sums, self._sum_terms(stepped, driven_s)), axis=1), axis=1)
+            sums = np.concatenate((self._sums, self._sum_terms(stepped, driven_s)), axis=1)
+            np.cumsum(sums, axis=1, out=sums)
         travelled = np.cumsum(np.concatenate(([self._travelled_m], np.where(jump, 0.0, length))))
 
         self._last = (int(stamps_ns[-1]), clean_xyt[-1].copy())

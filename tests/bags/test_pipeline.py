@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -116,11 +115,8 @@ def test_a_small_input_has_one_thread(tmp_path, monkeypatch):
         assert default_threads(tmp_path / "bag") == threads
 
 
-def test_threads_are_switched_quickly_while_there_are_workers_and_then_as_before():
+def test_python_switches_between_threads_as_it_does_without_workers():
     usual = sys.getswitchinterval()
-    with Workers(1):
+    with Workers(2) as workers:
+        workers.submit(lambda: None).result()
         assert sys.getswitchinterval() == usual
-    with suppress(KeyboardInterrupt), Workers(2):
-        assert sys.getswitchinterval() < usual
-        raise KeyboardInterrupt
-    assert sys.getswitchinterval() == usual
