@@ -42,9 +42,9 @@ class PoseFaults:
             sine = np.abs(2.0 * (w * y - z * x))
             self.no_orientation += _count(length2 == 0.0)
             self.upright += _count((length2 > 0.0) & (sine > _STEEP * length2))
-            far = np.abs(position[:, :2]) >= FAR_M
+            far = (np.abs(position[:, 0]) >= FAR_M) | (np.abs(position[:, 1]) >= FAR_M)
             if far.any():
-                self.far += _count(far.any(axis=1) & np.isfinite(position).all(axis=1))
+                self.far += _count(far & np.isfinite(position).all(axis=1))
 
     def sentences(self) -> list[str]:
         """Return one warning for each kind of fault found, without a full stop."""
