@@ -1,8 +1,9 @@
 """Worker threads for compression; results are used in order.
 
-Codecs and checksums release the GIL, so they run in parallel. The output does not depend on
-the number of threads: they only compute results that the main thread uses in its own order. The main thread alone
-reads and writes, so an error or Ctrl-C takes effect at once, and no thread blocks on a pipe.
+Codecs and checksums release the GIL, so they run in parallel. The output does not depend on the number of threads:
+they only compute results that the main thread uses in its own order. The main thread alone reads and writes, so an
+error or Ctrl-C takes effect at once, and no thread blocks on a pipe. A thread that reads ahead would wait for the GIL
+longer than it saves.
 """
 
 from __future__ import annotations
