@@ -194,11 +194,13 @@ def end_of_frame(data: memoryview) -> int:
     parameters = zstandard.get_frame_parameters(data)
     at = zstandard.frame_header_size(data)
     last = 0
+    # as `_block` says, without a call for each: a chunk of 1 MB may have a hundred blocks
     while not last:
         if at + 3 > len(data):
             return len(data) + 1
-        last, size = _block(data[at : at + 3])
-        at += 3 + size
+        number = data[at] | data[at + 1] << 8 | data[at + 2] << 16
+        last = number & 1
+        at += 4 if number & 6 == _RUN_LENGTH_BLOCK << 1 else 3 + (number >> 3)
     return at + (4 if parameters.has_checksum else 0)
 
 

@@ -126,10 +126,10 @@ def scatter(block: Block, layout: Layout, item: Item, field: str, values: NDArra
 
 
 def scatter_columns(
-    block: Block, layout: Layout, item: Item, field: str, columns: Sequence[int], values: NDArray[np.float64],
+    block: Block, layout: Layout, item: Item, field: str, columns: Sequence[int], values: Sequence[NDArray[np.float64]],
     which: NDArray[np.bool_] | slice = slice(None),
 ) -> None:  # fmt: skip
-    """Write some columns of a field, ascending, in place; `which` are the layout's messages that get values (n, k)."""
+    """Write some columns of a field, ascending, into the messages in `which`, in place; values are (n,) for each."""
     offset, _ = item.fields[field]
     starts = layout.starts[which] + offset
     begin = 0
@@ -137,7 +137,10 @@ def scatter_columns(
         end = begin + 1
         while end < len(columns) and columns[end] == columns[end - 1] + 1:
             end += 1
-        _put(block, layout, starts + 8 * columns[begin], values[:, begin:end])
+        run = np.empty((len(starts), end - begin))
+        for column, own in enumerate(values[begin:end]):
+            run[:, column] = own[which]
+        _put(block, layout, starts + 8 * columns[begin], run)
         begin = end
 
 

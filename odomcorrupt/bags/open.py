@@ -47,15 +47,12 @@ _GENERATIONS: dict[str, Generation] = {"ros1": 1, "cdr": 2}
 _SUFFIXES: dict[str, Kind] = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"}
 
 
-def open_reader(
-    path: Path | None, stream: BinaryIO | None = None, *, recover: bool = False, threads: int = 1
-) -> BagReader:
+def open_reader(path: Path | None, stream: BinaryIO | None = None, *, recover: bool = False) -> BagReader:
     """Return a reader for a bag, whose format is detected from its content.
 
     path : None or "-" for a pipe
     stream : the pipe; default stdin
     recover : read the intact parts of a damaged bag, and list the others in the reader's `losses`
-    threads : with more than one, files are read and decompressed ahead
 
     Raises
     ------
@@ -67,38 +64,38 @@ def open_reader(
             source = Source(sys.stdin.buffer if stream is None else stream, "stdin")
             return _reader(None, source.spooled() if recover else source, recover=recover)
         if path.is_dir():
-            return _rosbag2(path, recover=recover, threads=threads)
-        return _reader(path, Source.of_file(path), recover=recover, threads=threads)
+            return _rosbag2(path, recover=recover)
+        return _reader(path, Source.of_file(path), recover=recover)
     except BagError as error:
         if recover:
             raise BagError(f"{loss_of(error)}; nothing can be recovered from it") from error
         raise
 
 
-def _reader(path: Path | None, source: Source, *, recover: bool, threads: int = 1) -> BagReader:
+def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:
     try:
         begin = source.sniff(16)
         if begin.startswith(magic.MCAP):
             from odomcorrupt.bags.mcap.reader import McapReader  # noqa: PLC0415 - see above
 
-            return McapReader(path, source, recover=recover, threads=threads)
+            return McapReader(path, source, recover=recover)
         if begin.startswith(magic.ROS1):
             from odomcorrupt.bags.ros1.reader import Ros1Reader  # noqa: PLC0415 - see above
 
-            return Ros1Reader(path, source, recover=recover, threads=threads)
+            return Ros1Reader(path, source, recover=recover)
     except BaseException:
         source.close()
         raise
     source.close()
     if path is not None and (begin == magic.SQLITE or begin.startswith(magic.ZSTD)):
-        return _rosbag2(path, recover=recover, threads=threads)
+        return _rosbag2(path, recover=recover)
     raise _unknown(source.name, begin)
 
 
-def _rosbag2(path: Path, *, recover: bool, threads: int) -> Rosbag2Reader:
+def _rosbag2(path: Path, *, recover: bool) -> Rosbag2Reader:
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader  # noqa: PLC0415 - see above
 
-    return Rosbag2Reader(path, recover=recover, threads=threads)
+    return Rosbag2Reader(path, recover=recover)
 
 
 def _as_rosbag2(reader: BagReader) -> Rosbag2Reader | None:

@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.file_copy import FileState
 
-_PIECE_BYTES = 1 << 16
-"""Bytes of one write: for more the system allocates larger pages, which cost ten times as much."""
+_BUFFER_BYTES = 1 << 16
+"""Size of the buffer that collects small pieces."""
+
+_PIECE_BYTES = 1 << 18
+"""Bytes of one write of a large piece, which the buffer does not copy; with 1 MB the system may need larger pages."""
 
 _KEPT_BYTES = 16 << 20
 """Largest number of changed bytes held in memory until the kernel's copy ends."""
@@ -79,7 +82,7 @@ class Output:
         try:
             sweep(self._path.parent, self._path.name)
             # Not tempfile: its files are readable by their owner only, and keep that when renamed.
-            self._stream = self._partial.open("xb", buffering=_PIECE_BYTES)
+            self._stream = self._partial.open("xb", buffering=_BUFFER_BYTES)
         except OSError as error:
             raise BagError(f"{self.name}: cannot be written: {error.strerror}") from error
 

@@ -1,14 +1,14 @@
-"""Worker threads for reading ahead and compression; results are used in order.
+"""Worker threads for compression; results are used in order.
 
-Reading, codecs, checksums and NumPy loops release the GIL, so they run in parallel. The output does not depend on
-the number of threads: they only compute results that the main thread uses in its own order. The main thread alone
-writes, and reads from pipes, so an error or Ctrl-C takes effect at once, and no thread blocks on a pipe.
+Codecs and checksums release the GIL, so they run in parallel. The output does not depend on the number of threads:
+they only compute results that the main thread uses in its own order. The main thread alone reads and writes, so an
+error or Ctrl-C takes effect at once, and no thread blocks on a pipe. A thread that reads ahead would wait for the GIL
+longer than it saves.
 """
 
 from __future__ import annotations
 
 import os
-import sys
 import threading
 from collections import deque
 from functools import partial
@@ -16,27 +16,18 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
+    from collections.abc import Callable
     from pathlib import Path
     from types import TracebackType
 
 MOST_THREADS = 4
 """Largest default number of threads: more help slow codecs only, and each uses memory."""
 
-AHEAD_BYTES = 8 << 20
-"""Bytes read ahead: more would not fit into the processor's cache."""
-
-_BATCH_BYTES = 1 << 20
-"""Bytes passed to a thread at once: with less, threads would wait for each other."""
-
 WAITING_BYTES = 12 << 20
 """Largest number of bytes waiting for compression and writing."""
 
 _WORTH_BYTES = 1 << 20
 """Size of an input file below which one thread is used: a run ends before more threads could help."""
-
-_SWITCH_S = 1e-5
-"""Switch interval of Python threads, seconds; the default of 5 ms would cost a tenth of the wall time."""
 
 T = TypeVar("T")
 
@@ -101,7 +92,6 @@ class Workers:
         self._tasks: SimpleQueue[_Task[object] | None] = SimpleQueue()
         self._started: list[threading.Thread] = []
         self._closed = False
-        self._usual_s = sys.getswitchinterval()
 
     def submit(self, call: Callable[[], T]) -> _Task[T]:
         """Submit a call to the pool; return its task."""
@@ -140,14 +130,11 @@ class Workers:
         self._started.clear()
 
     def __enter__(self) -> Self:
-        if self.threads > 1:
-            sys.setswitchinterval(_SWITCH_S)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        sys.setswitchinterval(self._usual_s)
         self.close()
 
 
@@ -218,96 +205,3 @@ class OrderedResults:
 
 def _pass_on(task: _Task[T], then: Callable[[T], None]) -> None:
     then(task.result())
-
-
-def read_ahead(items: Generator[T, None, None], size_of: Callable[[T], int]) -> Iterator[T]:
-    """Yield the items of a generator, which a thread runs ahead.
-
-    The thread is at most `AHEAD_BYTES` and one item ahead, and stops when this generator is closed, which waits for
-    it; so the generator must block on nothing but files.
-
-    Parameters
-    ----------
-    items : Generator
-        Run and closed by the thread.
-    size_of : Callable
-        Memory of an item, bytes.
-    """
-    queue = _BoundedQueue[T]()
-    thread = threading.Thread(target=_fill, args=(queue, items, size_of), name="read", daemon=True)
-    thread.start()
-    try:
-        while (batch := queue.take()) is not None:
-            yield from batch
-        if queue.error is not None:
-            raise queue.error
-    finally:
-        queue.stop()
-        thread.join()
-
-
-class _BoundedQueue(Generic[T]):
-    """Bounded queue of batches of items between two threads.
-
-    error : exception that ended the producer, if any
-    """
-
-    def __init__(self) -> None:
-        self.error: BaseException | None = None
-        self._changed = threading.Condition()
-        self._batches: deque[tuple[list[T], int]] = deque()
-        self._bytes = 0
-        self._ended = self._stopped = False
-
-    def put(self, batch: list[T], size: int) -> bool:
-        """Add a batch when there is room; return whether more are wanted."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._bytes <= AHEAD_BYTES or self._stopped)
-            self._batches.append((batch, size))
-            self._bytes += size
-            self._changed.notify_all()
-            return not self._stopped
-
-    def end(self) -> None:
-        """Mark the end of the items."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
-
-    def stop(self) -> None:
-        """Ask the producer to stop."""
-        with self._changed:
-            self._stopped = True
-            self._changed.notify_all()
-
-    def take(self) -> list[T] | None:
-        """Return the next batch; None after the last one."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._batches or self._ended)
-            if not self._batches:
-                return None
-            batch, size = self._batches.popleft()
-            self._bytes -= size
-            self._changed.notify_all()
-            return batch
-
-
-def _fill(queue: _BoundedQueue[T], items: Generator[T, None, None], size_of: Callable[[T], int]) -> None:
-    batch: list[T] = []
-    size = 0
-    try:
-        for item in items:
-            batch.append(item)
-            size += size_of(item)
-            if size >= _BATCH_BYTES:
-                wanted = queue.put(batch, size)
-                batch, size = [], 0
-                if not wanted:
-                    return
-    except BaseException as error:  # noqa: BLE001 - raised when the items are requested
-        queue.error = error
-    finally:
-        items.close()
-        if batch:
-            queue.put(batch, size)
-        queue.end()

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from contextlib import closing
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block, without
 from odomcorrupt.bags.output import Original
-from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import Undecodable, loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Generator, Iterator, Mapping
+    from collections.abc import Container, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -40,14 +38,13 @@ class RecordReader(ABC):
     _stated_by = ""
     """The part of the bag that states the number of its messages, as the subject and verb of a sentence."""
 
-    def __init__(self, path: Path | None, source: Source, *, recover: bool, threads: int) -> None:
+    def __init__(self, path: Path | None, source: Source, *, recover: bool) -> None:
         self.name = source.name
         self.paths = [] if path is None else [path]
         self.complete = path is not None and source.size is not None
         self.losses: list[str] = []
         self.count = 0
         self._recover = recover
-        self._threads = threads
         self._source = self._reading = source
         self._undecodable = Undecodable()
         self._state: FileState | None = None
@@ -97,14 +94,10 @@ class RecordReader(ABC):
 
     def _pass(self, source: Source) -> Iterator[Block]:
         """Yield the blocks of a source, and register channels on the way."""
-        parts: Iterator[Any] = self._parts(source)
-        if self._threads > 1 and self.complete and not self._recover:
-            parts = read_ahead(self._parts(source), lambda part: len(part.data))
-        with closing(parts):  # type: ignore[type-var] # both are generators
-            for part in parts:
-                block = self._taken(part)
-                if block is not None:
-                    yield block
+        for part in self._parts(source):
+            block = self._taken(part)
+            if block is not None:
+                yield block
 
     def _finished(self, part: Any) -> Block:
         """Return the messages of a chunk; with recovery those that are intact."""
@@ -125,7 +118,7 @@ class RecordReader(ABC):
         self.losses.append(loss_of(error))
 
     @abstractmethod
-    def _parts(self, source: Source) -> Generator[Any, None, None]:
+    def _parts(self, source: Source) -> Iterator[Any]:
         """Yield chunks, and what is between them; each part's `data` are its bytes."""
 
     @abstractmethod

@@ -129,7 +129,7 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
         with ExitStack() as stack:
             threads = default_threads() if container.threads is None else container.threads
             workers = stack.enter_context(Workers(threads))
-            raw = stack.enter_context(open_reader(job.source, recover=container.recover, threads=threads))
+            raw = stack.enter_context(open_reader(job.source, recover=container.recover))
             output = container.target(job.path_of(0), raw) if job.batch.output == "full" else Target(raw, _OVERLAY)
             made = _make(task, room, whole, stack, output, part(output.reader), workers)
         for record, sink in made:

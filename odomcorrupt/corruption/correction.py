@@ -71,7 +71,7 @@ class _Stretch:
     def at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> Correction:
         exact = self._exactly_at(stamps_ns, time_ns)
         if exact is not None:
-            return self._correction(self.xyt[exact], self.sums[:, exact], np.zeros(len(exact), dtype=bool))
+            return self._correction(self.xyt[exact], self.sums[:, exact], np.zeros(len(stamps_ns), dtype=bool))
         last = np.maximum(np.searchsorted(self.time_ns, time_ns + PATIENCE_NS, side="right") - 1, 0)
         oldest = np.minimum(np.searchsorted(self.time_ns, time_ns - MEMORY_NS), last)
         inside_ns = np.clip(stamps_ns, self.stamps_ns[oldest], self.stamps_ns[last])
@@ -86,12 +86,15 @@ class _Stretch:
             sums[:, between] += fraction * (self.sums[:, k + 1] - self.sums[:, k])
         return self._correction(xyt, sums, stamps_ns > self.stamps_ns[last])
 
-    def _exactly_at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """Return indices of the samples at exactly these stamps; None where a message has none that it may use."""
+    def _exactly_at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64] | slice | None:
+        """Return which samples are at exactly these stamps; None where a message has none that it may use."""
         i = np.maximum(np.searchsorted(self.stamps_ns, stamps_ns, side="right") - 1, 0)
         ahead_ns = self.time_ns[i] - time_ns
         exact = (self.stamps_ns[i] == stamps_ns) & (ahead_ns <= PATIENCE_NS) & (ahead_ns >= -MEMORY_NS)
-        return i if exact.all() else None
+        if not exact.all():
+            return None
+        # nearly always a row of samples, which need not be copied
+        return slice(int(i[0]), int(i[-1]) + 1) if len(i) and (np.diff(i) == 1).all() else i
 
     def _correction(self, xyt: Array, sums: Array, held: NDArray[np.bool_]) -> Correction:
         origin = np.repeat(self.origin_xy[:, None], len(xyt), axis=1)

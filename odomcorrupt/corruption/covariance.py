@@ -210,7 +210,7 @@ def twist_covariance(grown: Array, dt_s: Array) -> Array:
 
 def _symmetric(*upper: Array) -> Array:
     """Return matrices (n, 3, 3) from xx, xy, yy, x-yaw, y-yaw, yaw-yaw, (n,) each; `FLOOR` is added to the diagonal."""
-    out = np.empty((len(upper[0]), 3, 3))
+    out = np.empty((3, 3, len(upper[0]))).transpose(2, 0, 1)  # each entry is contiguous, which is faster
     for values, (i, j) in zip(upper, ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), strict=True):
         out[:, i, j] = out[:, j, i] = values + FLOOR if i == j else values
     return out

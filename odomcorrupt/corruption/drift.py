@@ -84,7 +84,7 @@ class DriftMeter:
         self._sideways_m = 0.0
         self._slowed = Slowed()
         self._distance_m = self._duration_s = 0.0
-        self._legs: list[tuple[float, float, float, float]] = []
+        self._legs: list[list[float]] = []
         self._start: _Place | None = None
         self._mark: _Place | None = None
         self._end: _Place | None = None
@@ -108,10 +108,14 @@ class DriftMeter:
         )
         if self._start is None or self._mark is None:
             self._start = self._mark = _place(samples, 0)
-        while samples.travelled_m[-1] >= self._mark.travelled_m + LEG_M:
-            here = _place(samples, int(np.searchsorted(samples.travelled_m, self._mark.travelled_m + LEG_M)))
-            self._legs.append(_leg(self._mark, here))
-            self._mark = here
+        ends: list[int] = []
+        end_m = self._mark.travelled_m + LEG_M
+        while samples.travelled_m[-1] >= end_m:
+            ends.append(int(np.searchsorted(samples.travelled_m, end_m)))
+            end_m = float(samples.travelled_m[ends[-1]]) + LEG_M
+        if ends:
+            self._legs += _legs(self._mark, samples, ends).tolist()
+            self._mark = _place(samples, ends[-1])
         self._end = _place(samples, len(samples) - 1)
 
     def result(self) -> Drift | None:
@@ -119,24 +123,31 @@ class DriftMeter:
         if self._end is None:
             return None
         self.restart()
-        expected = _expected(self._end, np.zeros_like(self._end.sums))
+        end = self._end
+        noisy_xy = end.clean_xyt[:2] + end.error_xyt[:2] - end.origin_xy
+        expected_m, expected_rad = _expected(end.sums[:, None], noisy_xy[:, None])
         legs = [float(x) for x in np.sqrt(np.mean(np.square(self._legs), axis=0))] if self._legs else [None] * 4
         return Drift(
             self._distance_m, self._duration_s, self._messages, self._jumps, self._sideways_m,
-            *expected, float(np.hypot(*self._end.error_xyt[:2])), abs(float(self._end.error_xyt[2])), *legs,
+            float(expected_m[0]), float(expected_rad[0]),
+            float(np.hypot(*end.error_xyt[:2])), abs(float(end.error_xyt[2])), *legs,
             *(self._slowed if self._slowed.duration_s else (None, None)),
         )  # fmt: skip
 
 
-def _expected(end: _Place, sums_before: Array) -> tuple[float, float]:
-    noisy = end.clean_xyt[:2] + end.error_xyt[:2] - end.origin_xy
-    grown = (end.sums - sums_before)[:SUMS, None]  # random effects are correlated between legs: no sum over legs
-    variances = np.diagonal(pose_covariance(grown, noisy[:, None])[0])
-    return float(np.sqrt(max(variances[0] + variances[1], 0.0))), float(np.sqrt(max(variances[2], 0.0)))
+def _expected(grown: Array, noisy_xy: Array) -> tuple[Array, Array]:
+    """Return expected errors, metres and radians (n,), of increments of the sums (SUMS or more, n) at ends (2, n)."""
+    covariance = pose_covariance(grown[:SUMS], noisy_xy)  # random effects are correlated between legs
+    position, yaw = covariance[:, 0, 0] + covariance[:, 1, 1], covariance[:, 2, 2]
+    return np.sqrt(np.maximum(position, 0.0)), np.sqrt(np.maximum(yaw, 0.0))
 
 
-def _leg(start: _Place, end: _Place) -> tuple[float, float, float, float]:
-    clean = between(start.clean_xyt, end.clean_xyt)
-    noisy = between(start.clean_xyt + start.error_xyt, end.clean_xyt + end.error_xyt)
-    off = noisy - clean
-    return (*_expected(end, start.sums), float(np.hypot(off[0], off[1])), float(end.error_xyt[2] - start.error_xyt[2]))
+def _legs(start: _Place, samples: PathSamples, ends: list[int]) -> Array:
+    """Return expected and drawn errors of legs, metres and radians (n, 4); each begins where the one before it ends."""
+    clean = np.concatenate((start.clean_xyt[None], samples.clean_xyt[ends]))
+    error = np.concatenate((start.error_xyt[None], samples.error_xyt[ends]))
+    sums = np.concatenate((start.sums[:, None], samples.sums[:, ends]), axis=1)
+    noisy = clean + error
+    off = between(noisy[:-1], noisy[1:]) - between(clean[:-1], clean[1:])
+    expected = _expected(np.diff(sums, axis=1), (noisy[1:, :2] - samples.origin_xy).T)
+    return np.stack((*expected, np.hypot(off[:, 0], off[:, 1]), np.diff(error[:, 2])), axis=1)

@@ -297,7 +297,8 @@ class OdometrySource:
         poses = SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
         if self.frames is not None and side_of(item.frame_id, item.child_frame_id, self.frames) == "right":
             poses = inverted(poses)
-        xyt = np.column_stack((poses.position[:, :2], yaw_from_quaternion(poses.quat_xyzw)))
+        x, y, _ = poses.position.T
+        xyt = np.stack((x, y, yaw_from_quaternion(poses.quat_xyzw)), axis=1)
         self.faults.take(poses.position, poses.quat_xyzw)
         stamps_ns = gather_stamps_ns(block, layout, item)
         self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(stamps_ns))

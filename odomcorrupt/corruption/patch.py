@@ -14,7 +14,7 @@ from odomcorrupt.corruption.covariance import BODY_SUMS, has_random_part, pose_c
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.odometry_source import ODOMETRY, plain
 from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, finite_rows, from_left, from_right
-from odomcorrupt.geometry.se2 import rotate, wrap, yaw_from_quaternion
+from odomcorrupt.geometry.se2 import rotated, wrap, yaw_from_quaternion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -114,10 +114,11 @@ class TopicTwist:
         fresh = count - len(dt_s)
         known = np.concatenate(([self._known], np.arange(count) >= fresh))
         added, rate = np.zeros((len(known), 3)), np.zeros((len(known), 3))
-        covariance = np.zeros((len(known), 3, 3))
+        covariance = np.zeros((3, 3, len(known))).transpose(2, 0, 1)
         added[0], covariance[0], rate[0] = self._added, self._covariance, self._rate
         difference, body = _body_difference(clean, correction)
-        added[1 + fresh :], rate[1 + fresh :] = difference / dt_s[:, None], body / dt_s[:, None]
+        for column in range(3):
+            added[1 + fresh :, column], rate[1 + fresh :, column] = difference[:, column] / dt_s, body[:, column] / dt_s
         covariance[1 + fresh :] = twist_covariance(np.diff(every_sum, axis=1), dt_s)
 
         self._stamps_ns, self._clean, self._correction = at_ns[-1:], clean[-1:], correction[-1:]
@@ -137,16 +138,18 @@ def _body_difference(clean_xyt: Array, correction_xyt: Array) -> tuple[Array, Ar
 
     Only changes of the correction enter: where it is held, the difference is zero to the last bit.
     """
-    turn = wrap(np.diff(clean_xyt[:, 2]))
-    middle = clean_xyt[:-1, 2] + turn / 2.0
-    world = np.diff(clean_xyt[:, :2], axis=0)
-    swing = np.diff(correction_xyt[:, 2])
-    shift = rotate(np.diff(correction_xyt[:, :2], axis=0), -correction_xyt[:-1, 2])
-    end = clean_xyt[1:, :2]
-    noisy_less_clean = shift + (rotate(end, swing) - end)
-    clean_body = rotate(world, -middle)
-    body = rotate(clean_body, -swing / 2.0) - clean_body + rotate(noisy_less_clean, -middle - swing / 2.0)
-    return np.column_stack((body, swing)), np.column_stack((clean_body, turn))
+    (x, y, heading), (shift_x, shift_y, angle) = clean_xyt.T, correction_xyt.T
+    turn, swing = wrap(np.diff(heading)), np.diff(angle)
+    middle = heading[:-1] + turn / 2.0
+    shift = rotated(np.diff(shift_x), np.diff(shift_y), -angle[:-1])
+    end = x[1:], y[1:]
+    swung = rotated(*end, swing)
+    noisy_less_clean = shift[0] + (swung[0] - end[0]), shift[1] + (swung[1] - end[1])
+    body = rotated(np.diff(x), np.diff(y), -middle)
+    less = rotated(*body, -swing / 2.0)
+    more = rotated(*noisy_less_clean, -middle - swing / 2.0)
+    difference = np.stack((less[0] - body[0] + more[0], less[1] - body[1] + more[1], swing), axis=1)
+    return difference, np.stack((*body, turn), axis=1)
 
 
 PLANAR = np.array([0, 1, 5])
@@ -202,20 +205,13 @@ class Patcher:
     @np.errstate(over="ignore", invalid="ignore")  # NaN and infinite poses stay as they are
     def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:
         """Apply C(t) to a block's targets in place; first_ns is the first stamp, the origin of clock effects."""
-        at = curve.at(
-            np.concatenate([target.stamps_ns for target in targets]),
-            np.concatenate([target.time_ns for target in targets]),
-        )
-        self.changes.held += int(np.count_nonzero(at.held))
-        start = 0
         odometry: dict[str, list[tuple[Target, Correction]]] = {}
         for target in targets:
-            stop = start + len(target.stamps_ns)
-            part = _rows(at, slice(start, stop))
-            start = stop
+            at = curve.at(target.stamps_ns, target.time_ns)
+            self.changes.held += int(np.count_nonzero(at.held))
             if target.channel.msgtype == ODOMETRY:
                 self.changes.odometry[target.channel.topic] += len(target.stamps_ns)
-                odometry.setdefault(target.channel.topic, []).append((target, part))
+                odometry.setdefault(target.channel.topic, []).append((target, at))
             else:
                 item = target.item
                 edge = f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}"
@@ -223,7 +219,7 @@ class Patcher:
                 if target.channel.topic.endswith("tf_static"):
                     self.changes.static.add(edge)
                 if self._moves:
-                    _move(block, target, part.xyt, _poses(block, target))
+                    _move(block, target, at.xyt, _poses(block, target))
             if self._clocks:
                 self._shift_stamps(block, target, first_ns)
         if self._moves:
@@ -234,10 +230,12 @@ class Patcher:
         clean = []
         for target, at in parts:
             poses = _poses(block, target)
-            clean.append(np.column_stack((poses.position[:, :2], yaw_from_quaternion(poses.quat_xyzw))))
+            x, y, _ = poses.position.T
+            clean.append(np.stack((x, y, yaw_from_quaternion(poses.quat_xyzw)), axis=1))
             noisy = _move(block, target, at.xyt, poses)
             if self._covariance:
-                covariance = pose_covariance(at.sums, noisy.position[:, :2].T - at.origin_xy)
+                x, y, _ = noisy.position.T
+                covariance = pose_covariance(at.sums, np.stack((x - at.origin_xy[0], y - at.origin_xy[1])))
                 _set_planar(block, target, "pose_covariance", covariance, slice(None))
         if not self._twist:
             return
@@ -273,7 +271,8 @@ class Patcher:
                 twist[rows, place] += added[rows, column]
             scatter(block, target.layout, target.item, "twist", twist)
         if self._covariance:
-            _set_planar(block, target, "twist_covariance", change.covariance, change.known)
+            known = slice(None) if change.known.all() else change.known
+            _set_planar(block, target, "twist_covariance", change.covariance, known)
 
     def _shift_stamps(self, block: Block, target: Target, first_ns: int) -> None:
         t_s = (target.stamps_ns - first_ns) * np.float64(1e-9)
@@ -337,5 +336,5 @@ def _has_already(twist: Array, added: Array) -> NDArray[np.bool_]:
 
 def _set_planar(block: Block, target: Target, name: str, covariance: Array, which: slice | NDArray[np.bool_]) -> None:
     """Replace the entries of x, y and yaw in a 6 x 6 covariance."""
-    planar = covariance.reshape(-1, 9)[which]
+    planar = [covariance[:, row, column] for row in range(3) for column in range(3)]
     scatter_columns(block, target.layout, target.item, name, PLANAR_BLOCK, planar, which)

@@ -15,7 +15,7 @@ import numpy as np
 from odomcorrupt.corruption.covariance import RANDOM_SUMS, SUMS, NoiseSteps, RandomEffectCovariance, sum_terms
 from odomcorrupt.corruption.inverse import Drive, EffectInverse, Slowed, SystematicEffects
 from odomcorrupt.geometry.increments import Increments
-from odomcorrupt.geometry.se2 import rotate, wrap
+from odomcorrupt.geometry.se2 import rotated, wrap
 from odomcorrupt.model.noise_laws import Variances, variances
 from odomcorrupt.rng import stream
 
@@ -271,15 +271,14 @@ class NoisyPath:
         before_ns, before_xyt = self._last
         poses: Array = np.concatenate((before_xyt[None], clean_xyt))
         dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
-        world = np.diff(poses[:, :2], axis=0)
-        length = np.hypot(world[:, 0], world[:, 1])
+        world_x, world_y = np.diff(poses[:, 0]), np.diff(poses[:, 1])
+        length = np.hypot(world_x, world_y)
         jump = length > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
 
         # a jump is no motion: no turn, no travel, and the correction of the odom frame is held
         turn = np.where(jump, 0.0, wrap(np.diff(poses[:, 2])))
         middle = poses[:-1, 2] + turn / 2.0
-        body = rotate(np.where(jump[:, None], 0.0, world), -middle)
-        steps = Increments(np.ascontiguousarray(body[:, 0]), np.ascontiguousarray(body[:, 1]), turn)
+        steps = Increments(*rotated(np.where(jump, 0.0, world_x), np.where(jump, 0.0, world_y), -middle), turn)
         t_s = (stamps_ns - self._first_ns) * np.float64(1e-9)
         driven_s = np.where(jump, 0.0, dt_s)
         added = self._effects.error(Drive(steps, driven_s, t_s, poses[:-1]))
@@ -293,24 +292,25 @@ class NoisyPath:
         heading = np.cumsum(np.concatenate((self._error[2:], rot1 + added[:, 2] + rot2)))
         # the translation happens after rot1, at the middle of what the effects turn
         swing = heading[:-1] + (rot1 / 2.0 if self._law.arc else rot1) + added[:, 2] / 2.0
-        bearing, shift = None, draws[:, 1:3]
+        bearing, shift = None, (draws[:, 1], draws[:, 2])
         if self._law.along_travel:
             bearing = np.arctan2(driven.dl_m, driven.ds_m)
-            shift = rotate(shift, bearing)
-        along, across = added[:, 0] + shift[:, 0], added[:, 1] + shift[:, 1]
+            shift = rotated(*shift, bearing)
+        along, across = added[:, 0] + shift[0], added[:, 1] + shift[1]
         less, s = _cos_less_one(swing), np.sin(swing)
         travel = middle + swing
         ct, st = np.cos(travel), np.sin(travel)
-        x = self._error[0:1], less * world[:, 0] - s * world[:, 1] + (ct * along - st * across)
-        y = self._error[1:2], s * world[:, 0] + less * world[:, 1] + (st * along + ct * across)
+        x = self._error[0:1], less * world_x - s * world_y + (ct * along - st * across)
+        y = self._error[1:2], s * world_x + less * world_y + (st * along + ct * across)
         error = np.stack((np.cumsum(np.concatenate(x)), np.cumsum(np.concatenate(y)), heading), axis=1)
 
         sums = np.broadcast_to(self._sums, (len(self._sums), n + 1))
         if self._covariance:
-            noisy = (poses[:, :2] + error[:, :2] - self._origin).T
+            noisy = poses.T[:2] + error.T[:2] - self._origin[:, None]
             moved = (steps.ds_m + along, steps.dl_m + across)
             stepped = NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, *moved, arc=self._law.arc)
-            sums = np.cumsum(np.concatenate((self._sums, self._sum_terms(stepped, driven_s)), axis=1), axis=1)
+            sums = np.concatenate((self._sums, self._sum_terms(stepped, driven_s)), axis=1)
+            np.cumsum(sums, axis=1, out=sums)
         travelled = np.cumsum(np.concatenate(([self._travelled_m], np.where(jump, 0.0, length))))
 
         self._last = (int(stamps_ns[-1]), clean_xyt[-1].copy())

@@ -37,12 +37,14 @@ class PoseFaults:
     def take(self, position: Array, quat_xyzw: Array) -> None:
         """Count the unusable poses of position (n, 3), metres, and quat_xyzw (n, 4)."""
         with np.errstate(all="ignore"):
-            length2 = (quat_xyzw * quat_xyzw).sum(axis=1)
             x, y, z, w = quat_xyzw.T
+            length2 = x * x + y * y + z * z + w * w
             sine = np.abs(2.0 * (w * y - z * x))
             self.no_orientation += _count(length2 == 0.0)
             self.upright += _count((length2 > 0.0) & (sine > _STEEP * length2))
-            self.far += _count((np.abs(position[:, :2]) >= FAR_M).any(axis=1) & np.isfinite(position).all(axis=1))
+            far = (np.abs(position[:, 0]) >= FAR_M) | (np.abs(position[:, 1]) >= FAR_M)
+            if far.any():
+                self.far += _count(far & np.isfinite(position).all(axis=1))
 
     def sentences(self) -> list[str]:
         """Return one warning for each kind of fault found, without a full stop."""

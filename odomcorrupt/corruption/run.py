@@ -248,7 +248,7 @@ def corrupt_bag(
     threads = default_threads(source) if container.threads is None else container.threads
     with (
         Workers(threads) as workers,
-        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as raw,
+        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover) as raw,
     ):
         output = container.target(target, raw)
         reader = output.reader

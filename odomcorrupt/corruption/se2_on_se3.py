@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.se2 import rotate, rotated
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,7 +30,8 @@ def finite_rows(values: Array) -> NDArray[np.bool_]:
 def from_left(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
     """Return C * pose, (n,): poses whose parent frame has moved by C (n, 3), metres and radians."""
     position = poses.position.copy()
-    position[:, :2] = rotate(position[:, :2], correction_xyt[:, 2]) + correction_xyt[:, :2]
+    x, y = rotated(position[:, 0], position[:, 1], correction_xyt[:, 2])
+    position[:, 0], position[:, 1] = x + correction_xyt[:, 0], y + correction_xyt[:, 1]
     half = correction_xyt[:, 2] / 2.0
     c, s = np.cos(half), np.sin(half)
     x, y, z, w = poses.quat_xyzw.T

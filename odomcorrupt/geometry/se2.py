@@ -24,11 +24,18 @@ def wrap(angle_rad: Array) -> Array:
 
 def rotate(xy_m: Array, angle_rad: Array) -> Array:
     """Return vectors (..., 2) rotated by an angle (...), radians."""
+    return np.stack(rotated(xy_m[..., 0], xy_m[..., 1], angle_rad), axis=-1)
+
+
+def rotated(x_m: Array, y_m: Array, angle_rad: Array) -> tuple[Array, Array]:
+    """Return the coordinates (...) of vectors x, y (...) rotated by an angle (...), radians.
+
+    For many vectors: NumPy computes with columns several times as fast as with the rows of an array (n, 2).
+    """
     # a contiguous copy: sines of strided angles may differ in the last bit
     angle = np.array(angle_rad)
     c, s = np.cos(angle), np.sin(angle)
-    x, y = xy_m[..., 0], xy_m[..., 1]
-    return np.stack((c * x - s * y, s * x + c * y), axis=-1)
+    return c * x_m - s * y_m, s * x_m + c * y_m
 
 
 def compose(a_xyt: Array, b_xyt: Array) -> Array:

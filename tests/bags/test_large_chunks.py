@@ -92,7 +92,7 @@ def test_the_messages_are_the_same_in_several_chunks_for_any_threads_and_through
     threaded = tmp_path / f"threaded.{kind}"
     with (
         Workers(3) as workers,
-        open_reader(source, threads=3) as reader,
+        open_reader(source) as reader,
         open_writer(threaded, reader, workers=workers) as writer,
     ):
         for block in reader.blocks():

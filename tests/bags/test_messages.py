@@ -197,11 +197,11 @@ def test_columns_are_scattered_into_the_messages_that_are_named_and_into_nothing
     (item,) = layout.items
     expected = gather(block, layout, item, "pose_covariance")
     which = np.arange(9) % 2 == 1
-    values = rng.normal(size=(4, 5))
-    expected[np.ix_(which, [0, 1, 5, 6, 35])] = values
+    values = rng.normal(size=(5, 9))
+    expected[np.ix_(which, [0, 1, 5, 6, 35])] = values.T[which]
     scatter_columns(block, layout, item, "pose_covariance", [0, 1, 5, 6, 35], values, which)
     np.testing.assert_array_equal(gather(block, layout, item, "pose_covariance"), expected)
-    scatter_columns(block, layout, item, "twist", [5], np.full((9, 1), 3.0))
+    scatter_columns(block, layout, item, "twist", [5], [np.full(9, 3.0)])
     assert (gather(block, layout, item, "twist")[:, 5] == 3.0).all()
     whole = block_of([serialise(wire, m, name) for m in messages])
     scatter(whole, layout, item, "pose_covariance", expected)

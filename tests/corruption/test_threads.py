@@ -172,7 +172,7 @@ def test_the_file_itself_appears_only_when_all_is_written(threads, tmp_path):
     source, target = FIXTURES / "office.mcap", tmp_path / "out.mcap"
     from odomcorrupt.bags.pipeline import Workers
 
-    with Workers(threads) as workers, open_reader(source, threads=threads) as reader:
+    with Workers(threads) as workers, open_reader(source) as reader:
         with open_writer(target, reader, workers=workers) as writer:
             for block in reader.blocks():
                 writer.write(block)

@@ -44,7 +44,7 @@ from odomcorrupt.bags.record_reader import RecordReader
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from odomcorrupt.bags.block import Channel, Kind
@@ -72,8 +72,8 @@ class McapReader(RecordReader):
     kind: Kind = "mcap"
     _stated_by = "statistics record states"
 
-    def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
-        super().__init__(path, source, recover=recover, threads=threads)
+    def __init__(self, path: Path | None, source: Source, *, recover: bool = False) -> None:
+        super().__init__(path, source, recover=recover)
         self._registry = SchemaRegistry(self.name)
         self.channels: Mapping[int, Channel] = self._registry.channels
         self.schemas: Mapping[int, SchemaRecord] = self._registry.schemas
@@ -109,7 +109,7 @@ class McapReader(RecordReader):
         """Return the file's definition of a channel's type."""
         return self._registry.definition(channel)
 
-    def _parts(self, source: Source) -> Generator[Chunk | Loose | Block, None, None]:
+    def _parts(self, source: Source) -> Iterator[Chunk | Loose | Block]:
         """Yield chunks, collected messages outside chunks, and single records."""
         source.crc = 0
         source.summing = self.summary.has_data_crc and not self._recover

@@ -37,7 +37,7 @@ from odomcorrupt.bags.ros1.resync import (
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from odomcorrupt.bags.block import Kind
@@ -62,8 +62,8 @@ class Ros1Reader(RecordReader):
     kind: Kind = "ros1"
     _stated_by = "index states"
 
-    def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
-        super().__init__(path, source, recover=recover, threads=threads)
+    def __init__(self, path: Path | None, source: Source, *, recover: bool = False) -> None:
+        super().__init__(path, source, recover=recover)
         self._channels: dict[int, Channel] = {}
         self.channels: Mapping[int, Channel] = self._channels
         if source.read(len(MAGIC), "magic") != MAGIC:
@@ -115,7 +115,7 @@ class Ros1Reader(RecordReader):
         kept.pop("message_definition", None)
         return Definition(connection.type, "ros1msg", connection.fields.get("message_definition", b""), kept)
 
-    def _parts(self, source: Source) -> Generator[Chunk | _Connected, None, None]:
+    def _parts(self, source: Source) -> Iterator[Chunk | _Connected]:
         """Yield chunks, and connections between them."""
         chunk: Chunk | None = None
         for head in self._heads(source):

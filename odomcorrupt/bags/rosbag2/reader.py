@@ -138,7 +138,7 @@ class Rosbag2Reader:
 
     complete = True
 
-    def __init__(self, path: Path, *, recover: bool = False, threads: int = 1) -> None:
+    def __init__(self, path: Path, *, recover: bool = False) -> None:
         self.name = str(path)
         found = find_files(path) if path.is_dir() else BagFiles([path], None, _mode_of(path))
         self.directory = path if path.is_dir() else None
@@ -154,7 +154,7 @@ class Rosbag2Reader:
                 opened.callback(self._unpacked.close)
                 files = self._unpacked.files
             for file in files:
-                part: Part = open_part(file, recover=recover, threads=threads)
+                part: Part = open_part(file, recover=recover)
                 opened.push(part)
                 if self.mode == "none" and isinstance(part, SqliteReader) and part.packed:
                     self.mode = "message"
@@ -240,13 +240,13 @@ def _mode_of(path: Path) -> Mode:
         return "file" if source.sniff(len(magic.ZSTD)) == magic.ZSTD else "none"
 
 
-def open_part(path: Path, *, recover: bool = False, threads: int = 1) -> SqliteReader | McapReader:
+def open_part(path: Path, *, recover: bool = False) -> SqliteReader | McapReader:
     """Return a reader for a file of a bag, by its content."""
     source = Source.of_file(path)
     try:
         begin = source.sniff(16)
         if begin.startswith(magic.MCAP):
-            return McapReader(path, source, recover=recover, threads=threads)
+            return McapReader(path, source, recover=recover)
     except BaseException:
         source.close()
         raise
