@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.definition import Definition
 
 Kind = Literal["ros1", "mcap", "sqlite3"]
 """What a bag is stored as."""
@@ -31,6 +30,21 @@ TABLE = np.dtype([("channel", "<u4"), ("log_ns", "<i8"), ("offset", "<i8"), ("le
 
 _SMALL = (1 << 16) - 1
 """Ids up to here are counted fastest by np.bincount; those of an MCAP are never larger."""
+
+
+class Definition(NamedTuple):
+    """Message definition and metadata of a topic, in the terms of MCAP, into which all formats are converted.
+
+    name : type name in the format's notation ("nav_msgs/Odometry" in ROS 1)
+    encoding : encoding of the text: "ros1msg", "ros2msg", ..., "" for none
+    text : the message definition
+    metadata : QoS, type hash, latching, callerid
+    """
+
+    name: str
+    encoding: str
+    text: bytes
+    metadata: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)

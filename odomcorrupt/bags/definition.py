@@ -1,31 +1,17 @@
-"""Message definition of a topic in the terms of MCAP, into which all formats are converted."""
+"""Definitions of message types that a bag lacks, and md5sums of types."""
 
 from __future__ import annotations
 
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
+from odomcorrupt.bags.block import Definition
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from odomcorrupt.bags.block import BagReader
-
-
-class Definition(NamedTuple):
-    """Message definition and metadata of a topic.
-
-    name : type name in the format's notation ("nav_msgs/Odometry" in ROS 1)
-    encoding : encoding of the text: "ros1msg", "ros2msg", ..., "" for none
-    text : the message definition
-    metadata : QoS, type hash, latching, callerid
-    """
-
-    name: str
-    encoding: str
-    text: bytes
-    metadata: Mapping[str, str]
 
 
 class RosType(NamedTuple):

@@ -7,7 +7,7 @@ import time
 import pytest
 from oracles import FIXTURES, OFFICE_MCAP, copy
 
-from odomcorrupt.bags.definition import Definition
+from odomcorrupt.bags.block import Definition
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.rosbag2 import bounded_yaml, metadata
 from odomcorrupt.bags.rosbag2.bounded_yaml import load_faithful, load_plain

@@ -3,7 +3,8 @@
 import pytest
 from oracles import OFFICE_BAG, OFFICE_MCAP
 
-from odomcorrupt.bags.definition import Definition, md5sum_of, retyped, ros_type, with_common_text
+from odomcorrupt.bags.block import Definition
+from odomcorrupt.bags.definition import md5sum_of, retyped, ros_type, with_common_text
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import BagError
 

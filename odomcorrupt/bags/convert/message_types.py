@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from rosbags.typesys.store import Typestore
 
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import Definition
 
 Generation = Literal[1, 2]
 """Of ROS."""

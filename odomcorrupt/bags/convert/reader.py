@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from odomcorrupt.bags.block import Channel
+from odomcorrupt.bags.block import Channel, Definition
 from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
-from odomcorrupt.bags.definition import Definition
 from odomcorrupt.errors import BagError, TopicError
 
 if TYPE_CHECKING:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from odomcorrupt.bags.block import BagReader
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import BagReader, Definition
 
 
 class Rule(NamedTuple):

@@ -16,8 +16,7 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import BagReader, Definition
 
 _LAST_ID = 0xFFFF
 _LAST_FOREIGN_ID = 0xFFFFFFFF

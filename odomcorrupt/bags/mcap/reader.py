@@ -47,8 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import Channel, Kind
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import Channel, Definition, Kind
     from odomcorrupt.bags.mcap.records import SchemaRecord
     from odomcorrupt.bags.source import Source
 

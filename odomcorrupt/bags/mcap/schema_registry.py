@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel, without
+from odomcorrupt.bags.block import Block, Channel, Definition, without
 from odomcorrupt.bags.chunk import Chunk
-from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.mcap.chunk import Loose, McapFraming
 from odomcorrupt.bags.mcap.chunk_messages import read_contents
 from odomcorrupt.bags.mcap.records import CHANNEL, SCHEMA, ChannelRecord, SchemaRecord

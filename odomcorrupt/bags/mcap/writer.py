@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel, Kind
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import BagReader, Block, Channel, Definition, Kind
     from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
 

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel, without
+from odomcorrupt.bags.block import Block, Channel, Definition, without
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
-from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.record_reader import RecordReader
 from odomcorrupt.bags.ros1.chunk import Head, Ros1Framing, chunk_head, read_head
 from odomcorrupt.bags.ros1.chunk_messages import read_contents, record_bytes

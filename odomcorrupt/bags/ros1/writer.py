@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel, Message, require_all
+from odomcorrupt.bags.block import Block, Channel, Definition, Message, require_all
 from odomcorrupt.bags.codecs import compress_for_ros1
-from odomcorrupt.bags.definition import Definition, md5sum_of, retyped
+from odomcorrupt.bags.definition import md5sum_of, retyped
 from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
 from odomcorrupt.bags.ros1.chunk import Ros1Framing

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from odomcorrupt.bags import magic
-from odomcorrupt.bags.definition import Definition
+from odomcorrupt.bags.block import Definition
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import PartContents
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import Definition, PartContents
 
 _ROOT = "rosbag2_bagfile_information"
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping
     from types import TracebackType
 
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import Definition
 
 Part = SqliteReader | McapReader | UnpackedMessages
 

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import BagReader, Block
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import BagReader, Block, Definition
 
 _SCHEMA_VERSION = 4
 """That of ROS 2 Iron and later."""

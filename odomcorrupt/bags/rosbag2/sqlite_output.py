@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     import sqlite3
     from types import TracebackType
 
-    from odomcorrupt.bags.block import BagReader, Channel
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import BagReader, Channel, Definition
 
 
 class SqliteOutput:

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import Block
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import Block, Definition
 
 _HELD_BYTES = 16 << 20
 """Blocks whose changes wait for the copy, bytes."""

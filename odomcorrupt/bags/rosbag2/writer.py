@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import TracebackType
 
-    from odomcorrupt.bags.block import BagReader, Kind
-    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.block import BagReader, Definition, Kind
     from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.bags.rosbag2.compression import Mode
 
