@@ -20,6 +20,7 @@ sys.path[:0] = [str(HERE.parent / "tests" / "study"), str(HERE.parent / "tests")
 from laboratory.run import read_results, run  # noqa: E402 - after the path
 from laser.ask import ask  # noqa: E402
 from laser.cases import LENGTHS, laser_cases  # noqa: E402
+from laser.gyro_tables import gyro_tables  # noqa: E402
 from laser.tables import tables  # noqa: E402
 
 
@@ -36,7 +37,10 @@ def main() -> None:
     commands.add_parser("summary").add_argument("results", type=Path)
     chosen = parser.parse_args()
     if chosen.command == "summary":
-        print(tables(read_results(chosen.results)))
+        rows = read_results(chosen.results)
+        gyro = [row for row in rows if row["case"]["arm"] == "gyro"]
+        others = [row for row in rows if row["case"]["arm"] != "gyro"]
+        print("\n\n".join(table(some) for table, some in ((tables, others), (gyro_tables, gyro)) if some))
         return
     wanted = [c for c in laser_cases(pilot=chosen.pilot) if c.arm in (chosen.arm or LENGTHS)]
     run(wanted, chosen.results, ask, jobs=chosen.jobs, minutes=chosen.minutes)

@@ -13,6 +13,7 @@ from laboratory.information import expected_information
 
 from laser.cases import world_of
 from laser.drives import EXACT, drive, laser_recordings, mocap_recording
+from laser.gyro import ask_gyro
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
 from odomcorrupt.simulation import simulate
@@ -38,6 +39,8 @@ JUDGE_SEED, JUDGED_S = 400_000, 240.0
 
 def ask(case: Case) -> dict[str, Any]:
     """Return the results of a case."""
+    if case.arm == "gyro":
+        return ask_gyro(case)
     options: dict[str, Any] = {
         "size": SIZES.get(case.size, 1.0),
         "route": case.route,

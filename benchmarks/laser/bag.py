@@ -1,4 +1,4 @@
-"""A simulated drive with a ray-cast laser as a bag: Odometry, TF and LaserScan, without truth."""
+"""A simulated drive as a bag without truth: Odometry, and TF and LaserScan of a ray-cast laser or Imu of a gyro."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from laser.drives import Seen
+    from odomcorrupt.simulation.run import SimulatedRun
 
-__all__ = ["write_bag"]
+__all__ = ["write_bag", "write_gyro_bag"]
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 BEAMS = 450
@@ -24,7 +25,16 @@ MOST_M = 8.0
 
 def write_bag(path: Path, seen: Seen, *, sweep_s: float = 0.2) -> None:
     """Write the bag that the robot would have recorded."""
-    messages = [*_odometry(seen), *_scans(seen, sweep_s)]
+    _write(path, [*_odometry(seen.run), *_scans(seen, sweep_s)])
+
+
+def write_gyro_bag(path: Path, run: SimulatedRun, stamps_ns: NDArray[np.int64], rates: NDArray[np.float64]) -> None:
+    """Write the bag of a robot with wheels and a gyro alone: /odom, and rates (n, 3) in rad/s as /imu/data."""
+    odometry = [message for message in _odometry(run) if message[1] == "/odom"]
+    _write(path, [*odometry, *_imu(stamps_ns, rates)])
+
+
+def _write(path: Path, messages: list[tuple[int, str, str, Any]]) -> None:
     messages.sort(key=lambda message: message[0])
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -48,27 +58,39 @@ def _header(stamp_ns: int, frame: str) -> Any:
     return _new("std_msgs/Header", _new("builtin_interfaces/Time", *divmod(stamp_ns, 10**9)), frame)
 
 
-def _odometry(seen: Seen) -> list[tuple[int, str, str, Any]]:
+def _vector(*xyz: float) -> Any:
+    return _new("geometry_msgs/Vector3", *map(float, xyz))
+
+
+def _odometry(run: SimulatedRun) -> list[tuple[int, str, str, Any]]:
     nothing = np.zeros(36)
-
-    def vector(*xyz: float) -> Any:
-        return _new("geometry_msgs/Vector3", *map(float, xyz))
-
     out = []
-    run = seen.run
     for stamp, (x, y, yaw), (v, w, turn) in zip(run.odom_stamps_ns.tolist(), run.odom_xyt, run.odom_twist, strict=True):
         rotation = _new("geometry_msgs/Quaternion", 0.0, 0.0, float(np.sin(yaw / 2.0)), float(np.cos(yaw / 2.0)))
         point = _new("geometry_msgs/Point", float(x), float(y), 0.0)
         pose = _new("geometry_msgs/PoseWithCovariance", _new("geometry_msgs/Pose", point, rotation), nothing)
-        speeds = _new("geometry_msgs/Twist", vector(v, w, 0.0), vector(0.0, 0.0, turn))
+        speeds = _new("geometry_msgs/Twist", _vector(v, w, 0.0), _vector(0.0, 0.0, turn))
         twist = _new("geometry_msgs/TwistWithCovariance", speeds, nothing)
         header = _header(stamp, "odom")
         out.append(
             (stamp, "/odom", "nav_msgs/msg/Odometry", _new("nav_msgs/Odometry", header, "base_link", pose, twist))
         )
-        moved = _new("geometry_msgs/Transform", vector(x, y, 0.0), rotation)
+        moved = _new("geometry_msgs/Transform", _vector(x, y, 0.0), rotation)
         edge = _new("geometry_msgs/TransformStamped", header, "base_link", moved)
         out.append((stamp, "/tf", "tf2_msgs/msg/TFMessage", _new("tf2_msgs/TFMessage", [edge])))
+    return out
+
+
+def _imu(stamps_ns: NDArray[np.int64], rates: NDArray[np.float64]) -> list[tuple[int, str, str, Any]]:
+    nothing = np.zeros(9)
+    level = _new("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
+    out = []
+    for stamp, rate in zip(stamps_ns.tolist(), rates, strict=True):
+        message = _new(
+            "sensor_msgs/Imu", _header(stamp, "imu"), level, nothing, _vector(*rate), nothing, _vector(0.0, 0.0, 9.81),
+            nothing,
+        )  # fmt: skip
+        out.append((stamp, "/imu/data", "sensor_msgs/msg/Imu", message))
     return out
 
 
