@@ -29,7 +29,7 @@ def gyro_tables(rows: list[dict[str, Any]]) -> str:
         "",
         "| measured | result | goal |",
         "|---|---|---|",
-        _row("controls with anything named", [bool(_names(r)) for r in controls], "at most 2 %"),
+        _row("controls with anything named", [bool(_names(r) or r["unknown"]) for r in controls], "at most 2 %"),
     ]
     for least in (0.5, 0.9):
         some = [(one["effect"], r) for one, r in told if one["confidence"] >= least]
@@ -47,7 +47,8 @@ def gyro_tables(rows: list[dict[str, Any]]) -> str:
     for row in rows:
         wrong = [name for name in _names(row) if not right(name, row)]
         missed = row in excited and not _is_named(row)
-        if wrong or missed or (row in travel and not set(row["case"]["causes"]) <= set(row["untestable"])):
+        false = not row["case"]["causes"] and row["unknown"]
+        if wrong or missed or false or (row in travel and not set(row["case"]["causes"]) <= set(row["untestable"])):
             lines.append(_miss(row))
     return "\n".join(lines)
 
@@ -78,7 +79,7 @@ def _miss(row: dict[str, Any]) -> str:
         if one["kind"] != "setup"
     ]
     return f"- {row['key']} ({case['route']}, gain of the gyro {row['gyro']['gain']:+.4f}): {wanted}: " + (
-        "; ".join(found) or "nothing"
+        "; ".join([*found, *(f"depends on {', '.join(map(str, one))}" for one in row["unknown"])]) or "nothing"
     )
 
 

@@ -30,8 +30,9 @@ LOCAL_BIAS = 1e-3
 CELL_M = 2.0
 MAP_STRAIN = 1e-3
 """Standard deviation of the stretch and of the shear of a whole map, in its axes: that of its cells."""
-GYRO_WANDER_RADPS, _WANDER_S = 1.5e-4, 30.0
-"""Standard deviation of a gyro's bias about its mean, 0.009 deg/s as usual for MEMS, and duration of each bias, s."""
+GYRO_WALK, _WALK_STEP_S = 1e-4, 30.0
+"""Random walk of a gyro's bias, rad/s after one second (0.006 deg/s; MEMS gyros have 0.001 to 0.03, IEEE Std 952), and
+duration of each bias, s."""
 SHARED = 6
 """Number of leading columns that belong to the instrument; a noise fit treats them as free."""
 _MOST_CELLS = 150
@@ -62,7 +63,8 @@ def bias_roots(problem: Problem) -> Array:
     if kind is not None:
         lag_s = np.maximum(LAG_BIAS_S * matched, GYRO_LAG_S * by_gyro)
         columns += [lag_s[:, None] * part for part in np.moveaxis(problem.columns(kind()), 2, 0)]
-    columns += [_of_turn(-GYRO_WANDER_RADPS * by_gyro * part) for part in _stretches(problem, duration)]
+    step_radps = GYRO_WALK * np.sqrt(_WALK_STEP_S)
+    columns += [_of_turn(-step_radps * later) for later in _after_steps(problem, duration)]
     for r, run in enumerate(runs):
         if run.matched:
             own = along * (problem.run == r)[:, None]
@@ -109,13 +111,12 @@ def _strains(problem: Problem, along: Array) -> tuple[Array, Array]:
     return np.column_stack((c * x - s * y, -s * x - c * y)), np.column_stack((s * x + c * y, c * x - s * y))
 
 
-def _stretches(problem: Problem, duration: Array) -> list[Array]:
-    """Return the duration (K,) of the intervals, s, for each stretch of the runs whose truth is a gyro; 0 elsewhere."""
-    if all(r.positioned for r in problem.recordings):
-        return []
-    blind = np.array([not r.positioned for r in problem.recordings])[problem.run]
-    stretch = np.floor(problem.intervals.start_s / _WANDER_S).astype(np.int64) + 100_000 * problem.run.astype(np.int64)
-    return [duration * (stretch == one) for one in np.unique(stretch[blind])[:_MOST_CELLS]]
+def _after_steps(problem: Problem, duration: Array) -> list[Array]:
+    """Return the duration (K,) of the intervals, s, after each step of the bias of each run whose truth is a gyro."""
+    steps = np.floor(problem.intervals.start_s / _WALK_STEP_S).astype(np.int64)
+    own = [(problem.run == i, steps[problem.run == i]) for i, r in enumerate(problem.recordings) if not r.positioned]
+    after = [duration * (run & (steps >= one)) for run, mine in own for one in np.unique(mine)[1:]]
+    return after[:_MOST_CELLS]
 
 
 def _of_turn(yaw: Array) -> Array:
