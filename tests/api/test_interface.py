@@ -130,7 +130,7 @@ def test_the_examples_of_docstrings_run(module, tmp_path, monkeypatch):
 def test_the_examples_of_the_study_run(tmp_path, monkeypatch):
     (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
     monkeypatch.chdir(tmp_path)
-    for module in ("comparison", "diagnosis", "fit", "learning", "recordings"):
+    for module in ("comparison", "findings", "fit", "recordings"):
         assert doctest.testmod(importlib.import_module(f"odomcorrupt.api.{module}")).failed == 0
 
 

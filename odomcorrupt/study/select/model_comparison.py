@@ -161,8 +161,7 @@ def margins(compared: Sequence[ModelComparison]) -> dict[str, float]:
 
 def rivals(compared: Sequence[ModelComparison], decisions: Decisions) -> list[Dependence]:
     """Return for effects, alone and together, the dependence that may explain them, if there is one."""
-    nearly = -(decisions.prior.dependence_nats + decisions.alternative_nats)
-    found = [(own.names, own.better(decisions, nearly)[:1]) for own in compared]
+    found = [(own.names, own.better(decisions, -decisions.rival_nats)[:1]) for own in compared]
     return [replace(one, instead_of=names) for names, nearest in found for one in nearest]
 
 
