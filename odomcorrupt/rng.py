@@ -31,7 +31,7 @@ def stream(seed: int, run: int, name: str, ordinal: int = 0) -> np.random.Genera
     if not (isinstance(seed, SupportsIndex) and 0 <= seed < SEED_LIMIT):
         raise ModelError(f"seed: {seed}; it must be a whole number from 0 to 2^63 - 1")
     if not (isinstance(run, SupportsIndex) and run >= 0):
-        raise ModelError(f"run: {run}; runs are whole numbers from 0")
+        raise ModelError(f"run: {run}; runs are counted from 0")
     key = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
     sequence = np.random.SeedSequence(seed, spawn_key=(run, key & 0xFFFFFFFF, key >> 32, ordinal))
     return np.random.Generator(np.random.PCG64(sequence))
