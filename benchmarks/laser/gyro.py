@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ask_gyro"]
 
-GAIN = 0.01  # one standard deviation, as the program is told
+GAIN = 0.01  # one standard deviation, as the program assumes
 BIAS_RADPS, WALK_RADPS_PER_SQRT_S, NOISE_RADPS = 0.01, 1e-4, 0.003
 MOST_LAG_S = 0.02
 RATE_HZ = 100.0

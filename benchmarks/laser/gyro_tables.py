@@ -22,7 +22,7 @@ def gyro_tables(rows: list[dict[str, Any]]) -> str:
     travel = [r for r in rows if set(r["case"]["causes"]) & set(TRAVEL)]
     turning = [r for r in rows if r["case"]["causes"] and r not in travel]
     excited = [r for r in turning if r["deviations"] > EXCITED]
-    told = [(one, r) for r in rows for one in r["found"] if one["kind"] == "effect"]
+    named = [(one, r) for r in rows for one in r["found"] if one["kind"] == "effect"]
     lines = [
         f"{len(rows)} drives with wheels and a gyro alone",
         f"broke: {', '.join(broken) or 'none'}; refused: {', '.join(refused) or 'none'}",
@@ -32,7 +32,7 @@ def gyro_tables(rows: list[dict[str, Any]]) -> str:
         _row("controls with anything named", [bool(_names(r) or r["unknown"]) for r in controls], "at most 2 %"),
     ]
     for least in (0.5, 0.9):
-        some = [(one["effect"], r) for one, r in told if one["confidence"] >= least]
+        some = [(one["effect"], r) for one, r in named if one["confidence"] >= least]
         lines.append(_row(f"names of confidence {least} or more that are right", [right(*s) for s in some], "95 %"))
         gains = [right(*s) or _is_gain(*s) for s in some]
         lines.append(_row("the same, a gain of turns of larger wheels counted as right", gains, ""))
