@@ -118,7 +118,6 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], console: Co
     from odomcorrupt.mapping.scan_map import maps_json
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.study.io.laser_truth import laser_run
-    from odomcorrupt.study.io.topic_selection import parse_address
 
     if given["truth"] is not None or given["laser_pose"] is not None:
         raise click.UsageError("--method laser finds where the laser sits and takes no --truth; leave them out")
@@ -130,9 +129,8 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], console: Co
             PAGE.require_writable(path, overwrite=given["overwrite"])
     chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
     with Stages(quiet=console.quiet) as stages:
-        run, parts = largest_part(laser_run(bag, str(bag), odom, given["scan"], stages))
+        run, parts = largest_part(laser_run(bag, str(bag), given["odom_topic"], given["scan"], stages))
     odometry = run.odometry
     noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
     drawn = laser_maps(run, noise.error_xyt, given["resolution"])

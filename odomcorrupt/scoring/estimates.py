@@ -104,7 +104,7 @@ def read_estimate(path: Path, address: str | None) -> Estimate:
     else:
         if address is None:
             raise ScoreError(f"{place}: is a bag; name the topic or the edge of TF in it with --estimate")
-        samples = read_bag(_bag_in(path), place, {"odometry": parse_address(address)})["odometry"]
+        samples = read_bag(_bag_in(path), place, {"odometry": address})["odometry"]
     if not len(samples):
         raise NoEstimateError(f"{samples.place} holds no message")
     ordered = in_order(samples)

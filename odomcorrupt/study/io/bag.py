@@ -13,7 +13,7 @@ from odomcorrupt.study.io.fixes import Fixes, resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import headings
 from odomcorrupt.study.io.tf import EdgeReader, read_tree
-from odomcorrupt.study.io.topic_selection import EDGES, TRANSFORM, choose, named, plain
+from odomcorrupt.study.io.topic_selection import EDGES, TRANSFORM, choose, named, parse_address, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,20 +28,21 @@ _ENCODINGS = ("cdr", "ros1")
 _MAX_M2 = 1e12
 
 
-def read_bag(path: Path, place: str, wanted: Mapping[Role, Address | None]) -> dict[Role, Samples]:
+def read_bag(path: Path, place: str, wanted: Mapping[Role, str | None]) -> dict[Role, Samples]:
     """Return the requested trajectories of a bag, as recorded.
 
     Parameters
     ----------
     path : any bag
     place : name of the bag in messages
-    wanted : addresses; None selects the only topic that fits the role
+    wanted : topics or TF edges; None selects the only topic that fits the role
 
     Raises
     ------
     TopicError
         If a topic or frame is missing, or if several topics fit; the message lists them.
     """
+    addresses = {role: parse_address(name) if name is not None else None for role, name in wanted.items()}
     with open_reader(path) as reader:
         channels = [c for c in reader.channels.values() if c.encoding in _ENCODINGS]
         if not channels:
@@ -49,8 +50,8 @@ def read_bag(path: Path, place: str, wanted: Mapping[Role, Address | None]) -> d
             said = f"messages in {', '.join(other)} alone" if other else "no topics"
             raise TopicError(f"{place}: holds {said}; ROS messages (cdr or ros1) can be read")
         readers: dict[Role, EdgeReader | _PoseReader] = {}
-        taken = [plain(a.topic) for a in wanted.values() if a is not None and not a.frames]
-        for role, address in wanted.items():
+        taken = [plain(a.topic) for a in addresses.values() if a is not None and not a.frames]
+        for role, address in addresses.items():
             if address is not None:
                 chosen = named(channels, address, place, role)
             else:

@@ -20,7 +20,7 @@ from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.raw_trajectory import Samples, in_order
 from odomcorrupt.study.io.self_consistency import check_itself
-from odomcorrupt.study.io.topic_selection import has_truth, parse_address
+from odomcorrupt.study.io.topic_selection import has_truth
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.deskewing import Motion
     from odomcorrupt.laser.sweep import Sweeps
     from odomcorrupt.laser.trajectory import LaserPath
-    from odomcorrupt.study.io.topic_selection import Address
 
 SCALE_ACCURACY = 0.003
 """Default standard deviation of a laser's scale error: 0.3 %."""
@@ -58,17 +57,14 @@ def only_scan(path: Path) -> str | None:
 def laser_run(
     path: Path,
     place: str,
-    odom: Address | None,
+    odom: str | None,
     scan: str | None,
     progress: Callable[[str, float], None] | None = None,
-    *,
-    odometry: Samples | None = None,
 ) -> LaserRun:
     """Return the trajectory of one run by the laser, from the odometry and scans of a bag.
 
     place : name of the bag in messages
     odom, scan : odometry topic or TF edge, and topic of the scans; default: the only ones
-    odometry : odometry already read, or from another source; default: read from the bag
     progress : called with the stage and the fraction done
 
     Raises
@@ -78,8 +74,7 @@ def laser_run(
     RecordingError
         If the scans do not give a trajectory; the message has the reason.
     """
-    odometry = in_order(odometry or read_bag(path, place, {"odometry": odom})["odometry"])
-    return match_run(odometry, read_sweeps(path, place, scan, odometry.child or "base_link"), progress)
+    return match_run(*beside_sweeps(_odometry(path, place, odom), path, place, scan), progress)
 
 
 def end_seen(path: Path, place: str, odom: str | None, scan: str) -> Array:
@@ -95,10 +90,18 @@ def end_seen(path: Path, place: str, odom: str | None, scan: str) -> Array:
     RecordingError
         If the last scans do not match the first.
     """
-    address = parse_address(odom) if odom is not None else None
-    odometry = in_order(read_bag(path, place, {"odometry": address})["odometry"])
-    sweeps = read_sweeps(path, place, scan, odometry.child or "base_link")
+    odometry, sweeps = beside_sweeps(_odometry(path, place, odom), path, place, scan)
     return end_by_scans(sweeps, without_outliers(odometry).trajectory()).pose
+
+
+def _odometry(path: Path, place: str, odom: str | None) -> Samples:
+    return read_bag(path, place, {"odometry": odom})["odometry"]
+
+
+def beside_sweeps(odometry: Samples, path: Path, place: str, scan: str | None) -> tuple[Samples, Sweeps]:
+    """Return an odometry in the order of its stamps, and the sweeps of a bag, mounted on the odometry's child frame."""
+    odometry = in_order(odometry)
+    return odometry, read_sweeps(path, place, scan, odometry.child or "base_link")
 
 
 def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float], None] | None = None) -> LaserRun:

@@ -16,7 +16,7 @@ from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jumps import without_excursions, without_outliers
-from odomcorrupt.study.io.laser_truth import NO_SCAN, alerts_of, laser_run, only_scan, truth_of
+from odomcorrupt.study.io.laser_truth import NO_SCAN, alerts_of, beside_sweeps, match_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import MAP_SCALE_ACCURACY, corrections_alone, has_own_scale, is_of_base
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.raw_trajectory import in_order
@@ -25,7 +25,7 @@ from odomcorrupt.study.io.segments import independent_parts, without_frozen, wit
 from odomcorrupt.study.io.self_consistency import check_itself
 from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s, stamp_resolution_s
 from odomcorrupt.study.io.text import is_text, read_text
-from odomcorrupt.study.io.topic_selection import FLAGS, has_truth, parse_address
+from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
 from odomcorrupt.study.io.warnings import (
     check_identity,
     dead_band_warnings,
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.io.source import Source
-    from odomcorrupt.study.io.topic_selection import Address, Role
+    from odomcorrupt.study.io.topic_selection import Role
 
 _OTHER_TRACK = 0.01
 """Relative difference from which a given track is reported as different from the odometry's."""
@@ -72,18 +72,17 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
     """Return the recordings of one run without the drive type; see `read_runs`."""
     if source.relative is not None:
         return _by_motions(source, source.relative)
-    scan = source.scan or automatic_scan(source)
+    scan = source.scan or _automatic_scan(source)
     if scan is not None and scan != NO_SCAN:
-        if source.truth is not None or source.truth_path is not None:
-            raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
+        if source.names_truth:
+            raise RecordingError(f"{source.place}: --scan {scan} and a truth; name one of them")
         return _by_laser(source, scan, progress)
-    imu = source.imu or automatic_imu(source)
+    imu = _imu_of(source)
     if imu is not None and not _has_truth(source):
         return _by_gyro(source, imu)
     odometry, truth = _read(source)
     wheels = _with_wheels(source, odometry)
-    runs = _between_clock_steps(replace(source, track_m=wheels.track_m), wheels.odometry, truth)
-    return _with_heading_source(source, imu, odometry, wheels.noted(runs))
+    return _with_heading_source(source, imu, odometry, wheels.noted(_between_clock_steps(source, wheels, truth)))
 
 
 def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
@@ -94,9 +93,7 @@ def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
     TopicError, RecordingError
         If there is no odometry, or if it is implausible.
     """
-    place = _place(source)
-    odom = parse_address(source.odom) if source.odom is not None else None
-    odometry = in_order(_read_one(source.path, place, "odometry", odom))
+    odometry = _odometry_of(source)
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     check_itself(without_outliers(odometry))
@@ -106,101 +103,69 @@ def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
 
 def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] | None) -> list[Recording]:
     """Return the recordings of a run with laser scans as truth."""
-    odom = parse_address(source.odom) if source.odom is not None else None
-    place = _place(source)
-    wheels = _with_wheels(source, in_order(_read_one(source.path, place, "odometry", odom)))
+    wheels = _with_wheels(source, _odometry_of(source))
     try:
-        run = laser_run(source.path, place, odom, scan, progress, odometry=wheels.odometry)
+        run = match_run(*beside_sweeps(wheels.odometry, source.path, source.place, scan), progress)
         parts = truth_of(run)
     except RecordingError as why:
-        if source.scan or not (source.imu or automatic_imu(source)):
+        if source.scan or not _imu_of(source):
             raise
         raise RecordingError(f"{why}; --scan {NO_SCAN} leaves the laser out: diagnose by the gyro alone") from None
-    found: list[Recording] = []
-    name = source.name or source.path.name
-    for part in parts:
-        try:
-            found += recordings_of(name, wheels.odometry, part, wheels.track_m, source.truth_shift_s)
-        except RecordingError:
-            if len(parts) == 1:
-                raise
-    if not found:
-        raise RecordingError(f"{_place(source)}: no part of the laser's map is long enough; drive slower or longer")
-    chosen = "" if source.scan else f"no truth: the laser on {scan} is used instead (as with --scan {scan})"
+    runs = _of_parts(source, wheels, parts, "no part of the laser's map is long enough; drive slower or longer")
+    if len(parts) > 1:
+        runs = [replace(r, name=f"{r.name}, map part {i}") for i, r in enumerate(runs, start=1)]
+    runs = [replace(r, frame=source.title) for r in runs]
+    (opening, *others), chosen = runs[0].notes, f"no truth: the laser on {scan} is used instead (as with --scan {scan})"
+    notes = (opening, *(() if source.scan else (chosen,)), *others)
+    runs[0] = replace(runs[0], alerts=tuple(alerts_of(run)), notes=notes)
     error = source.truth_scale_error
     said = f"the laser's scale is accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
-    runs = [
-        replace(
-            r,
-            name=f"{r.name}, map part {i + 1}" if len(parts) > 1 else r.name,
-            frame=name,
-            truth_scale_error=error,
-            clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
-            alerts=tuple(alerts_of(run)) if i == 0 else (),
-            notes=(r.notes[0], *([chosen] if chosen and i == 0 else []), *r.notes[1:], *([said] if i == 0 else [])),
-        )
-        for i, r in enumerate(found)
-    ]
-    return _with_heading_source(source, source.imu or automatic_imu(source), wheels.odometry, wheels.noted(runs))
+    return _with_heading_source(source, _imu_of(source), wheels.odometry, wheels.noted(_noted(runs, said)))
 
 
 def _by_motions(source: Source, path: Path) -> list[Recording]:
     """Return the recordings of a run with a file of relative motions as truth, one for each chain of motions."""
-    place = _place(source)
-    if source.truth is not None or source.truth_path is not None or source.scan is not None:
-        raise RecordingError(f"{place}: --relative {path} and a truth or scans; name one of them")
-    odom = parse_address(source.odom) if source.odom is not None else None
-    odometry = in_order(_read_one(source.path, place, "odometry", odom))
+    if source.names_truth or source.scan is not None:
+        raise RecordingError(f"{source.place}: --relative {path} and a truth or scans; name one of them")
+    odometry = _odometry_of(source)
     wheels = _with_wheels(source, odometry)
-    motions = read_motions(path)
-    shift = round(source.truth_shift_s * 1e9)
-    motions = motions._replace(start_ns=motions.start_ns + shift, end_ns=motions.end_ns + shift)
-    found: list[Recording] = []
-    chains = chains_of(motions, wheels.odometry)
-    name = source.name or source.path.name
-    for chain in chains:
-        try:
-            found += recordings_of(name, wheels.odometry, chain, wheels.track_m)
-        except RecordingError:
-            if len(chains) == 1:
-                raise
-    if not found:
-        raise RecordingError(f"{place}: no chain of motions is long enough; record longer")
+    chains = chains_of(read_motions(path).shifted(source.truth_shift_s), wheels.odometry)
+    too_short = "no chain of motions is long enough; record longer"
+    runs = _of_parts(replace(source, truth_shift_s=0.0), wheels, chains, too_short)
+    if len(runs) > 1:
+        runs = [replace(r, name=f"{r.name}, chain {i}") for i, r in enumerate(runs, start=1)]
+    runs = [replace(r, frame=r.name) for r in runs]
     error = source.truth_scale_error
     said = f"lengths of the motions are accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
-    runs = [
-        replace(
-            r,
-            name=f"{r.name}, chain {i + 1}" if len(found) > 1 else r.name,
-            frame=f"{r.name}, chain {i + 1}" if len(found) > 1 else r.name,
-            truth_scale_error=error,
-            clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
-            notes=(*r.notes, *([said] if i == 0 else [])),
-        )
-        for i, r in enumerate(found)
-    ]
-    return _with_heading_source(source, source.imu or automatic_imu(source), odometry, wheels.noted(runs))
+    return _with_heading_source(source, _imu_of(source), odometry, wheels.noted(_noted(runs, said)))
+
+
+def _of_parts(source: Source, wheels: _Wheeled, parts: list[Samples], too_short: str) -> list[Recording]:
+    """Return the recordings of the parts of a truth that are long enough, of lengths as accurate as the source's."""
+    found: list[Recording] = []
+    for part in parts:
+        try:
+            found += recordings_of(source.title, wheels.odometry, part, wheels.track_m, source.truth_shift_s)
+        except RecordingError:
+            if len(parts) == 1:
+                raise
+    if not found:
+        raise RecordingError(f"{source.place}: {too_short}")
+    runs = [replace(r, truth_scale_error=source.truth_scale_error) for r in found]
+    if len(runs) == 1:
+        return runs
+    return [replace(r, clock=r.clock or f"{source.title} from {r.origin_ns}") for r in runs]
 
 
 def _by_gyro(source: Source, imu: str) -> list[Recording]:
     """Return the recordings of a run that has only odometry and a gyro: its truth has headings only."""
-    place = _place(source)
-    odom = parse_address(source.odom) if source.odom is not None else None
-    odometry = in_order(_read_one(source.path, place, "odometry", odom))
-    gyro = yaw_gyro(read_gyro(source.path, place, imu), odometry)
+    odometry = _odometry_of(source)
+    gyro = yaw_gyro(read_gyro(source.path, source.place, imu), odometry)
     wheels = _with_wheels(source, odometry)
     truth = gyro_truth(wheels.odometry, gyro)
-    name = source.name or source.path.name
-    runs = wheels.noted(recordings_of(name, wheels.odometry, truth, wheels.track_m, source.truth_shift_s))
+    runs = wheels.noted(recordings_of(source.title, wheels.odometry, truth, wheels.track_m, source.truth_shift_s))
     error = source.gyro_scale_error
-    said = (
-        (
-            f"no truth, no laser: wheels and the gyro on {imu} alone. What they disagree about is an error of one of "
-            "them; travel cannot be known (not testable: wheel_scale, speed_scale and all else that is travel)"
-        ),
-        f"the gyro's turns are accurate to {error:.2%}, which limits any gain of turns (--gyro-scale-accuracy)",
-    )
-    return [
+    runs = [
         replace(
             r,
             positioned=False,
@@ -208,10 +173,15 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
             turn_scale_error=error,
             turn_bias_error=gyro.bias_error_radps,
             heading_source=gyro.heading_source,
-            notes=(*r.notes, *(said if i == 0 else ())),
         )
-        for i, r in enumerate(runs)
+        for r in runs
     ]
+    return _noted(
+        runs,
+        f"no truth, no laser: wheels and the gyro on {imu} alone. What they disagree about is an error of one of "
+        "them; travel cannot be known (not testable: wheel_scale, speed_scale and all else that is travel)",
+        f"the gyro's turns are accurate to {error:.2%}, which limits any gain of turns (--gyro-scale-accuracy)",
+    )
 
 
 def _with_heading_source(source: Source, imu: str | None, odometry: Samples, runs: list[Recording]) -> list[Recording]:
@@ -219,15 +189,17 @@ def _with_heading_source(source: Source, imu: str | None, odometry: Samples, run
     if imu is None:
         return runs
     try:
-        gyro = yaw_gyro(read_gyro(source.path, _place(source), imu), in_order(odometry))
+        gyro = yaw_gyro(read_gyro(source.path, source.place, imu), in_order(odometry))
     except RecordingError as error:
         if source.imu is not None:
             raise
-        return [replace(runs[0], notes=(*runs[0].notes, f"the gyro is left out: {error}")), *runs[1:]]
-    return [
-        replace(r, heading_source=gyro.heading_source, notes=(*r.notes, *(gyro.notes if i == 0 else ())))
-        for i, r in enumerate(runs)
-    ]
+        return _noted(runs, f"the gyro is left out: {error}")
+    return _noted([replace(r, heading_source=gyro.heading_source) for r in runs], *gyro.notes)
+
+
+def _noted(runs: list[Recording], *notes: str) -> list[Recording]:
+    """Return the recordings of one run, the first one with more notes."""
+    return [replace(runs[0], notes=(*runs[0].notes, *notes)), *runs[1:]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +212,7 @@ class _Wheeled:
 
     def noted(self, runs: list[Recording]) -> list[Recording]:
         """Return the recordings with these findings among their notes."""
-        return [replace(runs[0], notes=(*runs[0].notes, *self.notes)), *runs[1:]]
+        return _noted(runs, *self.notes)
 
 
 def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
@@ -248,7 +220,7 @@ def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
     plain = _Wheeled(odometry, source.track_m)
     if is_text(source.path):
         return plain
-    angles = read_wheels(source.path, _place(source), source.joints)
+    angles = read_wheels(source.path, source.place, source.joints)
     if angles is None:
         return plain
     try:
@@ -267,28 +239,27 @@ def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
     return _Wheeled(odometry, track_m, notes)
 
 
-def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> list[Recording]:
+def _between_clock_steps(source: Source, wheels: _Wheeled, truth: Samples) -> list[Recording]:
     """Return the recordings of a run, separated at steps of a clock."""
-    name = source.name or source.path.name
-    parts, others = between_steps(odometry), between_steps(truth)
+    parts, others = between_steps(wheels.odometry), between_steps(truth)
     found: list[Recording] = []
     left: list[str] = []
     for one in parts:
         before = len(found)
         for other in others:
-            part = f"{name} clock {len(found) + 1}" if len(parts) * len(others) > 1 else name
+            name = f"{source.title} clock {len(found) + 1}" if len(parts) * len(others) > 1 else source.title
             try:
-                found += recordings_of(part, one, other, source.track_m, source.truth_shift_s)
+                found += recordings_of(name, one, other, wheels.track_m, source.truth_shift_s)
             except RecordingError as error:
                 why = error
         if len(found) == before:
             left.append(f"{len(one)} poses between steps of its clock left out: {why}")
     if not found:
         raise why
-    found[0] = replace(found[0], notes=(*found[0].notes, *left))
     said = f"the map's lengths are taken as accurate to {MAP_SCALE_ACCURACY:.2%}, which limits all scales"
     return [
-        replace(r, truth_scale_error=MAP_SCALE_ACCURACY, notes=(*r.notes, said)) if r.localised else r for r in found
+        replace(r, truth_scale_error=MAP_SCALE_ACCURACY, notes=(*r.notes, said)) if r.localised else r
+        for r in _noted(found, *left)
     ]
 
 
@@ -349,48 +320,43 @@ def recordings_of(
     ]
 
 
-def automatic_scan(source: Source) -> str | None:
+def _automatic_scan(source: Source) -> str | None:
     """Return the only scan topic of a bag if neither a scan nor a truth is named; otherwise None."""
-    if source.truth is not None or source.truth_path is not None or is_text(source.path):
-        return None
-    return only_scan(source.path)
+    return None if source.names_truth or is_text(source.path) else only_scan(source.path)
 
 
-def automatic_imu(source: Source) -> str | None:
-    """Return the only Imu topic of a bag; None for text files, and if there is none or several."""
-    return None if is_text(source.path) else only_imu(source.path)
+def _imu_of(source: Source) -> str | None:
+    """Return the Imu topic that is named, or the only one of a bag; None if there is none or several."""
+    return source.imu or (None if is_text(source.path) else only_imu(source.path))
 
 
 def _has_truth(source: Source) -> bool:
     """Return whether a truth is named, or the bag holds a candidate for one."""
-    if source.truth is not None or source.truth_path is not None or is_text(source.path):
+    if source.names_truth or is_text(source.path):
         return True
     with open_reader(source.path) as reader:
         return has_truth(reader.channels.values())
 
 
-def _place(source: Source) -> str:
-    return source.name or str(source.path)
-
-
 def _read(source: Source) -> tuple[Samples, Samples]:
-    place = _place(source)
-    odom = parse_address(source.odom) if source.odom is not None else None
-    truth = parse_address(source.truth) if source.truth is not None else None
-    if source.truth_path is None:
-        if is_text(source.path):
-            raise RecordingError(f"{place}: a text file holds one trajectory; name the truth's with --truth-bag")
-        both = read_bag(source.path, place, {"odometry": odom, "truth": truth})
-        return both["odometry"], both["truth"]
-    odometry = _read_one(source.path, place, "odometry", odom)
-    return odometry, _read_one(source.truth_path, str(source.truth_path), "truth", truth)
+    if source.truth_path is not None:
+        odometry = _read_one(source.path, source.place, "odometry", source.odom)
+        return odometry, _read_one(source.truth_path, str(source.truth_path), "truth", source.truth)
+    if is_text(source.path):
+        raise RecordingError(f"{source.place}: a text file holds one trajectory; name the truth's with --truth-bag")
+    both = read_bag(source.path, source.place, {"odometry": source.odom, "truth": source.truth})
+    return both["odometry"], both["truth"]
 
 
-def _read_one(path: Path, place: str, role: Role, address: Address | None) -> Samples:
+def _odometry_of(source: Source) -> Samples:
+    return in_order(_read_one(source.path, source.place, "odometry", source.odom))
+
+
+def _read_one(path: Path, place: str, role: Role, name: str | None) -> Samples:
     if not is_text(path):
-        return read_bag(path, place, {role: address})[role]
-    if address is not None:
-        raise RecordingError(f"{place}: is a text file, which has no topics; leave {FLAGS[role]} {address} out")
+        return read_bag(path, place, {role: name})[role]
+    if name is not None:
+        raise RecordingError(f"{place}: is a text file, which has no topics; leave {FLAGS[role]} {name} out")
     return read_text(path, place)
 
 

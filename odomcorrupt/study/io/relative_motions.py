@@ -55,6 +55,11 @@ class Motions(NamedTuple):
     xyt: Array
     covariance: Array | None
 
+    def shifted(self, by_s: float) -> Motions:
+        """Return the motions at times later by so many seconds."""
+        shift = round(by_s * 1e9)
+        return self._replace(start_ns=self.start_ns + shift, end_ns=self.end_ns + shift)
+
 
 @dataclass(frozen=True, slots=True)
 class _Layout:

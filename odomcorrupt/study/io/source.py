@@ -48,3 +48,18 @@ class Source:
     gyro_scale_error: float = GYRO_SCALE_ACCURACY
     joints: tuple[str, str] | None = None
     relative: Path | None = None
+
+    @property
+    def place(self) -> str:
+        """Name of the run in error messages."""
+        return self.name or str(self.path)
+
+    @property
+    def title(self) -> str:
+        """Name of the run in reports."""
+        return self.name or self.path.name
+
+    @property
+    def names_truth(self) -> bool:
+        """Whether a topic or a file is named as the truth."""
+        return self.truth is not None or self.truth_path is not None
