@@ -67,7 +67,7 @@ class ChannelLag(Effect):
         """Return f: for a filter from the accelerations of the reported motion, for a delay to first order."""
         if self.by == "delay":
             return TwistError(self._late(motion.acceleration), state)
-        twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+        twist = motion.twist
         passes = motion.dt_s > 0.0
         rate = np.zeros_like(twist)
         if passes.any():

@@ -43,7 +43,7 @@ def corrected_increments(
 ) -> Increments:
     """Return the true increments, m and rad, from the odometry's motion; parameters are those of `corrected_twist`."""
     twist = corrected_twist(effects, motion, place_xyt, rough=rough)
-    return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
+    return Increments.of_rows(twist * motion.dt_s[:, None])
 
 
 def corrected_twist(
@@ -77,7 +77,7 @@ def corrected_twist(
     shown = [e for e in effects if e.layer == "record" and (e.kind != "noise" or e.restorable)]
     for effect in sorted(shown, key=lambda e: e.name, reverse=True):  # the last to act is the first to be undone
         motion = effect.restored(motion)
-    twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+    twist = motion.twist
     moving = [e for e in systematic if e.layer == "motion"]
     robots = [e for e in moving if e.kind != "setup"]
     for effect in robots:
@@ -86,7 +86,7 @@ def corrected_twist(
     seeking, setup = [e for e in robots if e.reads_truth], [e for e in moving if e.kind == "setup"]
     rectifying = [e for e in seeking if rough and e.rectifies]
     exact = [e for e in seeking if e not in rectifying]
-    truth = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+    truth = motion.twist
     for _ in range(2 if rectifying else 1):
         known = twist
         if rectifying:
@@ -143,7 +143,7 @@ def _seen(motion: Motion, twist: Array, place_xyt: Array | None, *, smooth: bool
     """Return the odometry's motion with the accelerations, smooth or not, places and distance of a twist (n, 3)."""
     steps = twist * motion.dt_s[:, None]
     start = np.array([motion.x[0], motion.y[0], motion.theta[0]]) if len(motion) else np.zeros(3)
-    path = accumulate(start, Increments(*np.ascontiguousarray(steps.T)))
+    path = accumulate(start, Increments.of_rows(steps))
     if smooth:
         ends_s = np.concatenate(([0.0], np.cumsum(motion.dt_s)))
         slopes = LocalSlopes(ends_s, (ends_s[:-1] + ends_s[1:]) / 2.0, SMOOTHING_S)

@@ -77,7 +77,7 @@ class RegionSlip(Effect):
         Discs that contain hardly any or nearly all of the path are left out.
         """
         xy = np.concatenate([np.stack((m.x, m.y), axis=1) for m in motions])
-        way = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in motions])
+        way = np.concatenate([m.travel for m in motions])
         if not way.sum() > 0.0:
             return ()
         low, high = xy.min(axis=0), xy.max(axis=0)

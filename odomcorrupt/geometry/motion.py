@@ -78,6 +78,16 @@ class Motion:
         return np.stack((self.v, self.vy, self.omega), axis=1)
 
     @property
+    def speed(self) -> Array:
+        """Magnitude of the velocity (n,), m/s."""
+        return np.hypot(self.v, self.vy)
+
+    @property
+    def travel(self) -> Array:
+        """Travel over each interval (n,), m."""
+        return self.speed * self.dt_s
+
+    @property
     def in_step(self) -> Motion:
         """The motion with all speeds in step with their accelerations: integrals of their products do not drift."""
         if self.trail is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +21,7 @@ UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
 
 def distance_along(poses: Array) -> Array:
     """Return the distance (n,) travelled along poses (n, 2 or 3) since the first one, metres."""
-    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
+    return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +59,11 @@ class Trajectory:
         worst = np.linalg.eigvalsh(self.covariance[:, :2, :2])[:, 1]
         known: NDArray[np.bool_] = worst < UNKNOWN_M2
         return known if known.mean() > _FEW_KNOWN else everywhere
+
+    def only(self, rows: NDArray[np.bool_] | slice) -> Trajectory:
+        """Return the trajectory of some poses."""
+        covariance = self.covariance[rows] if self.covariance is not None else None
+        return replace(self, stamps_ns=self.stamps_ns[rows], xyt=self.xyt[rows], covariance=covariance)
 
     def seconds_since(self, origin_ns: int) -> Array:
         """Return the stamps as seconds (n,) since an integer origin, because float64 stamps since 1970 lose 256 ns."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.laser.deskewing import Deskewing, Motion
 from odomcorrupt.laser.icp import best_guess, match, surface_of
 from odomcorrupt.laser.surface import lines_of
@@ -290,7 +291,7 @@ def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = Fal
 def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:
     """Return index pairs of sweeps with a short motion in between: half with the most turning, half evenly spread."""
     turned = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(poses[:, 2])))))
-    gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))))
+    gone = distance_along(poses)
     measure = turned / _APART_RAD + gone / _APART_M
     ahead = np.searchsorted(measure, measure + 1.0)
     start = np.flatnonzero(ahead < len(t_s))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.mapping.frames import Mount
 from odomcorrupt.mapping.occupancy_grid import canvas_for
 from odomcorrupt.mapping.scan_map import Rays, make_scan_map, place
@@ -73,7 +73,7 @@ def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMap
     }
     views = {name: place(rays, one) for name, one in paths.items()}
     canvas = canvas_for(np.concatenate([part for v in views.values() for part in (v.from_xy, v.to_xy)]), resolution_m)
-    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1))))
+    way = distance_along(odometry.xyt)
     travelled = np.interp(rays.stamps_ns.astype(np.float64), odometry.stamps_ns.astype(np.float64), way)
     corrected = views["corrected by the laser"]
     maps = tuple(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, rotate
+from odomcorrupt.geometry.trajectory import distance_along
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,7 +59,7 @@ def without_moving(calibration: Calibration) -> Calibration:
 
 def _compared(t_s: Array, poses: Array) -> list[list[int]]:
     """Return the rows of the sweeps with which each is compared: one before and one later."""
-    gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))))
+    gone = distance_along(poses)
     rows = np.arange(len(t_s))
     later = np.minimum(np.searchsorted(gone, gone + _APART_M), np.searchsorted(t_s, t_s + _APART_S))
     before = np.maximum(

@@ -26,6 +26,7 @@ class Scored:
 def model(*names):
     effects = tuple(SimpleNamespace(name=name) for name in names)
     fit = SimpleNamespace(effects=effects, random=(), free_clocks=((False, False),), log_likelihood=0.0)
+    fit.by_name = {effect.name: effect for effect in effects}
     fit.refit = lambda *_, **__: fit
     fit.for_reports = lambda: fit
     return fit

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from hidden import as_recording
 
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.estimate import gauss_newton
+from odomcorrupt.study.estimate import gauss_newton, problem
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
 
@@ -30,7 +30,8 @@ def looks(monkeypatch: pytest.MonkeyPatch, duration_s: float) -> tuple[int, int]
 
     with monkeypatch.context() as patch:
         patch.setattr(NoiseLikelihood, "evaluate", evaluating)
-        patch.setattr(gauss_newton, "pose_problem", posing)
+        for module in (gauss_newton, problem):
+            patch.setattr(module, "pose_problem", posing)
         fit_robot([as_recording(simulate(1, "unequal_wheels", duration_s=duration_s))], [], law_name="diffusion")
     return counted["evaluated"], counted["posed"]
 

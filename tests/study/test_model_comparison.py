@@ -125,6 +125,7 @@ class Fitted:
 
     def __init__(self, *effects):
         self.effects = effects
+        self.by_name = {effect.name: effect for effect in effects}
         self.log_likelihood = sum(self.GAINS[effect.name] for effect in effects)
 
     def refit(self, effects, **_):

@@ -12,9 +12,10 @@ from odomcorrupt.geometry.increments import accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
-from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.gauss_newton import fit, fit_problem
 from odomcorrupt.study.estimate.noise_fit import outliers
 from odomcorrupt.study.estimate.outliers import slip_bursts
+from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.io.clock import Clock
 
 QUIET = Coefficients(0.01, 0.005, 0.005, 0.005)
@@ -41,7 +42,9 @@ def test_a_clock_that_moves_past_a_node_takes_the_weights_along():
         first = fit([late], clocks=[Clock(guess)], approach=Approach())
         kept = np.where(np.arange(len(first.problem.intervals)) == 100, 9.0, 1.0)
         held = replace(first, noise=replace(first.noise, weights=kept))
-        again = fit([late], clocks=[Clock(guess)], free_clocks=[(True, False)], approach=Approach(), weights_of=held)
+        again = fit_problem(
+            pose_problem([late], clocks=[Clock(guess)], approach=Approach()), [(True, False)], weights_of=held
+        )
         intervals = again.problem.intervals
         assert again.problem.clocks[0].offset_s != guess
         assert len(again.noise.weights) == len(intervals)

@@ -89,7 +89,7 @@ def open_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list[
 
 def _correction_hint(drives: Drives, twin: type[Effect]) -> str:
     """Return how to apply the robot's twin of a set-up effect in `correct`, which ignores set-up effects; or ""."""
-    own = next((e for e in drives.learned.fit.effects if e.name == twin.aliased_with), None)
+    own = drives.learned.fit.by_name.get(twin.aliased_with or "")
     if own is None or own.kind != "setup" or twin.kind == "setup":
         return ""
     values = ",".join(f"{p.name}={getattr(own, p.name):.4g}" for p in amplitudes(twin))
@@ -177,7 +177,7 @@ def _as_fitted(candidate: Candidate) -> Effect:
     if candidate.fit is None:
         sizes = {p.name: float(value) for p, value in zip(amplitudes(effect), estimate, strict=True)}
         return replace(effect, **sizes)  # type: ignore[type-var]  # effects are dataclasses
-    return next(e for e in candidate.fit.effects if e.name == effect.name)
+    return candidate.fit.by_name[effect.name]
 
 
 CLOCKS = ("time_offset", "clock_skew")
@@ -224,7 +224,7 @@ def clock_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list
     """Return the ambiguity between the included effect and a constant clock offset, if these data leave it open."""
     if step.added not in RIVALS or any(free[0] for free in drives.learned.clocks.free):
         return [], []
-    own = next((e for e in drives.learned.fit.effects if e.name == step.added), None)
+    own = drives.learned.fit.by_name.get(step.added or "")
     if own is None:
         return [], []
     beside = [e for e in drives.learned.fit.effects if e is not own]

@@ -68,7 +68,7 @@ def excitation(motions: Sequence[Motion]) -> Excitation:
     """Return the excitation of all drives together."""
     dt = np.concatenate([m.dt_s for m in motions])
     v = np.concatenate([m.v for m in motions])
-    speed = np.concatenate([np.hypot(m.v, m.vy) for m in motions])
+    speed = np.concatenate([m.speed for m in motions])
     omega = np.concatenate([m.omega for m in motions])
     theta = np.concatenate([m.theta for m in motions])
     # Average over 0.5 s, because the ripple of a motor is no acceleration of the body.

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mountings
-from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.gauss_newton import fit_problem
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
@@ -171,15 +171,8 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     for free in ((True, True), (True, False)):
         clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
         for beside in ((), rivals):
-            best = fit(
-                runs,
-                (*nuisance, *beside),
-                clocks=[clock] * len(runs),
-                free_clocks=[free] * len(runs),
-                approach=approach,
-                start=noise,
-                nearly=True,
-            )
+            problem = pose_problem(runs, (*nuisance, *beside), [clock] * len(runs), approach=approach)
+            best = fit_problem(problem, [free] * len(runs), start=noise, nearly=True)
             noise = best.noise.free
             clock = best.onward.clocks[0]
             errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
@@ -227,20 +220,13 @@ def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals
 
     All rivals together may imitate a clock that no single one can.
     """
-    nuisance, approach = nothing.fit.onward.effects[: len(nuisance_of(runs))], clock.fit.problem.approach
-    still = pose_problem(runs, nuisance, approach=approach)
+    nuisance = nothing.fit.onward.effects[: len(nuisance_of(runs))]
+    still = pose_problem(runs, nuisance, approach=clock.fit.problem.approach)
 
     def likelihood(effects: Sequence[Effect], offset_s: float = 0.0) -> float:
-        return fit(
-            runs,
-            (*nuisance, *effects),
-            clocks=[Clock(offset_s)] * len(runs),
-            free_clocks=[(offset_s != 0.0, False)] * len(runs),
-            approach=approach,
-            start=clock.fit.noise.free,
-            weights_of=clock.fit,
-            known=still,
-        ).log_likelihood
+        problem = still.at((*nuisance, *effects), [Clock(offset_s)] * len(runs))
+        free = [(offset_s != 0.0, False)] * len(runs)
+        return fit_problem(problem, free, start=clock.fit.noise.free, weights_of=clock.fit).log_likelihood
 
     without, with_it = likelihood(()), likelihood((), clock.clock.offset_s)
     own = with_it - without

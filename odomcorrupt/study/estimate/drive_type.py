@@ -123,19 +123,21 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
     turns_at_rest = any(s.turned_at_rest > _GYRO_RAD for s in slow)
     if given is not None:
         return DriveType(given, gyro=turns_at_rest or given not in STEERED, stated=True)
-    along, across = sum(s.along_m for s in slow), sum(s.across_m for s in slow)
-    if across > 0.1 * along:
+
+    def total(statistic: str) -> float:
+        return float(sum(getattr(s, statistic) for s in slow))
+
+    if total("across_m") > 0.1 * total("along_m"):
         return DriveType("omni", "it moves sideways")
-    turned, seconds = sum(s.turned for s in slow), sum(s.seconds for s in slow)
-    spells, beyond = sum(s.spells for s in slow), sum(s.beyond for s in slow)
     radius_m = 1.0 / max(1e-9, *(s.curvature for s in slow))
-    if any(r.track_m is not None for r in recordings) or turned < _TURNED_RAD or radius_m < _LEAST_RADIUS_M:
-        return DriveType("differential")
-    if seconds < _SLOW_S or spells < _SPELLS or beyond > _SPOT_RAD * spells:
+    turns_wide = total("turned") >= _TURNED_RAD and radius_m >= _LEAST_RADIUS_M
+    enough = total("seconds") >= _SLOW_S and total("spells") >= _SPELLS
+    sharper = total("beyond") > _SPOT_RAD * total("spells")
+    if any(r.track_m is not None for r in recordings) or not (turns_wide and enough) or sharper:
         return DriveType("differential")
     if not _has_stop(np.concatenate([s.slow for s in slow], axis=1)):
         return DriveType("differential")
-    gyro = turns_at_rest or sum(s.rest_s for s in slow) < _REST_S
+    gyro = turns_at_rest or total("rest_s") < _REST_S
     return DriveType(
         "car", f"steers up to a stop, never turned on the spot; smallest radius {radius_m:.1f} m", gyro=gyro
     )

@@ -72,6 +72,11 @@ class Fit:
         return self.problem.effects
 
     @property
+    def by_name(self) -> dict[str, Effect]:
+        """The fitted effects by their names."""
+        return {effect.name: effect for effect in self.effects}
+
+    @property
     def log_likelihood(self) -> float:
         """Log likelihood in nats."""
         return self.noise.log_likelihood
@@ -108,17 +113,15 @@ class Fit:
         clocks : (R,) starting values of the clocks, kept for those that are not free
         free_clocks : (R, 2) whether offset and rate are free; default: as in this fit
         """
-        problem = self.problem
-        return fit(
-            problem.recordings,
-            self.effects if effects is None else effects,
-            clocks=problem.clocks if clocks is None else clocks,
-            free_clocks=self.free_clocks if free_clocks is None else free_clocks,
-            approach=problem.approach,
+        systematic, random = _kinds(
+            self.effects if effects is None else effects, self.random if random is None else random
+        )
+        return fit_problem(
+            self.problem.at(systematic, clocks),
+            self.free_clocks if free_clocks is None else free_clocks,
+            random=random,
             start=self.noise.free,
             weights_of=weights_of,
-            random=self.random if random is None else random,
-            known=problem,
         )
 
     @property
@@ -140,53 +143,70 @@ def fit(
     recordings: Sequence[Recording],
     effects: Sequence[Effect] = (),
     *,
+    approach: Approach,
     clocks: Sequence[Clock] | None = None,
     free_clocks: Sequence[tuple[bool, bool]] | None = None,
-    approach: Approach,
-    start: Array | None = None,
-    weights_of: Fit | None = None,
     random: Sequence[Effect] = (),
-    nearly: bool = False,
-    known: Problem | None = None,
+    start: Array | None = None,
 ) -> Fit:
     """Return the fit of effects (starting at their present values), the clocks' free offsets and rates, and the noise.
 
-    clocks, free_clocks : clock of each recording, and whether offset and rate are free; default: right and known
     approach : intervals, side of the regressors and noise law
+    clocks, free_clocks : clock of each recording, and whether offset and rate are free; default: right and known
     random : random coefficients in the model, with their parameters
     start : noise to start from, of an earlier fit of the same recordings
+    """
+    systematic, random = _kinds(effects, random)
+    problem = pose_problem(recordings, systematic, clocks, approach=approach)
+    return fit_problem(problem, free_clocks, random=random, start=start)
+
+
+def _kinds(effects: Sequence[Effect], random: Sequence[Effect]) -> tuple[list[Effect], list[Effect]]:
+    """Return the systematic effects, and all random ones."""
+    return [e for e in effects if e.kind != "noise"], [*random, *(e for e in effects if e.kind == "noise")]
+
+
+def fit_problem(
+    problem: Problem,
+    free_clocks: Sequence[tuple[bool, bool]] | None = None,
+    *,
+    random: Sequence[Effect] = (),
+    start: Array | None = None,
+    weights_of: Fit | None = None,
+    nearly: bool = False,
+) -> Fit:
+    """Return the fit that begins with the effects and clocks of a problem, see `fit`.
+
+    random : random effects in the model, never estimated here: coefficients are included with their given parameters;
+        slip bursts allow any number of outliers
     weights_of : fit of the same recordings whose robust weights are kept, at whatever clocks; default: re-estimated
     nearly : end at a step within two standard errors, found in `onward`; for callers that do not use the residuals
-    known : an earlier problem of the same recordings; its unchanged parts are reused
     """
-    # a random effect is included with its given parameters, never estimated here
-    random = [*random, *(e for e in effects if e.name in CORRELATED_NOISE)]
-    bursts = any(e.name == "slip_burst" for e in effects)
-    effects = [e for e in effects if e.kind != "noise"]
-    clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
+    coefficients = tuple(e for e in random if e.name in CORRELATED_NOISE)
+    bursts = any(e.name == "slip_burst" for e in random)
+    recordings, approach = problem.recordings, problem.approach
+    effects, clocks = problem.effects, problem.clocks
     leaders = clock_leaders(recordings)
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
-    effects = tuple(effects)
-    before: Problem | None = None
-    weights, of = (None, None) if weights_of is None else (weights_of.noise.weights, weights_of.problem)
-    for _ in range(_ROUNDS):
-        problem = pose_problem(recordings, effects, clocks, approach=approach, before=before or known)
-        if weights is not None and of is not None:
-            weights = _carried(weights, of, problem)
+    own_free = led(free, leaders)
+    weights, weighted = (None, problem) if weights_of is None else (weights_of.noise.weights, weights_of.problem)
+    for i in range(_ROUNDS):
+        problem = problem.at(effects, clocks) if i else problem
+        if weights is not None:
+            weights = _carried(weights, weighted, problem)
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.intervals, problem.steps, gyro_noise=approach.gyro_noise)
-        begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
-        free_too = (
-            np.concatenate((columns, bias_roots(problem)[:, :, :SHARED]), axis=2) if has_bias(problem) else columns
-        )
-        noise = fit_noise_beside(problem, components, free_too, random, begin)
-        start, before, of = noise.free, problem, problem
-        noise = with_random(noise, problem, columns, random)
+        free_too = columns
+        if has_bias(problem):
+            free_too = np.concatenate((columns, bias_roots(problem)[:, :, :SHARED]), axis=2)
+        begin = NoiseStart(start, weights, elsewhere=i == 0, bursts=bursts)
+        noise = fit_noise_beside(problem, components, free_too, coefficients, begin)
+        start, weighted = noise.free, problem
+        noise = with_random(noise, problem, columns, coefficients)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
-        old = effects
-        effects, clocks = _moved(effects, clocks, led(free, leaders), noise.theta)
+        effects, clocks = moved(effects, noise.theta), _moved_clocks(clocks, own_free, noise.theta)
         clocks = tuple(clocks[leader] for leader in leaders)
-        step = _made(old, effects, noise.theta)
+        step = _made(problem.effects, effects, noise.theta)
         if not np.any(np.abs(step) > (_NEAR if nearly else _SMALL) * errors):
             break
         if not np.any(np.abs(step) > _NEAR * errors):
@@ -194,15 +214,14 @@ def fit(
             weights = noise.weights
     own = sum(len(amplitudes(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
-    clock_errors[led(free, leaders)] = errors[own:]
-    clock_errors = clock_errors[leaders]
+    clock_errors[own_free] = errors[own:]
     return Fit(
         problem=problem,
         components=components,
         noise=noise,
-        random=tuple(random),
+        random=coefficients,
         standard_errors=errors[:own],
-        clock_errors=clock_errors,
+        clock_errors=clock_errors[leaders],
         free_clocks=tuple((bool(offset), bool(rate)) for offset, rate in free),
         onward=NextStart(effects, clocks),
     )
@@ -244,23 +263,21 @@ def _made(before: Sequence[Effect], after: Sequence[Effect], theta: Array) -> Ar
     return np.concatenate((np.array(own, dtype=np.float64), theta[len(own) :]))
 
 
-def _moved(
-    effects: tuple[Effect, ...], clocks: tuple[Clock, ...], free: Array, theta: Array
-) -> tuple[tuple[Effect, ...], tuple[Clock, ...]]:
-    """Return effects and clocks after a step, parameters kept within their bounds."""
-    step = iter(theta)
-    new_effects = []
+def moved(effects: Sequence[Effect], theta: Array) -> tuple[Effect, ...]:
+    """Return the effects after a step, whose first values are those of their amplitudes, within their bounds."""
+    step = iter(theta.tolist())
+    after = []
     for effect in effects:
         values = {
             p.name: float(np.clip(getattr(effect, p.name) + next(step), p.low, p.high)) for p in amplitudes(effect)
         }
-        new_effects.append(dataclasses.replace(effect, **values))  # type: ignore[type-var]
-    new_clocks = []
-    for clock, (offset, rate) in zip(clocks, free, strict=True):
-        new_clocks.append(
-            Clock(
-                clock.offset_s + (float(next(step)) if offset else 0.0),
-                clock.rate + (float(next(step)) if rate else 0.0),
-            )
-        )
-    return tuple(new_effects), tuple(new_clocks)
+        after.append(dataclasses.replace(effect, **values))  # type: ignore[type-var]
+    return tuple(after)
+
+
+def _moved_clocks(clocks: Sequence[Clock], free: Array, theta: Array) -> tuple[Clock, ...]:
+    """Return the clocks after a step, whose last values are those of their free offsets and rates."""
+    change = np.zeros(free.shape)
+    change[free] = theta[len(theta) - int(free.sum()) :]
+    steps = zip(clocks, change, strict=True)
+    return tuple(Clock(c.offset_s + float(offset), c.rate + float(rate)) for c, (offset, rate) in steps)

@@ -9,7 +9,7 @@ noise. The odometry is interpolated; it is smooth between its samples.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -175,44 +175,31 @@ def intervals_between(
     recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.int64] | None = None
 ) -> Intervals:
     """Return the intervals between picked truth samples; `kept` has the indices of those to return (default all)."""
-    odometry, truth = recording.odometry, recording.truth
-    origin_ns = recording.origin_ns
-    odo_s = recording.odometry_s
+    truth, origin_ns, odo_s = recording.truth, recording.origin_ns, recording.odometry_s
     node_s, node_xyt = truth.seconds_since(origin_ns)[picked], truth.xyt[picked]
     if kept is None:
         kept = np.arange(len(picked) - 1)
-    cut = cut_at(odometry, odo_s, node_s, origin_ns)
-    all_s, all_xyt, at_node = cut.t_s, cut.xyt, cut.at_node
-    interval = np.repeat(np.arange(len(node_s) - 1), np.diff(at_node))  # index of the interval of each step
+    cut = cut_at(recording.odometry, odo_s, node_s, origin_ns)
+    interval = np.repeat(np.arange(len(node_s) - 1), np.diff(cut.at_node))  # index of the interval of each step
     position = np.full(len(node_s), -1)
     position[kept] = np.arange(len(kept))
     used = np.flatnonzero(position[interval] >= 0)
     k = position[interval[used]]
-    end_xyt = all_xyt[at_node[kept + 1]]
+    first = np.searchsorted(k, np.arange(len(kept)))
     source = np.clip(cut.source[used], 0, len(odo_s) - 2)
-    seconds = all_s[used + 1] - all_s[used]
-    share = seconds / (odo_s[source + 1] - odo_s[source])
-    start, end = all_xyt[used], all_xyt[used + 1]
-    heading = end_xyt[k, 2]
-    c, s = np.cos(end_xyt[:, 2])[k], np.sin(end_xyt[:, 2])[k]
-    end_x, end_y = end_xyt[k, 0], end_xyt[k, 1]
+    seconds = cut.t_s[used + 1] - cut.t_s[used]
+    start, end, ends_at = cut.xyt[used], cut.xyt[used + 1], cut.xyt[cut.at_node[kept + 1]]
+    c, s = np.cos(ends_at[:, 2])[k], np.sin(ends_at[:, 2])[k]
 
     def lever(p_xyt: Array) -> Array:
-        x, y = end_x - p_xyt[:, 0], end_y - p_xyt[:, 1]
+        x, y = (ends_at[k, :2] - p_xyt[:, :2]).T
         return np.stack((c * x + s * y, c * y - s * x), axis=1)
 
     lever0, lever1 = lever(start), lever(end)
-    middle = (start[:, 2] + end[:, 2]) / 2.0 - heading
+    middle = (start[:, 2] + end[:, 2]) / 2.0 - ends_at[k, 2]
     truth_step = between(node_xyt[kept], node_xyt[kept + 1])
-    shape, unseen = (part[picked] for part in _noise_shape(truth.covariance, len(truth)))
-    in_position, in_heading = recording.truth_level
-    level = np.array([in_position, in_position, in_heading])
-    shape = shape * np.outer(level, level)
-    # Errors of relative motions add up over an interval.
-    motions = np.diff(picked)[kept][:, None, None] if truth.relative else 1.0
-    odometry_step = between(all_xyt[at_node[kept]], end_xyt)
+    odometry_step = between(cut.xyt[cut.at_node[kept]], ends_at)
     gone = end - start
-    first = np.searchsorted(k, np.arange(len(kept)))
     way_m = np.add.reduceat(np.hypot(gone[:, 0], gone[:, 1]) + TURN_M * np.abs(gone[:, 2]), first)
     return Intervals(
         start_s=node_s[kept],
@@ -221,25 +208,39 @@ def intervals_between(
         truth_step=truth_step,
         odometry_step=odometry_step,
         residual=_log(between(truth_step, odometry_step)),
-        linked=np.concatenate(([False], (np.diff(kept) == 1) & (not truth.relative))),
         first=first,
         source=source,
-        share=share,
+        share=seconds / (odo_s[source + 1] - odo_s[source]),
         seconds=seconds,
         axis=np.stack((np.cos(middle), np.sin(middle)), axis=1),
         lever=(lever0 + lever1) / 2.0,
         lever0=lever0,
         lever1=lever1,
-        start_shape=shape[kept] * motions,
-        end_shape=shape[kept + 1] * motions,
         way_m=way_m,
         field=_field_over(recording.truth_field, truth_step),
         memory=memory_over(way_m, recording.truth_correlation_m or 0.0),
-        localised=np.full(len(kept), recording.localised),
-        random_walk_level=np.full(len(kept), in_position),
-        start_unseen=unseen[kept],
-        end_unseen=unseen[kept + 1],
+        **_truth_errors(recording, picked, kept),
     )
+
+
+def _truth_errors(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.int64]) -> dict[str, Any]:
+    """Return what the truth says of its own errors at the ends of intervals: fields of `Intervals`."""
+    truth = recording.truth
+    shape, unseen = (part[picked] for part in _noise_shape(truth.covariance, len(truth)))
+    in_position, in_heading = recording.truth_level
+    level = np.array([in_position, in_position, in_heading])
+    shape = shape * np.outer(level, level)
+    # errors of relative motions add up over an interval
+    motions = np.diff(picked)[kept][:, None, None] if truth.relative else 1.0
+    return {
+        "linked": np.concatenate(([False], (np.diff(kept) == 1) & (not truth.relative))),
+        "start_shape": shape[kept] * motions,
+        "end_shape": shape[kept + 1] * motions,
+        "start_unseen": unseen[kept],
+        "end_unseen": unseen[kept + 1],
+        "localised": np.full(len(kept), recording.localised),
+        "random_walk_level": np.full(len(kept), in_position),
+    }
 
 
 def memory_over(way_m: Array, correlation_m: float) -> Array:
@@ -329,16 +330,12 @@ def _noise_shape(covariance: Array | None, count: int) -> tuple[Array, Array]:
     return shape, unseen
 
 
-def _quarter(xy: Array) -> Array:
-    """Return vectors (..., 2) rotated by +90 degrees: the derivative of a vector with respect to its heading."""
-    return np.stack((-xy[..., 1], xy[..., 0]), axis=-1)
-
-
 def _log(xyt: Array) -> Array:
     """Return the twist (n, 3) whose exponential is a pose (n, 3)."""
     turn = wrap(xyt[:, 2])
     half = turn / 2.0
     # V^-1 = half cot(half) I - half J, also for half = 0
     cot = np.cos(half) / np.sinc(half / np.pi)
-    xy = cot[:, None] * xyt[:, :2] - half[:, None] * _quarter(xyt[:, :2])
+    turned = np.stack((-xyt[:, 1], xyt[:, 0]), axis=1)  # J times the position
+    xy = cot[:, None] * xyt[:, :2] - half[:, None] * turned
     return np.concatenate((xy, turn[:, None]), axis=1)

@@ -64,8 +64,7 @@ def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmo
             if effect.reads_truth and effect.kind != "noise":
                 twist += error_of(effect, motion)
         twist = followed([e for e in effects if _follows(e)], motion, twist)
-        whole = Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
-        xyt = accumulate(recording.odometry.xyt[0], whole)
+        xyt = accumulate(recording.odometry.xyt[0], Increments.of_rows(twist * motion.dt_s[:, None]))
         left = replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
     return left
 
@@ -103,6 +102,11 @@ class Problem:
         ds, dl, dtheta = np.concatenate(parts, axis=1)
         sideways = dl if drives_sideways(self.motions) else np.zeros_like(dl)
         return Increments(np.ascontiguousarray(ds), sideways, np.ascontiguousarray(dtheta))
+
+    def at(self, effects: Sequence[Effect], clocks: Sequence[Clock] | None = None) -> Problem:
+        """Return the problem of the same recordings with other effects and clocks (default: the same clocks)."""
+        same = self.clocks if clocks is None else clocks
+        return pose_problem(self.recordings, effects, same, approach=self.approach, before=self)
 
     def columns(self, effect: Effect, by: Sequence[Parameter] | None = None) -> Array:
         """Return the derivatives (K, 3, p) of the residuals by p parameters of an effect, default its amplitudes."""
@@ -244,9 +248,8 @@ def _left(
     left = {}
     for run, smoother, undone in zip(_runs(recordings, clocks), smoothers, whole, strict=True):
         for i, stretch in zip(run, smoother.stretches, strict=True):
-            own = slice(len(stretch.odometry))
-            odometry = Trajectory(undone.odometry.stamps_ns[own], undone.odometry.xyt[own])
-            left[i] = stretch if undone is smoother.recording else replace(stretch, odometry=odometry)
+            cut = undone.odometry.only(slice(len(stretch.odometry)))
+            left[i] = stretch if undone is smoother.recording else replace(stretch, odometry=cut)
     return [left[i] for i in range(len(recordings))]
 
 
@@ -256,7 +259,7 @@ def _robots(motion: Motion, setup: Sequence[Effect]) -> Motion:
         return motion
     still = np.zeros((len(motion), 3))
     back = np.linalg.inv([followed(setup, motion, still + unit)[0] for unit in np.eye(3)])
-    v, vy, omega = np.ascontiguousarray((np.stack((motion.v, motion.vy, motion.omega), axis=1) @ back).T)
+    v, vy, omega = np.ascontiguousarray((motion.twist @ back).T)
     return replace(motion, v=v, vy=vy, omega=omega, acceleration=motion.acceleration @ back)
 
 

@@ -7,7 +7,7 @@ parameters; effects are undone exactly before the next step. Any path that turns
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +20,7 @@ from odomcorrupt.geometry.se2 import compose, wrap
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.gauss_newton import moved
 from odomcorrupt.study.estimate.intervals import intervals_between, join
 from odomcorrupt.study.estimate.problem import Problem, undo
 from odomcorrupt.study.estimate.regressors import MotionSmoother
@@ -105,7 +106,7 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
         _check(normal, effects, 3 * len(intervals))
         covariance = np.linalg.inv(normal)
         theta = covariance @ np.einsum("kip,kij,kj->p", columns, weight, intervals.residual)
-        effects = _moved(effects, theta)
+        effects = moved(effects, theta)
         if np.abs(theta).max() < _STEP:
             break
     problem = _problem(drives, effects)
@@ -130,18 +131,6 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
     wider = float(student.isf(0.025, degrees) / 1.96) if degrees > 0 else 1.0
     errors = np.sqrt(np.diag(covariance)) * max(spread * wider, 1.0 if degrees < 3 else 0.0)
     return ReturnsFit(tuple(drives), effects, errors, first, left.residual, spread)
-
-
-def _moved(effects: Sequence[Effect], theta: Array) -> tuple[Effect, ...]:
-    """Return the effects after a step (p,), within their bounds."""
-    step = iter(theta.tolist())
-    moved = []
-    for effect in effects:
-        values = {
-            p.name: float(np.clip(getattr(effect, p.name) + next(step), p.low, p.high)) for p in amplitudes(effect)
-        }
-        moved.append(replace(effect, **values))  # type: ignore[type-var]
-    return tuple(moved)
 
 
 def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Problem:

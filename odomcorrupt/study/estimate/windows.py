@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import norm
 
 from odomcorrupt.geometry.se2 import between
+from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.estimate.interval_ends import pick_interval_ends
 from odomcorrupt.study.estimate.intervals import intervals_between, join
 from odomcorrupt.study.estimate.whitener import FLOOR, interval_covariance
@@ -92,7 +93,7 @@ def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) 
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     inside = np.flatnonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1]) & recording.truth.known)
     xy = recording.odometry.xyt[:, :2]
-    travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))))
+    travelled = distance_along(xy)
     at_truth = np.interp(truth_s[inside], odo_s, travelled)
     marks = np.arange(at_truth[0] + phase * length_m, at_truth[-1], length_m)
     if not len(marks):

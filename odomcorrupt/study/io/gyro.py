@@ -16,6 +16,7 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.topic_selection import near, plain
 
@@ -288,7 +289,7 @@ def _at_rest(odometry: Samples) -> NDArray[np.bool_]:
     ahead, behind = (np.clip(t_s + sign * half, t_s[0], t_s[-1]) for sign in (1.0, -1.0))
     moved = [np.interp(ahead, t_s, odometry.xyz[:, i]) - np.interp(behind, t_s, odometry.xyz[:, i]) for i in (0, 1)]
     # Use the travelled path in addition to the displacement, because back and forth is no rest.
-    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyz[:, :2], axis=0), axis=1))))
+    way = distance_along(odometry.xyz)
     gone = np.maximum(np.hypot(*moved), np.interp(ahead, t_s, way) - np.interp(behind, t_s, way))
     heading = np.unwrap(odometry.yaw_rad)
     turned = np.abs(np.interp(ahead, t_s, heading) - np.interp(behind, t_s, heading))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -83,7 +83,7 @@ def _alignment(recording: Recording, odometry: Array) -> Alignment:
     inside = (truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])
     q = (odometry[:, 0] + 1j * odometry[:, 1]) * inside
     p = (truth.xyt[:, 0] - truth.xyt[0, 0] + 1j * (truth.xyt[:, 1] - truth.xyt[0, 1])) * inside
-    travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry[:, :2], axis=0), axis=1))))
+    travelled = distance_along(odometry)
     first = np.searchsorted(travelled, travelled - _REACH_M, side="left")
     last = np.searchsorted(travelled, travelled + _REACH_M, side="right")
     found = Alignment(q, p, inside, first, last, q, travelled, inside)

@@ -23,6 +23,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import rotate, wrap
+from odomcorrupt.geometry.trajectory import distance_along
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -315,7 +316,7 @@ def _departures(
     at = t_s[inside]
     heading = np.interp(at, own_s, np.unwrap(odometry.yaw_rad))
     turned, calm = _unwrapped(truth.yaw_rad[inside] - heading)
-    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyz[:, :2], axis=0), axis=1))))
+    way = distance_along(odometry.xyz)
     design = np.stack((np.ones(len(at)), at, heading, np.interp(at, own_s, way)), axis=1)
     # Gyro bias, heading gain and unequal wheels act all the time: remove their contribution by regression.
     steady = design @ np.linalg.lstsq(design, calm, rcond=None)[0]

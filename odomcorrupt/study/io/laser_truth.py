@@ -9,6 +9,7 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.closure import end_by_scans, lifted
 from odomcorrupt.laser.moving import without_moving
@@ -265,7 +266,7 @@ def _check_travel(path: LaserPath, motion: Motion, place: str) -> None:
     Distances between poses are compared, in which the mounting and the axes of the map do not matter.
     """
     own = motion.robot(path.t_s)[:, :2]
-    gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(own, axis=0), axis=1))))
+    gone = distance_along(own)
     ahead = np.searchsorted(gone, gone + _COMPARED_M)
     rows = np.flatnonzero(ahead < len(path))
     rows = rows[path.part[ahead[rows]] == path.part[rows]]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.trajectory import distance_along
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -71,7 +72,7 @@ def _chords(path: Samples) -> tuple[Array, Array]:
     length = max(extent / _CHORDS, 15.0 * noise, 1e-6)
     picked = [0]
     # The travelled distance only bounds the chord from above: continue until the chord itself is long enough.
-    gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))))
+    gone = distance_along(xy)
     at = 0
     while (at := int(np.searchsorted(gone, gone[at] + length))) < len(xy):
         if np.linalg.norm(xy[at] - xy[picked[-1]]) > length / 2.0:

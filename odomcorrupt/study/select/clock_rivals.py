@@ -9,11 +9,10 @@ import numpy as np
 
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate import gauss_newton
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.candidates import tried, with_shape_refined
+from odomcorrupt.study.select.candidates import library_candidates, tried, with_shape_refined
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.score import score_terms
@@ -22,6 +21,7 @@ from odomcorrupt.study.terms.term import LibraryTerm
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
 
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
@@ -31,26 +31,27 @@ if TYPE_CHECKING:
 CLOCK_LIKE_EFFECTS = ("accel_slip", "backlash")
 """Names of wheel effects at changes of speed, which resemble a clock offset."""
 
+_AMBIGUOUS_S = 0.02
+"""Largest clock offset that these effects can imitate, seconds."""
 _LEAST_S = 0.04
 """Least offset of the odometry's clock at which a lag is tested, seconds: motors and filters lag by 50 ms and more."""
 _LAGS, _MISFIT = ("channel_lag", "motor_lag", "steering_lag"), 0.2
 """Names of lags; largest offset, as a fraction of a time constant, that may be a lag's misfit (as `_MISFIT_GAIN`)."""
 
 
-class InPlaceOfClock(NamedTuple):
-    """An effect fitted in place of a clock offset.
+class ClockRival(NamedTuple):
+    """A model without the clock offsets of another one, or with offsets that the other one lacks.
 
-    candidate : the effect, beside the model without a clock
-    fit : the model with the effect and without the clock
-    more_nats : log likelihood of that fit minus that of the model with the clock, nats
+    more_nats : its log likelihood minus that of the other model, nats
+    candidates : library effects in place of the clock, the included one first; empty if none was included
     """
 
-    candidate: Candidate
     fit: Fit
     more_nats: float
+    candidates: Sequence[Candidate] = ()
 
 
-def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> InPlaceOfClock | None:
+def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> ClockRival | None:
     """Return a fit with a lag in place of the offset of the odometry's clock; None if not applicable.
 
     A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it. If the
@@ -58,21 +59,19 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> InPl
     filter of all speeds is not tested before all effects (`first`), because filters with two time constants resemble
     it; by the later test these are explained by a clock and the lag of one speed.
     """
-    clocks = fit.problem.clocks
-    late_s = [clock.offset_s for clock in clocks]
+    late_s = [clock.offset_s for clock in fit.problem.clocks]
     motors = max(late_s) < 0.0
     tau_s = min(map(abs, late_s)) if motors or min(late_s) > 0.0 else 0.0
-    have = {effect.name for effect in fit.effects}
     recordings = fit.problem.recordings
     # A laser has a separate clock, so an offset is no sign of a lag.
     tested = sees_travel(recordings) and not any(r.matched for r in recordings)
     if not np.any(fit.free_clocks) or tau_s < _LEAST_S or not tested:
         return None
     late = registry()["motor_lag"]() if motors else effect_from_values("channel_lag", {"channel": "all"})
-    if late.name in have or (first and not motors):
+    if late.name in fit.by_name or (first and not motors):
         return None
     term = LibraryTerm.of(late, fit.problem.motions)
-    without = fit.refit(clocks=(Clock(),) * len(clocks), free_clocks=((False, False),) * len(clocks))
+    without = _at_clock(fit, fit.effects)
     (score,) = score_terms(without, [term], decisions, family=1)
     with_it = without.refit([*without.effects, term.effect([tau_s])], weights_of=without)
     candidate = tried(without, with_it, score, decisions)
@@ -81,10 +80,51 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> InPl
     other = with_it.refit()
     for name in (e.name for e in fit.effects if e.name in registry()):
         # shapes refined with the clock offset have absorbed a part of its misfit
-        effect = next(e for e in other.effects if e.name == name)
+        effect = other.by_name[name]
         (score,) = score_terms(drop_term(other, effect), [LibraryTerm.of(effect, other.problem.motions)], decisions)
         other = with_shape_refined(other, score, decisions)[0]
-    return InPlaceOfClock(candidate, other, more_nats(other, fit))
+    return ClockRival(other, more_nats(other, fit), (candidate,))
+
+
+def swapped(
+    fit: Fit, late: set[str], included: Sequence[Dependence], given: Container[str], decisions: Decisions
+) -> ClockRival | None:
+    """Return a fit with a library effect in place of small clock offsets, or with offsets in place of wheel effects.
+
+    None if the model has neither, or no dependence on the acceleration beside its clocks. The gain is that of
+    `_penalised_nats`.
+
+    late : names of dependences on the acceleration, which the fit is without
+    included : dependences in the model
+    given : names of effects that were in the model from the beginning
+    """
+    candidates: Sequence[Candidate] = ()
+    if np.any(fit.free_clocks):
+        if not late or max(abs(clock.offset_s) for clock in fit.problem.clocks) >= _AMBIGUOUS_S:
+            return None
+        other = _at_clock(fit, [e for e in fit.effects if e.name not in late])
+        tested = library_candidates(other, decisions)
+        if tested and not tested[0].refused:
+            candidates, best = tested, tested[0]
+            if best.fit is not None:
+                other = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
+    else:
+        like = _clock_like(fit, given)
+        if not like:
+            return None
+        other = _at_clock(fit, [e for e in fit.effects if e not in like], offset_free=True)
+    return ClockRival(other, _penalised_nats(other, fit, included, decisions), candidates)
+
+
+def _clock_like(fit: Fit, given: Container[str]) -> list[Effect]:
+    """Return the effects of a model that resemble a clock offset and were not in it from the beginning."""
+    return [e for e in fit.effects if e.name in CLOCK_LIKE_EFFECTS and e.name not in given]
+
+
+def _at_clock(fit: Fit, effects: Sequence[Effect], *, offset_free: bool = False) -> Fit:
+    """Return a fit of other effects that begins with right clocks, whose offsets may be free."""
+    count = len(fit.free_clocks)
+    return fit.refit(effects, clocks=(Clock(),) * count, free_clocks=((offset_free, False),) * count)
 
 
 def without_clock(fit: Fit, given: Container[str]) -> Fit | None:
@@ -95,15 +135,14 @@ def without_clock(fit: Fit, given: Container[str]) -> Fit | None:
 
     given : names of effects that were in the model from the beginning
     """
-    like = [e for e in fit.effects if e.name in CLOCK_LIKE_EFFECTS and e.name not in given]
-    if not like or not np.any(fit.free_clocks) or any(r.matched for r in fit.problem.recordings):
+    clocked = np.any(fit.free_clocks) and not any(r.matched for r in fit.problem.recordings)
+    if not clocked or not _clock_like(fit, given):
         return None
-    count = len(fit.free_clocks)
-    other = fit.refit(clocks=(Clock(),) * count, free_clocks=((False, False),) * count)
+    other = _at_clock(fit, fit.effects)
     return other if more_nats(other, fit) + _clock_penalty(fit) > 0.0 else None
 
 
-def penalised_nats(here: Fit, there: Fit, included: Sequence[Dependence], decisions: Decisions) -> float:
+def _penalised_nats(here: Fit, there: Fit, included: Sequence[Dependence], decisions: Decisions) -> float:
     """Return the gain in log likelihood of `here` over `there`, each less the penalties of its effects and free clocks.
 
     In nats; likelihoods are compared as by `more_nats`.
@@ -157,10 +196,8 @@ def _within(one: Fit, spans_s: list[tuple[float, float]]) -> Fit:
     recordings = []
     for recording, (first_s, last_s) in zip(one.problem.recordings, spans_s, strict=True):
         truth, truth_s = recording.truth, recording.truth.seconds_since(recording.origin_ns)
-        rows = (truth_s >= first_s) & (truth_s <= last_s)
-        known = truth.covariance[rows] if truth.covariance is not None else None
-        part = Trajectory(truth.stamps_ns[rows], truth.xyt[rows], known, truth.relative)
-        recordings.append(replace(recording, truth=part))
+        inside = (truth_s >= first_s) & (truth_s <= last_s)
+        recordings.append(replace(recording, truth=truth.only(inside)))
     return gauss_newton.fit(
         recordings,
         one.effects,

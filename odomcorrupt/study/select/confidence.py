@@ -127,33 +127,33 @@ def held_out_limit(name: str, nats: float, learned: Learned) -> float:
 
 def evidence_of(step: Step, learned: Learned) -> Evidence:
     """Return the evidence, given the final model, for the effect that a step included."""
-    gain = step.candidates[0].gain
-    own = held_out_limit(step.added or "", gain, learned)
+    name, (included, *others) = step.added or "", step.candidates
+    own = held_out_limit(name, included.gain, learned)
     # overfitting raised the gains of the rivals as much as that of the effect
-    rivals = tuple(c.gain - (gain - own) for c in step.candidates[1:] if not c.refused)
-    if step.added in _LIKE_CLOCK and learned.clocks.ambiguous_nats > 0.0:
+    overfitted = included.gain - own
+    rivals = [c.gain - overfitted for c in others if not c.refused]
+    if name in _LIKE_CLOCK and learned.clocks.ambiguous_nats > 0.0:
         # the clock offset that was set to zero is a rival, with at most the gain of the effect
-        rivals = (*rivals, min(own, learned.clocks.ambiguous_nats - (gain - own)))
-    if step.added not in (*RIVALS, *_DECAYING) and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
-        # the pose updates of a filter imitate gains and biases of any kind
-        rivals = (*rivals, own)
-    if _may_be_dead_band(step.added or "", learned):
-        rivals = (*rivals, own)
-    if _may_be_of_wheels(step.added or "", learned):
-        rivals = (*rivals, own)
-    if learned.may_be_losses(step.added or ""):
-        rivals = (*rivals, own)  # lost increments have the same mean error
-    if _may_be_remainder(step.added or "", learned) or _may_be_misfit(step, learned):
-        rivals = (*rivals, own)
+        rivals.append(min(own, learned.clocks.ambiguous_nats - overfitted))
+    # rivals that are not in the list of candidates, and gain as much
+    rivals += [own] * sum(
+        (
+            _may_be_filter(name, learned),
+            _may_be_dead_band(name, learned),
+            _may_be_of_wheels(name, learned),
+            learned.may_be_losses(name),  # lost increments have the same mean error
+            _may_be_remainder(name, learned) or _may_be_misfit(step, learned),
+        )
+    )
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
     return Evidence(
         own,
-        rivals,
+        tuple(rivals),
         learned.left_nats,
         correlated,
-        margin=learned.margins.get(step.added or "", inf),
+        margin=learned.margins.get(name, inf),
         candidates=equal_candidates([c.name for c in step.candidates], learned.decisions),
-        held_out_errors=held_out_errors(*learned.held_out.get(step.added or "", (inf, inf))),
+        held_out_errors=held_out_errors(*learned.held_out.get(name, (inf, inf))),
     )
 
 
@@ -193,9 +193,15 @@ def _loses_slow_turns(learned: Learned) -> bool:
     return any(recording.yaw_dead_band_radps > 0.0 for recording in learned.fit.problem.recordings)
 
 
+def _may_be_filter(name: str, learned: Learned) -> bool:
+    """Return whether an effect may be of the pose updates of a filter, which imitate gains and biases of any kind."""
+    pulled = any(recording.pulled_per_s > 0.0 for recording in learned.fit.problem.recordings)
+    return pulled and name not in (*RIVALS, *_DECAYING)
+
+
 def _may_be_dead_band(name: str, learned: Learned) -> bool:
     """Return whether an effect changes the heading of an odometry whose slow turns a dead band has removed."""
-    effect = next((e for e in learned.fit.effects if e.name == name), None)
+    effect = learned.fit.by_name.get(name)
     if effect is None or not _loses_slow_turns(learned):
         return False
     return any(error_of(effect, motion)[:, 2].any() for motion in learned.fit.problem.motions)
@@ -203,7 +209,7 @@ def _may_be_dead_band(name: str, learned: Learned) -> bool:
 
 def _may_be_remainder(name: str, learned: Learned) -> bool:
     """Return whether an effect may be the remainder of another one in the model, see `Effect.remainder`."""
-    effect = next((e for e in learned.fit.effects if e.name == name), None)
+    effect = learned.fit.by_name.get(name)
     if effect is None or max(effect.remainder) > 0.0:
         return False
     return within_remainder(
@@ -232,7 +238,7 @@ def _may_be_of_wheels(name: str, learned: Learned) -> bool:
     With one larger wheel on a track b, the body's travel in turns is longer, as with a lever arm of
     y = curvature b^2 / 4. Slip of each wheel in proportion to its own speed has a similar effect.
     """
-    arm = next((e for e in learned.fit.effects if e.name == name == "lever_arm"), None)
+    arm = learned.fit.by_name.get(name) if name == "lever_arm" else None
     motion = learned.fit.problem.motions[0]
     if arm is None or motion.track_m is not None or learned.drive_type.steered:
         return False

@@ -16,6 +16,7 @@ import numpy as np
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.geometry.se2 import between
+from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import distance_windows, time_windows
 from odomcorrupt.study.io.clock import aligned
@@ -130,8 +131,7 @@ def _windows(recordings: Sequence[Recording], distance_m: float | None) -> list[
 
 def _travelled(recording: Recording, ends: Array) -> Array:
     """Return the length of path (n,) of windows (n, 2), m."""
-    steps = np.linalg.norm(np.diff(recording.odometry.xyt[:, :2], axis=0), axis=1)
-    path = np.interp(ends, recording.odometry_s, np.concatenate(([0.0], np.cumsum(steps))))
+    path = np.interp(ends, recording.odometry_s, distance_along(recording.odometry.xyt))
     metres: Array = path[:, 1] - path[:, 0]
     return metres
 

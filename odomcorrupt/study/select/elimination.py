@@ -158,7 +158,7 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
     """
     either = [e for e in fit.effects if "heading" in choices(e) and e.name not in given]
     words = {getattr(e, "heading", "") for e in either}
-    known = any(e.name == "gyro_bias" for e in fit.effects) or all(map(turns_at_rest, fit.problem.recordings))
+    known = "gyro_bias" in fit.by_name or all(map(turns_at_rest, fit.problem.recordings))
     if heading_source_of(fit.problem.recordings) or not words or ("gyro" not in words and not known):
         return fit
     found: dict[str, Fit] = {}

@@ -57,7 +57,7 @@ def without_optional_shape(fit: Fit, score: Score) -> tuple[Fit, Score]:
 
     score : the term of the effect; fit and score are returned unchanged if nothing is left out
     """
-    effect = next(e for e in fit.effects if e.name == score.term.name)
+    effect = fit.by_name[score.term.name]
     left_out = {p.name: p.identity for p in shapes(effect) if p.optional}
     plain = replace(effect, **left_out)  # type: ignore[type-var]  # effects are dataclasses
     if plain == effect or not isinstance(score.term, LibraryTerm):
@@ -105,7 +105,7 @@ def with_limit(fit: Fit, name: str, decisions: Decisions) -> Fit:
     robust weights, and moved to the maximum of the likelihood. It has to gain the penalty of its additional parameter
     and of the number of trials. Then those of the limited effect are tried.
     """
-    effect = next(e for e in fit.effects if e.name == name)
+    effect = fit.by_name[name]
     trials = effect.limited(fit.problem.motions)
     if not trials:
         return fit

@@ -209,7 +209,7 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     One that is the same function of this drive, as a patch of floor may be, is the same cause: it does not pay for more
     shape parameters. An effect that fits only with a physically impossible sign is returned as a refused candidate.
     """
-    effect = next((e for e in fit.effects if e.name == law.name), None)
+    effect = fit.by_name.get(law.name)
     if effect is None or law.best is None:
         return None
     bare, others = drop_term(fit, effect), [e for e in fit.effects if e is not effect]
@@ -274,7 +274,7 @@ def with_final_rivals(steps: Sequence[Step], fit: Fit, decisions: Decisions) -> 
 
 
 def _with_final_rivals(step: Step, fit: Fit, decisions: Decisions) -> Step:
-    own = next((effect for effect in fit.effects if effect.name == step.added), None)
+    own = fit.by_name.get(step.added or "")
     have = {effect.name for effect in fit.effects}
     if own is None or have <= {own.name, *(effect.name for effect in step.before.effects)}:
         return step

@@ -122,7 +122,7 @@ def _measured(fit: Fit, one: DetectedRandomEffect) -> tuple[Fit, DetectedRandomE
     calmer = fit.refit(random=(*fit.random, effect))
     # the mean of a bias is no part of the process
     mean = registry()["gyro_bias"]()
-    steady = fit if any(e.name == mean.name for e in fit.effects) else fit.refit((*fit.effects, mean))
+    steady = fit if mean.name in fit.by_name else fit.refit((*fit.effects, mean))
     nats = calmer.log_likelihood - max(fit.log_likelihood, steady.log_likelihood)
     nats -= 0.5 * process.numbers * float(np.log(len(fit.problem.intervals)))
     return (_beside(calmer, effect), DetectedRandomEffect(effect, nats)) if nats > one.nats else (fit, one)

@@ -134,7 +134,7 @@ class Learned:
         if one in self.laws:
             return self.is_negligible(one.name)
         motions = self.fit.problem.motions
-        travelled_m = sum(float(np.sum(np.hypot(m.v, m.vy) * m.dt_s)) for m in motions)
+        travelled_m = sum(float(np.sum(m.travel)) for m in motions)
         per_s = travelled_m / max(sum(float(np.sum(m.dt_s)) for m in motions), 1e-9)
         return self.error_m < self.decisions.practical.per_m * WINDOW_S * per_s
 

@@ -21,7 +21,6 @@ from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
-from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select import clock_rivals
 from odomcorrupt.study.select.candidates import (
@@ -75,8 +74,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["Learned", "Step", "learn"]
-
-_AMBIGUOUS_CLOCK_S = 0.02  # largest clock offset that these can imitate, seconds
 
 
 def learn(
@@ -192,7 +189,7 @@ class _Selection:
         self.included.append(proposal.dependence)
         self._record(candidates, dependence=proposal.dependence)
         if proposal.candidate.fit is not None:
-            self._continue_from(without_redundant(proposal.candidate.fit, self.given, self.decisions))
+            self._continue_from(proposal.candidate.fit)
 
     def _name_laws(self) -> bool:
         """Replace a dependence by a known effect with about the same gain; return whether the model changed."""
@@ -206,7 +203,7 @@ class _Selection:
                 self.fit = self.fit.refit([e for e in self.fit.effects if e.name != law.name])
             else:
                 self._record([name], added=name.name)
-                self._continue_from(without_redundant(name.fit, self.given, self.decisions))
+                self._continue_from(name.fit)
             return True
         return False
 
@@ -215,7 +212,10 @@ class _Selection:
         return {channel for one in self.contradictions for channel in channels_of(self.fit, one.score.effect)}
 
     def _continue_from(self, fit: Fit) -> None:
-        """Continue from a model with one more term."""
+        """Continue from a model with another term or other clocks, without terms that this makes redundant."""
+        self._accept(without_redundant(fit, self.given, self.decisions))
+
+    def _accept(self, fit: Fit) -> None:
         self.withdrawn.clear()
         self.noise, self.fit = eliminate_random(self.noise, fit, self.decisions)
 
@@ -247,11 +247,11 @@ class _Selection:
         # robust weights are re-estimated, because the term may explain intervals that were outliers before
         larger = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
         larger = without_redundant(larger, self.given, decisions)
-        if best.name not in {effect.name for effect in larger.effects} or self._already_seen(larger):
+        if best.name not in larger.by_name or self._already_seen(larger):
             self.withdrawn.add(best.name)
             return True
         self._record(candidates, added=best.name)
-        self._continue_from(larger)
+        self._accept(larger)
         return True
 
     def _record(
@@ -340,15 +340,12 @@ class _Selection:
         found = clock_rivals.lag_in_place(self.fit, self.decisions, first=first)
         if found is None:
             return False
-        better = found.more_nats > self.decisions.replacement_nats and not self._already_seen(found.fit)
-        if not better:
+        if found.more_nats <= self.decisions.replacement_nats or self._already_seen(found.fit):
             self.over_lag = self.decisions.alternative_nats - found.more_nats
             return False
-        clocks, free = found.fit.problem.clocks, found.fit.free_clocks
-        left_nats = max(found.candidate.gain - found.more_nats, 0.0)
-        self.clocks = replace(self.clocks, clocks=clocks, free=free, ambiguous_nats=left_nats)
-        self._record([found.candidate], added=found.candidate.name)
-        self._continue_from(without_redundant(found.fit, self.given, self.decisions))
+        (lag,) = found.candidates
+        self._record([lag], added=lag.name)
+        self._continue_with_clocks_of(found.fit, max(lag.gain - found.more_nats, 0.0))
         return True
 
     def _drop_clock(self) -> bool:
@@ -356,9 +353,14 @@ class _Selection:
         other = clock_rivals.without_clock(self.fit, self.given)
         if other is None or self._already_seen(other):
             return False
-        self.clocks = replace(self.clocks, clocks=other.problem.clocks, free=other.free_clocks)
-        self._continue_from(without_redundant(other, self.given, self.decisions))
+        self._continue_with_clocks_of(other, self.clocks.ambiguous_nats)
         return True
+
+    def _continue_with_clocks_of(self, fit: Fit, ambiguous_nats: float) -> None:
+        """Continue from a model with other clocks; see `Clocks` for the gain of a clock that was left out."""
+        clocks, free = fit.problem.clocks, fit.free_clocks
+        self.clocks = replace(self.clocks, clocks=clocks, free=free, ambiguous_nats=ambiguous_nats)
+        self._continue_from(fit)
 
     def _swap_clock(self) -> bool:
         """Replace a clock offset by a wheel effect at changes of speed, or conversely, if that gains more.
@@ -368,31 +370,21 @@ class _Selection:
         is free, a selected wheel effect may be an offset: rounded stamps are late by half of the rounding step. The
         hypothesis that is left out remains a rival.
         """
-        fit, clocked = self.fit, bool(np.any(self.fit.free_clocks))
-        late = {one.name for one in (*self.included, *self.open) if one.follows_acceleration}
-        like = {e.name for e in fit.effects if e.name in clock_rivals.CLOCK_LIKE_EFFECTS and e.name not in self.given}
-        small = max(abs(clock.offset_s) for clock in fit.problem.clocks) < _AMBIGUOUS_CLOCK_S
-        if not (late and small if clocked else like):
+        clocked = bool(np.any(self.fit.free_clocks))
+        late = {one.name for one in (*self.included, *self.open) if clocked and one.follows_acceleration}
+        found = clock_rivals.swapped(self.fit, late, self.included, self.given, self.decisions)
+        if found is None:
             return False
-        others = [e for e in fit.effects if e.name not in (late if clocked else like)]
-        free = ((not clocked, False),) * len(fit.free_clocks)
-        other = fit.refit(others, clocks=(Clock(),) * len(free), free_clocks=free)
-        candidates = library_candidates(other, self.decisions) if clocked else []
-        best = candidates[0] if candidates and not candidates[0].refused else None
-        if best is not None and best.fit is not None:
-            other = with_shape_refined(best.fit.refit(), best.score, self.decisions)[0]
-        more = clock_rivals.penalised_nats(other, fit, self.included, self.decisions)
-        better = more > 0.0 and not self._already_seen(other)
+        better = found.more_nats > 0.0 and not self._already_seen(found.fit)
         if better:
-            self.clocks = replace(self.clocks, clocks=other.problem.clocks, free=free, ambiguous_nats=0.0)
-            if best is not None:
-                self._record(candidates, added=best.name)
-            self.included = [one for one in self.included if one.name not in late or not clocked]
-            self._continue_from(without_redundant(other, self.given, self.decisions))
+            if found.candidates:
+                self._record(found.candidates, added=found.candidates[0].name)
+            self.included = [one for one in self.included if one.name not in late]
+            self._continue_with_clocks_of(found.fit, 0.0)
         if np.any(self.fit.free_clocks):
-            self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, abs(more)))
+            self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, abs(found.more_nats)))
         else:
             gains = (step.candidates[0].gain for step in self.steps if step.added in clock_rivals.CLOCK_LIKE_EFFECTS)
-            nats = max(gains, default=0.0) - abs(more)
+            nats = max(gains, default=0.0) - abs(found.more_nats)
             self.clocks = replace(self.clocks, ambiguous_nats=max(nats, self.clocks.ambiguous_nats, 0.0))
         return better

@@ -48,7 +48,7 @@ def curve_regressors(
         of["sideways_speed"] = lambda m: m.vy
     regressors: dict[str, Callable[[Motion], tuple[Array, Array]]] = {}
     for name, value in of.items():
-        moving = np.concatenate([value(m)[np.hypot(m.v, m.vy) > 0.02] for m in motions])
+        moving = np.concatenate([value(m)[m.speed > 0.02] for m in motions])
         if len(moving) < 100:
             continue
         knots = _apart(np.quantile(moving, np.linspace(0.02, 0.98, _HATS[name])))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.estimate.interval_ends import LEAST_INTERVALS, count_intervals
 from odomcorrupt.study.io.clock import clock_leaders
 
@@ -135,9 +135,7 @@ def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) 
         at = int(np.searchsorted(truth.stamps_ns, middle.stamp_ns))
         for side, word, rows in zip(sides, ("first", "second"), (slice(at), slice(at, None)), strict=True):
             if len(truth.stamps_ns[rows]) > LEAST_INTERVALS:
-                known = truth.covariance[rows] if truth.covariance is not None else None
-                part = Trajectory(truth.stamps_ns[rows], truth.xyt[rows], known, truth.relative)
-                side.append(replace(recording, name=f"{recording.name}, {word} half", truth=part))
+                side.append(replace(recording, name=f"{recording.name}, {word} half", truth=truth.only(rows)))
     first, second = (tuple(r for r in side if count_intervals(r, spacing_s) >= LEAST_INTERVALS) for side in sides)
     return Pieces(names, first, second)
 
@@ -147,7 +145,7 @@ def _distance(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
     stamps, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for recording in run:
         odometry, truth = recording.odometry, recording.truth
-        travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1))))
+        travelled = distance_along(odometry.xyt)
         own_s, truth_s = recording.odometry_s, truth.seconds_since(recording.origin_ns)
         inside = (truth_s >= own_s[0]) & (truth_s <= own_s[-1])
         distance_m = np.interp(truth_s[inside], own_s, travelled)

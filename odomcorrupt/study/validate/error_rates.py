@@ -53,7 +53,7 @@ def interval_motion(problem: Problem) -> IntervalMotion:
     columns = [dt] + [
         np.concatenate(part) * dt
         for part in (
-            [np.hypot(m.v, m.vy) for m in motions],
+            [m.speed for m in motions],
             [m.v for m in motions],
             [m.omega for m in motions],
             [m.a for m in motions],
@@ -83,7 +83,7 @@ def unit_columns(problem: Problem, *, per_second: bool = False) -> Array:
 
     Multiplied by a mask over the intervals, a column is that rate in a part of the drive.
     """
-    parts = [m.dt_s if per_second else np.hypot(m.v, m.vy) * m.dt_s for m in problem.motions]
+    parts = [m.dt_s if per_second else m.travel for m in problem.motions]
     weight = np.concatenate(parts)
     columns = []
     for c in range(3):

@@ -145,7 +145,7 @@ def evaluate_stretch(
     # A random coefficient acts over the whole run: spread its contribution over all intervals.
     own += (white.log_det - band.log_det) / own.size
     left = problem.left[0]
-    raw = pose_problem([recording], approach=approach, before=problem).intervals
+    raw = problem.at(()).intervals
     return Evaluation(
         recording=recording,
         left=left,

@@ -22,7 +22,7 @@ from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error
-from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.gauss_newton import fit_problem
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
@@ -243,14 +243,11 @@ class _Fold:
     def judged(self, fitted: Fit, parts: Sequence[Effect]) -> list[Evaluation]:
         """Return the evaluations on this fold of the model without some parts."""
         if self.train is not None:
-            own = fit(
-                self.train.recordings,
-                _others(fitted.effects, parts),
-                approach=fitted.problem.approach,
-                start=fitted.noise.free,
+            own = fit_problem(
+                self.train.at(_others(fitted.effects, parts)),
                 random=_others(fitted.random, parts),
+                start=fitted.noise.free,
                 nearly=True,
-                known=self.train,
             )
         else:
             own = _without(fitted, parts) if parts else fitted

@@ -26,7 +26,7 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
-from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.rng import stream
 from odomcorrupt.study.estimate.outliers import events
 from odomcorrupt.study.estimate.problem import undo
@@ -96,7 +96,7 @@ def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     smooth, truth = smooth_truth(measured)
     stamps = measured.odometry.stamps_ns
     kept = np.unique(np.linspace(0, len(stamps) - 1, min(_MAX_POSES, len(stamps))).astype(np.int64))
-    travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(smooth[:, :2], axis=0), axis=1))))
+    travelled = distance_along(smooth)
     starts = stream(seed, 0, "replay").standard_normal((runs, 3)) * np.array(
         [piece.truth.xy_m, piece.truth.xy_m, piece.truth.yaw_rad]
     )
@@ -115,18 +115,17 @@ def overlapping(recording: Recording) -> Recording:
     """Return the recording with the odometry restricted to the time of the truth."""
     odometry, truth = recording.odometry, recording.truth
     inside = (odometry.stamps_ns >= truth.stamps_ns[0]) & (odometry.stamps_ns <= truth.stamps_ns[-1])
-    return replace(recording, odometry=Trajectory(odometry.stamps_ns[inside], odometry.xyt[inside]))
+    return replace(recording, odometry=odometry.only(inside))
 
 
 def smooth_truth(recording: Recording) -> tuple[Array, Array]:
     """Return the truth at the odometry's stamps, smoothed (n, 3) and as measured (n, 3)."""
     truth = recording.truth.at(recording.odometry_s, recording.origin_ns)
     m = driving_motion(recording, "truth")
-    sideways = m.vy * m.dt_s
-    if np.abs(sideways).sum() < 0.1 * np.abs(m.v * m.dt_s).sum():
-        sideways = np.zeros_like(sideways)
-    steps = Increments(np.ascontiguousarray(m.v * m.dt_s), sideways, np.ascontiguousarray(m.omega * m.dt_s))
-    return accumulate(truth[0], steps), truth
+    steps = m.twist * m.dt_s[:, None]
+    if np.abs(steps[:, 1]).sum() < 0.1 * np.abs(steps[:, 0]).sum():
+        steps[:, 1] = 0.0
+    return accumulate(truth[0], Increments.of_rows(steps)), truth
 
 
 _RUNS = 10
