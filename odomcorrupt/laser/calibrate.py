@@ -8,7 +8,7 @@ calibration, linear in the position and in cosine and sine of the yaw). No initi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,10 +16,12 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.laser.deskewing import Deskewing, Motion
-from odomcorrupt.laser.icp import best_guess, match, surface_of
+from odomcorrupt.laser.icp import best_guess, match, surface_of, thinned
 from odomcorrupt.laser.surface import lines_of
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.laser.sweep import Sweeps
@@ -60,9 +62,13 @@ class Calibration:
     turn_s: float = 0.0
     against_tf_rad: float = 0.0
 
-    def deskewing(self) -> Deskewing:
-        """Return the sweeps corrected for the motion within them."""
-        return Deskewing(self.sweeps, self.motion, mirrored=self.mirrored, turn_s=self.turn_s)
+    def deskewing(self, rows: NDArray[np.int64] | None = None) -> Deskewing:
+        """Return the sweeps of these rows (default all) corrected for the motion within them."""
+        return Deskewing(self.sweeps, self.motion, mirrored=self.mirrored, turn_s=self.turn_s, rows=rows)
+
+    def noted(self, message: str) -> Calibration:
+        """Return the calibration with one more message, on the topic of the sweeps."""
+        return replace(self, said=(*self.said, f"{self.sweeps.topic}: {message}"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,53 +96,45 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     RecordingError
         If the sweeps cannot be matched with each other.
     """
-    mount = np.zeros(3)
     stated, stated_s = sweeps, _stated_turn_s(sweeps)
     sweeps = sweeps.at_once() if sweeps.by_scan_time else sweeps
-    by_tf = sweeps.mount
-    flipped = by_tf is not None and float(np.linalg.det(by_tf.plane)) < 0.0
+    by_tf, known = sweeps.mount, None
     if by_tf is not None:
-        mount = np.array([*by_tf.position_xy, np.arctan2(by_tf.plane[1, 0], by_tf.plane[0, 0])])
-    known = mount if by_tf is not None else None
-    motion = Motion(odometry, origin_ns, 0.0, mount)
-    pairs, mirrored = _sense(sweeps, motion, flipped=flipped, certain=by_tf is not None)
-    said = []
-    if mirrored and not flipped:
-        said.append(f"{sweeps.topic}: turns opposite to the odometry: it is mounted upside down; mirrored")
+        known = np.array([*by_tf.position_xy, np.arctan2(by_tf.plane[1, 0], by_tf.plane[0, 0])])
+    flipped = by_tf is not None and float(np.linalg.det(by_tf.plane)) < 0.0
+    motion = Motion(odometry, origin_ns, 0.0, np.zeros(3) if known is None else known)
+    now, pairs = _sense(Calibration(sweeps, motion, flipped, ()), certain=known is not None)
+    if now.mirrored and not flipped:
+        now = now.noted("turns opposite to the odometry: it is mounted upside down; mirrored")
     found = None
     for _ in range(2):
-        motion, found = _refined(pairs, motion, by_tf=known)
-        pairs = _matched(sweeps, motion, mirrored=mirrored)
-    best_s = turn_s = _turning_time(sweeps, motion, pairs, stated_s, mirrored=mirrored)
-    if best_s:
+        now, found = _refined(pairs, now, by_tf=known)
+        pairs = _matched(now)
+    turn_s = _turning_time(now, pairs, stated_s)
+    if turn_s:
         why = "times within a sweep run the wrong way" if stated_s else "no times within a sweep"
+        now = replace(now, turn_s=turn_s)
         if sweeps.by_scan_time:
             why = "time_increment is 0, scan_time is not"
             later_s = float(np.median(stated.middle_s(origin_ns) - sweeps.middle_s(origin_ns)))
-            sweeps, motion = stated, replace(motion, lag_s=motion.lag_s - later_s)
-            turn_s = 0.0 if best_s == stated_s else best_s
-        pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=turn_s)
-        motion, found = _refined(pairs, motion, by_tf=known)
-        said.append(
-            f"{sweeps.topic}: {why}; sweeps fit each other best if a turn takes {abs(best_s):.2f} s "
-            f"({'counter-clockwise' if best_s > 0.0 else 'clockwise'})"
+            motion = replace(now.motion, lag_s=now.motion.lag_s - later_s)
+            now = replace(now, sweeps=stated, motion=motion, turn_s=0.0 if turn_s == stated_s else turn_s)
+        pairs = _matched(now)
+        now, found = _refined(pairs, now, by_tf=known)
+        now = now.noted(
+            f"{why}; sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
+            f"({'counter-clockwise' if turn_s > 0.0 else 'clockwise'})"
         )
     elif sweeps.by_scan_time:
-        said.append(
-            f"{sweeps.topic}: time_increment is 0, and sweeps fit each other no better spread over scan_time "
+        now = now.noted(
+            "time_increment is 0, and sweeps fit each other no better spread over scan_time "
             f"({abs(stated_s):.2f} s): all beams of a sweep are treated as simultaneous"
         )
-    evenly = _taken_evenly(pairs, Calibration(sweeps, motion, mirrored, (), turn_s), by_tf=known)
-    if evenly is not None:
-        sweeps, motion, found, why = evenly
-        said.append(why)
-    against_tf_rad = 0.0
+    now, found = _taken_evenly(pairs, now, found, by_tf=known)
     if known is None:
-        said.append(f"{sweeps.topic}: {_estimated(motion.mount, shown=found is not None)}")
-    elif found is not None:
-        yaw = float(wrap(np.asarray(found[2] - known[2])))
-        against_tf_rad = yaw if abs(yaw) > _DIFFERS_RAD else 0.0
-    return Calibration(sweeps, motion, mirrored, tuple(said), turn_s, against_tf_rad)
+        return now.noted(_estimated(now.motion.mount, shown=found is not None))
+    yaw = 0.0 if found is None else float(wrap(np.asarray(found[2] - known[2])))
+    return replace(now, against_tf_rad=yaw if abs(yaw) > _DIFFERS_RAD else 0.0)
 
 
 def _estimated(mount: Array, *, shown: bool) -> str:
@@ -145,64 +143,64 @@ def _estimated(mount: Array, *, shown: bool) -> str:
     return f"pose estimated as {pose} on the robot" if shown else f"this drive does not show its pose, taken as {pose}"
 
 
-def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, certain: bool) -> tuple[_Pairs, bool]:
-    """Return matched pairs, and whether bearings have to be mirrored so that sweeps turn like the odometry."""
-    best: tuple[float, _Pairs, bool] | None = None
-    for mirrored in (flipped, not flipped):
-        pairs = _matched(sweeps, motion, mirrored=mirrored, free=not certain)
+def _sense(plain: Calibration, *, certain: bool) -> tuple[Calibration, _Pairs]:
+    """Return the calibration with bearings mirrored if sweeps then turn like the odometry, and matched pairs.
+
+    certain : whether the mounting is known
+    """
+    best: tuple[float, Calibration, _Pairs] | None = None
+    for mirrored in (plain.mirrored, not plain.mirrored):
+        now = replace(plain, mirrored=mirrored)
+        pairs = _matched(now, free=not certain)
         if len(pairs.pose) < _LEAST_PAIRS:
             continue
-        turned = _turned(pairs, replace(motion, lag_s=_lag(pairs, motion)))
+        turned = _turned(pairs, replace(now.motion, lag_s=_lag(pairs, now.motion)))
         rms = float(np.median(np.abs(wrap(pairs.pose[:, 2] - turned)))) + 1e-3
         if best is None or rms < 0.5 * best[0]:
-            best = (rms, pairs, mirrored)
+            best = (rms, now, pairs)
         if certain and rms < 0.3 * (float(np.median(np.abs(turned))) + 0.05):
             break
     if best is None:
+        sweeps = plain.sweeps
         raise RecordingError(
             f"{sweeps.place}: its sweeps do not fit each other (too few returns, too little in view, or too far apart "
             f"at one in {sweeps.period_s:.2f} s); name another topic with --scan"
         )
-    return best[1], best[2]
+    return best[1:]
 
 
-def _refined(pairs: _Pairs, motion: Motion, *, by_tf: Array | None) -> tuple[Motion, Array | None]:
-    """Return the motion with lag, turn ratio and mounting from matched pairs, and the mounting (3,) or None.
+def _refined(pairs: _Pairs, now: Calibration, *, by_tf: Array | None) -> tuple[Calibration, Array | None]:
+    """Return a calibration with lag, turn ratio and mounting from matched pairs, and the mounting (3,) or None.
 
     by_tf : (3,) the mounting from TF, kept unless its yaw differs from that of the pairs by more than 15 deg
     """
-    motion = replace(motion, lag_s=_lag(pairs, motion))
+    motion = replace(now.motion, lag_s=_lag(pairs, now.motion))
     motion = replace(motion, turn_ratio=_turn_ratio(pairs, motion))
     found = _mounting(pairs, motion)
     if found is not None and (by_tf is None or abs(wrap(np.asarray(found[2] - by_tf[2]))) > _DIFFERS_RAD):
         motion = replace(motion, mount=found)
-    return motion, found
+    return replace(now, motion=motion), found
 
 
-class _Evenly(NamedTuple):
-    """Sweeps with evenly spaced stamps, the motion and mounting (3,) estimated with them, and a message."""
-
-    sweeps: Sweeps
-    motion: Motion
-    mount: Array | None
-    said: str
-
-
-def _taken_evenly(pairs: _Pairs, plain: Calibration, *, by_tf: Array | None) -> _Evenly | None:
-    """Return a calibration with evenly spaced stamps, for a laser stamped on arrival; None if its stamps are as good.
+def _taken_evenly(
+    pairs: _Pairs, plain: Calibration, found: Array | None, *, by_tf: Array | None
+) -> tuple[Calibration, Array | None]:
+    """Return the calibration and the mounting found (3,), with evenly spaced stamps if the laser is stamped on arrival.
 
     The decision is by the misfit of the odometry's motion between matched pairs.
     """
     even = plain.sweeps.evened()
     if even is None:
-        return None
-    matched = _matched(even, plain.motion, mirrored=plain.mirrored, turn_s=plain.turn_s)
-    motion, mount = _refined(matched, plain.motion, by_tf=by_tf)
-    if not _astray(matched, motion) < _BETTER * _astray(pairs, plain.motion):
-        return None
+        return plain, found
+    now = replace(plain, sweeps=even)
+    matched = _matched(now)
+    now, mount = _refined(matched, now, by_tf=by_tf)
+    if not _astray(matched, now.motion) < _BETTER * _astray(pairs, plain.motion):
+        return plain, found
     off_ms = float(np.std(plain.sweeps.stamps_ns - even.stamps_ns)) * 1e-6
-    said = f"{even.topic}: stamped on arrival, off by about {off_ms:.0f} ms each; the odometry fits even stamps better"
-    return _Evenly(even, motion, mount, said)
+    return now.noted(
+        f"stamped on arrival, off by about {off_ms:.0f} ms each; the odometry fits even stamps better"
+    ), mount
 
 
 def _stated_turn_s(sweeps: Sweeps) -> float:
@@ -216,7 +214,7 @@ def _stated_turn_s(sweeps: Sweeps) -> float:
     return float(np.median(turns)) if turns else 0.0
 
 
-def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, stated_s: float, *, mirrored: bool) -> float:
+def _turning_time(now: Calibration, plain: _Pairs, stated_s: float) -> float:
     """Return the duration of a full turn (s, negative if clockwise) with the best matches; 0 to keep the sweeps' times.
 
     Both senses of rotation are tested for sweeps without times. Only the opposite one is tested for sweeps with times,
@@ -225,13 +223,14 @@ def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, stated_s: float
     """
     if not len(plain.pose):
         return 0.0
+    sweeps = now.sweeps
     period = stated_s if sweeps.by_scan_time else min(sweeps.period_s, 0.2)
     best = known = _misfit(plain)
     turn_s = 0.0
     for candidate in (-stated_s,) if stated_s and not sweeps.by_scan_time else (period, -period):
         # a stated scan_time needs no more evidence than simultaneous beams do
         share = 1.0 if candidate == stated_s else _BETTER
-        pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=candidate)
+        pairs = _matched(replace(now, turn_s=candidate))
         if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < min(best, share * known):
             best, turn_s = _misfit(pairs), candidate
     return turn_s
@@ -250,17 +249,16 @@ def _misfit(pairs: _Pairs) -> float:
     return float(np.mean(pairs.deviation_m))
 
 
-def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = False, turn_s: float = 0.0) -> _Pairs:
+def _matched(now: Calibration, *, free: bool = False) -> _Pairs:
     """Return matched pairs of sweeps a short way apart, spread over the drive.
 
     free : whether the mounting is unknown; then displacements in all directions are tried
     """
-    t_s = sweeps.middle_s(motion.origin_ns)
-    poses = motion.laser(t_s)
+    t_s = now.sweeps.middle_s(now.motion.origin_ns)
+    poses = now.motion.laser(t_s)
     chosen = _spread(t_s, poses)
-    rows = np.array(chosen, dtype=np.int64).ravel()
-    scans = Deskewing(sweeps, motion, mirrored=mirrored, turn_s=turn_s, rows=rows)
-    first, second, found, deviation, ratio = [], [], [], [], []
+    scans = now.deskewing(np.array(chosen, dtype=np.int64).ravel())
+    ends, fits = [], []
     for a, b in chosen:
         one, other = scans[a], scans[b]
         lines = lines_of(one)
@@ -275,17 +273,15 @@ def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = Fal
                 for w in np.arange(0.0, 2 * np.pi, np.pi / 4)
                 for sign in (1.0, -1.0)
             ]
-            guess = best_guess(other[:: max(1, len(other) // 90)], surface, np.stack(ways))
-        fit = match(other[:: max(1, len(other) // 240)], surface, guess)
+            guess = best_guess(thinned(other, 90), surface, np.stack(ways))
+        fit = match(thinned(other, 240), surface, guess)
         if fit is not None and fit.overlap > _OVERLAP:
-            first.append(t_s[a])
-            second.append(t_s[b])
-            found.append(fit.pose)
-            deviation.append(fit.deviation_m)
-            ratio.append(fit.ratio)
-    return _Pairs(
-        np.array(first), np.array(second), np.array(found).reshape(-1, 3), np.array(deviation), np.array(ratio)
-    )
+            ends.append((a, b))
+            fits.append(fit)
+    first_s, second_s = t_s[np.array(ends, dtype=np.int64).reshape(-1, 2)].T
+    poses = np.array([fit.pose for fit in fits]).reshape(-1, 3)
+    deviations, ratios = np.array([(fit.deviation_m, fit.ratio) for fit in fits]).reshape(-1, 2).T
+    return _Pairs(first_s, second_s, poses, deviations, ratios)
 
 
 def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:

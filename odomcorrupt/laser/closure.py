@@ -9,10 +9,12 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.laser.calibrate import calibrate
-from odomcorrupt.laser.icp import WEAK, best_guess, match, surface_of
+from odomcorrupt.laser.icp import WEAK, best_guess, match, surface_of, thinned
 from odomcorrupt.laser.surface import lines_of
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.laser.sweep import Sweeps
@@ -60,9 +62,8 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
     found, overlaps = [], []
     for last in full[-_SWEEPS:].tolist():
         scan = scans[last]
-        coarse = scan[:: max(1, len(scan) // _COARSE)]
-        guess = best_guess(coarse, surface, _everywhere(), within_m=2.0 * _STEP_M)
-        matched = match(scan[:: max(1, len(scan) // _MOST)], surface, guess)
+        guess = best_guess(thinned(scan, _COARSE), surface, _everywhere(), within_m=2.0 * _STEP_M)
+        matched = match(thinned(scan, _MOST), surface, guess)
         if matched is None or matched.overlap < _OVERLAP or matched.ratio < WEAK:
             continue
         laser = compose(compose(motion.mount, matched.pose), inverse(motion.mount))
@@ -73,9 +74,7 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
         overlaps.append(matched.overlap)
     poses = np.array(found).reshape(-1, 3)
     if len(poses):
-        middle = np.median(poses, axis=0)
-        away = poses - middle
-        agree = (np.hypot(away[:, 0], away[:, 1]) < _NEAR_M) & (np.abs(wrap(away[:, 2])) < _NEAR_RAD)
+        agree = _near(poses - np.median(poses, axis=0))
         if np.count_nonzero(agree) > _SWEEPS // 2:
             return End(np.median(poses[agree], axis=0), float(np.median(overlaps)))
     raise RecordingError(
@@ -114,8 +113,8 @@ def lifted(run: LaserRun, before: int, after: int) -> Lift | None:
             return None
         laser, robot = (at(t_s[[first, last]]) for at in (motion.laser, motion.robot))
         own = between(laser[0], laser[1])
-        guess = best_guess(scan[:: max(1, len(scan) // _COARSE)], surface, own + guesses, within_m=2.0 * _STEP_M)
-        matched = match(scan[:: max(1, len(scan) // _MOST)], surface, guess)
+        guess = best_guess(thinned(scan, _COARSE), surface, own + guesses, within_m=2.0 * _STEP_M)
+        matched = match(thinned(scan, _MOST), surface, guess)
         if matched is None or matched.overlap < _OVERLAP:
             return None
         pose = matched.pose.copy()
@@ -127,9 +126,15 @@ def lifted(run: LaserRun, before: int, after: int) -> Lift | None:
         # in the axes of the robot at sweep `after`
         on = between(motion.robot(t_s[[after]])[0], robot[1])
         found.append(compose(compose(on, apart), inverse(on)))
-    away = np.array(found) - found[0]
-    agree = (np.hypot(away[:, 0], away[:, 1]) < _NEAR_M) & (np.abs(wrap(away[:, 2])) < _NEAR_RAD)
-    return Lift(np.array([*found[0][:2], float(wrap(found[0][2:])[0])]), whole) if agree.all() else None
+    if not _near(np.array(found) - found[0]).all():
+        return None
+    return Lift(np.array([*found[0][:2], float(wrap(found[0][2:])[0])]), whole)
+
+
+def _near(away: Array) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the matches that hardly differ, from the differences (n, 3) of poses."""
+    near: NDArray[np.bool_] = (np.hypot(away[:, 0], away[:, 1]) < _NEAR_M) & (np.abs(wrap(away[:, 2])) < _NEAR_RAD)
+    return near
 
 
 def _everywhere() -> Array:

@@ -166,3 +166,8 @@ def _median(values: Array) -> float:
     """Return the upper median of values (n,), faster than numpy's median."""
     middle = len(values) // 2
     return float(np.partition(values, middle)[middle])
+
+
+def thinned(scan: Array, count: int) -> Array:
+    """Return about `count` returns of a scan, evenly spread."""
+    return scan[:: max(1, len(scan) // count)]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose, rotate
-from odomcorrupt.laser.icp import WEAK, Surface, best_guess, match, surface_of
+from odomcorrupt.laser.icp import WEAK, Surface, best_guess, match, surface_of, thinned
 from odomcorrupt.laser.pose_graph import Edges, optimise
 from odomcorrupt.laser.surface import lines_of
 
@@ -228,11 +228,6 @@ class KeyframeMap:
         far = 0.1 + float(np.hypot(pose[0], pose[1])) + 0.2 * abs(float(pose[2]))
         deviation = np.array([_ODOMETRY_M, _ODOMETRY_M, _ODOMETRY_RAD]) * far
         return Edge(i, k, pose, np.diag(1.0 / deviation**2), matched=False, loop=False)
-
-
-def thinned(scan: Array, count: int) -> Array:
-    """Return about `count` returns of a scan, evenly spread."""
-    return scan[:: max(1, len(scan) // count)]
 
 
 def edge_information(found: Match) -> Array:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose, wrap
-from odomcorrupt.laser.icp import match
-from odomcorrupt.laser.keyframes import Edge, KeyframeMap, edge_information, thinned
+from odomcorrupt.laser.icp import match, thinned
+from odomcorrupt.laser.keyframes import Edge, KeyframeMap, edge_information
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.geometry.se2 import compose, inverse, rotate
-from odomcorrupt.laser.icp import WEAK, match
-from odomcorrupt.laser.keyframes import thinned
+from odomcorrupt.laser.icp import WEAK, match, thinned
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -114,7 +114,7 @@ def test_a_law_of_which_a_correction_keeps_hardly_anything_is_left_out(monkeypat
     brakes = user_effect("brakes", "along += k * where(a < -0.6, 1, 0)", {"k": 0.3})
     monkeypatch.setattr(round_trip, "_corrected_error", lambda effects, *_: left_m if effects else 0.0202)
     monkeypatch.setattr(round_trip, "_fitted_error", lambda model, _: 0.0153 if model.effects else 0.0202)
-    found, said = round_trip._correctable(MotionModel(NOISE, (brakes,)), [], 1)
+    found, said = round_trip._correctable(MotionModel(NOISE, (brakes,)), [])
     assert bool(found.effects) == kept
     assert ("left out" in said[0]) != kept
 
@@ -125,7 +125,7 @@ def test_a_patch_that_drifting_odometry_meets_too_late_stays_for_corruption(monk
     patch = effect_from_values("region_slip", {"slip": 0.05, "x": 1.0, "y": 0.0, "radius": 1.0})
     monkeypatch.setattr(round_trip, "_corrected_error", lambda effects, *_: left_m if effects else 0.0202)
     monkeypatch.setattr(round_trip, "_fitted_error", lambda model, _: 0.0153 if model.effects else 0.0202)
-    found, said = round_trip._correctable(MotionModel(NOISE, (patch,)), [], 1)
+    found, said = round_trip._correctable(MotionModel(NOISE, (patch,)), [])
     assert bool(found.effects) == kept
     assert ("drifting odometry" in said[0]) == kept
 
@@ -134,11 +134,11 @@ def test_all_runs_but_the_first_are_of_minutes_and_together_reach_both_ends():
     long = SimpleNamespace(t_s=np.arange(0.0, 2000.0, 0.1))
     short = SimpleNamespace(t_s=np.arange(5.0, 65.0, 0.1))
     drives = [long, short]
-    whole = [(one, one.t_s[rows]) for one, rows in _driven(drives, 0, 20)]
+    whole = [(one, one.t_s[rows]) for one, rows in _driven(drives, 0)]
     assert [(one, len(t_s)) for one, t_s in whole] == [(long, 20000), (short, 600)]
     seen = []
     for run in range(1, 20):
-        driven = [(one, one.t_s[rows]) for one, rows in _driven(drives, run, 20)]
+        driven = [(one, one.t_s[rows]) for one, rows in _driven(drives, run)]
         assert 290.0 < sum(t_s[-1] - t_s[0] for _, t_s in driven) < 301.0
         assert driven[0][0] is drives[run % 2]
         seen += [t_s for one, t_s in driven if one is long]

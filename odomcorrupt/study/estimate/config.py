@@ -99,7 +99,7 @@ def independent_spacing_s(recording: Recording) -> float:
     Systematic errors of the odometry can hide it, too, so the spacing is always at least 1.5 m of usual driving. It is
     no shorter than the truth's usual sampling interval, and leaves at least 50 nodes in a drive.
     """
-    truth_s = recording.truth.seconds_since(recording.origin_ns)
+    truth_s = recording.truth_s
     shared_s = float(min(truth_s[-1], recording.odometry_s[-1]) - max(truth_s[0], recording.odometry_s[0]))
     sampled_s = next((s for s in _SPACINGS_S if s >= 0.9 * float(np.median(np.diff(truth_s)))), _SPACINGS_S[-1])
     possible = [s for s in _SPACINGS_S if s * _ENOUGH <= shared_s]

@@ -74,9 +74,8 @@ class _Steps(NamedTuple):
 
 def with_pose_steps(recording: Recording) -> Recording:
     """Return a recording with the lasting steps between its odometry and its localisation, in order of time."""
-    truth_s, odo_s = recording.truth.seconds_since(recording.origin_ns), recording.odometry_s
-    inside = (truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])
-    t_s, truth = truth_s[inside], recording.truth.xyt[inside]
+    inside = recording.within_odometry
+    t_s, truth = recording.truth_s[inside], recording.truth.xyt[inside]
     own = recording.odometry.at(t_s, recording.origin_ns)
     found: list[PoseStep] = []
     while len(found) <= _MOST:

@@ -61,9 +61,9 @@ def intervals_of(recording: Recording, spacing_s: float) -> Intervals:
     RecordingError
         If odometry and truth overlap too little.
     """
-    truth_s = recording.truth.seconds_since(recording.origin_ns)
+    truth_s = recording.truth_s
     try:
-        picked = _ends_of(recording, truth_s, spacing_s)
+        picked = _ends_of(recording, spacing_s)
     except RecordingError as error:
         raise RecordingError(f"{recording.name}: {error}") from error
     start, end = truth_s[picked[:-1]], truth_s[picked[1:]]
@@ -77,27 +77,26 @@ def intervals_of(recording: Recording, spacing_s: float) -> Intervals:
     return intervals_between(recording, picked, kept)
 
 
-def _ends_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray[np.int64]:
+def _ends_of(recording: Recording, spacing_s: float) -> NDArray[np.int64]:
     """Return indices of the nodes, `spacing_s` apart; for a localisation, the path usually driven in that time apart.
 
     Errors of a localisation depend on its view and stay the same while the robot stands or creeps. The path length is
     that of the truth, and the grid of nodes starts at the recorded start of the odometry. So nodes are the same samples
     of the truth for all models and clocks: noise of other samples would change the likelihood more than most effects.
     """
-    ends, first = recording.odometry_s[[0, -1]], int(np.searchsorted(truth_s[:-1], 0.0))
+    truth_s, ends = recording.truth_s, recording.odometry_s[[0, -1]]
+    first = int(np.searchsorted(truth_s[:-1], 0.0))
     if not recording.localised:
         return pick_interval_ends(truth_s, float(ends[0]), float(ends[1]), spacing_s, anchor_s=float(truth_s[first]))
     steps = np.diff(np.nan_to_num(recording.truth.xyt), axis=0)
     gone = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) + TURN_M * np.abs(steps[:, 2]))))
     pace = gone * (float(truth_s[-1] - truth_s[0]) / max(float(gone[-1]), 1e-9))
-    usable = (truth_s >= ends[0]) & (truth_s <= ends[1])
-    return pick_interval_ends(pace, 0.0, float(pace[-1]), spacing_s, usable, float(pace[first]))
+    return pick_interval_ends(pace, 0.0, float(pace[-1]), spacing_s, recording.within_odometry, float(pace[first]))
 
 
 def count_intervals(recording: Recording, spacing_s: float) -> int:
     """Return the number of intervals that `intervals_of` would find."""
-    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
-    if np.count_nonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])) < 2:
+    if np.count_nonzero(recording.within_odometry) < 2:
         return 0
-    between_them = np.diff(truth_s[_ends_of(recording, truth_s, spacing_s)])
+    between_them = np.diff(recording.truth_s[_ends_of(recording, spacing_s)])
     return int(np.count_nonzero(between_them < GAP_S * spacing_s))

@@ -113,7 +113,7 @@ class PositionWindows(NamedTuple):
 
 def position_windows(recording: Recording, windows: Intervals) -> PositionWindows:
     """Return the sensitivities of windows of a recording whose truth has positions only."""
-    truth_s, around = recording.truth.seconds_since(recording.origin_ns), alignment(recording)
+    truth_s, around = recording.truth_s, alignment(recording)
     samples, known = np.flatnonzero(around.inside), np.flatnonzero(around.known & around.inside)
     cut = cut_at(recording.odometry, recording.odometry_s, truth_s[samples], recording.origin_ns)
     odo_s = recording.odometry_s

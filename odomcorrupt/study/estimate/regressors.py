@@ -212,7 +212,7 @@ class _Slopes:
 def _by_truth(stretches: Sequence[Recording], at_s: Array) -> list[tuple[Recording, Array]]:
     """Return the stretches of a run in order of time, each with those of ascending times (m,) nearest to its truth."""
     ordered = sorted(stretches, key=lambda r: int(r.truth.stamps_ns[0]))
-    ends = [r.truth.seconds_since(r.origin_ns)[[0, -1]] for r in ordered]
+    ends = [r.truth_s[[0, -1]] for r in ordered]
     between = [(before[1] + after[0]) / 2.0 for before, after in pairwise(ends)]
     return list(zip(ordered, np.split(at_s, np.searchsorted(at_s, between)), strict=True))
 

@@ -52,7 +52,7 @@ def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
     Each window with an end in such a stretch is lost, and with it the next. Restarted windows begin where the truth
     does, often at its least accurate poses, and hardly differ between phases.
     """
-    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    odo_s, truth_s = recording.odometry_s, recording.truth_s
     known, first_s = recording.truth.known, odo_s[0] + phase * length_s
     picked = pick_interval_ends(truth_s, first_s, odo_s[-1], length_s, known)
     complete = _complete(truth_s[picked], length_s)
@@ -90,11 +90,9 @@ def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) 
     length_m : path length of a window
     phase : offset of the first window, as a fraction of a window's length
     """
-    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
-    inside = np.flatnonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1]) & recording.truth.known)
-    xy = recording.odometry.xyt[:, :2]
-    travelled = distance_along(xy)
-    at_truth = np.interp(truth_s[inside], odo_s, travelled)
+    inside = np.flatnonzero(recording.within_odometry & recording.truth.known)
+    travelled = distance_along(recording.odometry.xyt)
+    at_truth = np.interp(recording.truth_s[inside], recording.odometry_s, travelled)
     marks = np.arange(at_truth[0] + phase * length_m, at_truth[-1], length_m)
     if not len(marks):
         # a robot that stands, or stops before the first mark, has no window: one end makes none
@@ -121,18 +119,17 @@ def phased_misses(recordings: Sequence[Recording], length_s: float = WINDOW_S) -
     return [np.concatenate([_squared_misses(run, length_s, phase) for run in recordings]) for phase in phases]
 
 
-def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> float:
+def phased_rmse(recordings: Sequence[Recording]) -> float:
     """Return the root mean square position error (m) of `phased_misses`; NaN if there is no complete window."""
-    squared = np.concatenate(phased_misses(recordings, length_s))
+    squared = np.concatenate(phased_misses(recordings))
     return float(np.sqrt(np.mean(squared))) if len(squared) else float("nan")
 
 
 def _squared_misses(recording: Recording, length_s: float, phase: float) -> Array:
     """Return squared position errors (n,) at the ends of `time_windows`, m^2; only the end poses are computed."""
     ends = _time_ends(recording, length_s, phase)
-    truth_s = recording.truth.seconds_since(recording.origin_ns)
-    picked = ends.picked
-    odometry_xyt, truth_xyt = recording.odometry.at(truth_s[picked], recording.origin_ns), recording.truth.xyt[picked]
+    at_s, truth_xyt = recording.truth_s[ends.picked], recording.truth.xyt[ends.picked]
+    odometry_xyt = recording.odometry.at(at_s, recording.origin_ns)
     first, last = ends.kept, ends.kept + 1
     went = between(odometry_xyt[first], odometry_xyt[last]) - between(truth_xyt[first], truth_xyt[last])
     squared: Array = np.sum(went[:, :2] ** 2, axis=1)

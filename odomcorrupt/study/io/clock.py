@@ -64,7 +64,7 @@ def coarse_clock(recording: Recording) -> Clock:
 
     Parts of the run are matched separately at lags within +- 3 s; a Theil-Sen line fits their lags.
     """
-    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    odo_s, truth_s = recording.odometry_s, recording.truth_s
     grid = np.arange(max(odo_s[0], truth_s[0]) + _REACH_S, min(odo_s[-1], truth_s[-1]) - _REACH_S, _GRID_S)
     reach = round(_REACH_S / _GRID_S)
     count = int(np.clip(len(grid) * _GRID_S // _STRETCH_S, 1, 12))

@@ -108,7 +108,7 @@ class _Aligned(NamedTuple):
 def feedback_of(odometry: Samples, calm: Samples, truth: Samples) -> Feedback:
     """Return the corrections of odometry by external poses; `calm` is the odometry without outliers, see `pull_of`."""
     xyt = np.column_stack((odometry.xyz[:, :2], odometry.yaw_rad))
-    found = pose_corrections(odometry.seconds_since(int(odometry.stamps_ns[0])), xyt)
+    found = pose_corrections(odometry.t_s, xyt)
     if found.steps:
         moved = found.error_xyt * [1.0, 1.0, 0.0]
         free = replace(odometry, xyz=odometry.xyz + moved, yaw_rad=odometry.yaw_rad + found.error_xyt[:, 2])

@@ -105,7 +105,7 @@ def without_float_episodes(truth: Samples) -> Samples:
     """
     if truth.headed or truth.geodetic_origin is not None or not len(truth.variance_m2):
         return truth
-    stamps_s = truth.seconds_since(int(truth.stamps_ns[0]))
+    stamps_s = truth.t_s
     poor = _joined(stamps_s, _poor(np.full(len(truth), UNKNOWN, dtype=np.int8), truth.variance_m2))
     if not poor.any() or np.mean(~poor) <= _MIN_GOOD:
         return truth

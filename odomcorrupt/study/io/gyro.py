@@ -146,7 +146,7 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
     RecordingError
         If the odometry does not turn, or if the gyro's rates do not correlate with its turns.
     """
-    odo_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    odo_s = odometry.t_s
     own_s = (gyro.stamps_ns - odometry.stamps_ns[0]) * 1e-9
     first, last = max(odo_s[0], own_s[0]), min(odo_s[-1], own_s[-1])
     if last - first < 10.0:
@@ -284,7 +284,7 @@ def _lagged(own_s: Array, angles: Array, grid: Array, turned: Array) -> tuple[fl
 
 def _at_rest(odometry: Samples) -> NDArray[np.bool_]:
     """Return which odometry samples (n,) belong to a rest of at least 1 s."""
-    t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    t_s = odometry.t_s
     half = 0.5 * _STILL_S
     ahead, behind = (np.clip(t_s + sign * half, t_s[0], t_s[-1]) for sign in (1.0, -1.0))
     moved = [np.interp(ahead, t_s, odometry.xyz[:, i]) - np.interp(behind, t_s, odometry.xyz[:, i]) for i in (0, 1)]

@@ -73,14 +73,13 @@ def alignment(recording: Recording) -> Alignment:
 
 def _odometry_at_truth(recording: Recording) -> Array:
     """Return the odometry's poses (t, 3) at the truth's samples; its first or last pose outside its time."""
-    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
-    return recording.odometry.at(np.clip(truth_s, odo_s[0], odo_s[-1]), recording.origin_ns)
+    first_s, last_s = recording.odometry_s[[0, -1]]
+    return recording.odometry.at(np.clip(recording.truth_s, first_s, last_s), recording.origin_ns)
 
 
 def _alignment(recording: Recording, odometry: Array) -> Alignment:
     truth = recording.truth
-    odo_s, truth_s = recording.odometry_s, truth.seconds_since(recording.origin_ns)
-    inside = (truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])
+    inside = recording.within_odometry
     q = (odometry[:, 0] + 1j * odometry[:, 1]) * inside
     p = (truth.xyt[:, 0] - truth.xyt[0, 0] + 1j * (truth.xyt[:, 1] - truth.xyt[0, 1])) * inside
     travelled = distance_along(odometry)
@@ -96,8 +95,7 @@ def _alignment(recording: Recording, odometry: Array) -> Alignment:
 
 
 def _headed(recording: Recording) -> Recording:
-    truth = recording.truth
-    truth_s = truth.seconds_since(recording.origin_ns)
+    truth, truth_s = recording.truth, recording.truth_s
     odometry = _odometry_at_truth(recording)
     a = _alignment(recording, odometry)
     count = np.maximum(a.sums(a.inside.astype(np.float64)), 1.0)

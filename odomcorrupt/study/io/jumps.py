@@ -73,7 +73,7 @@ def reach_of(odometry: Samples, path: Samples) -> Reach:
 
     Speeds are taken over 0.1 s, because stamps may be bunched.
     """
-    t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    t_s = odometry.t_s
     k = int(np.clip(np.ceil(_SPEED_S / np.median(np.diff(t_s))), 1, max(len(t_s) // 4, 1)))
     dt = t_s[k:] - t_s[:-k]
     gone = np.linalg.norm(odometry.xyz[k:, :2] - odometry.xyz[:-k, :2], axis=1) / dt
@@ -103,7 +103,7 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
     RecordingError
         If more than 20 % of the steps are jumps.
     """
-    t_s = path.seconds_since(int(path.stamps_ns[0]))
+    t_s = path.t_s
     xy, yaw = path.xyz[:, :2], np.where(np.isnan(path.yaw_rad), 0.0, path.yaw_rad)
 
     def far(a: NDArray[np.int64] | int, b: NDArray[np.int64] | int) -> NDArray[np.bool_]:
@@ -254,7 +254,7 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
         return truth
     whole, truth = truth, truth if truth.localised else without_outliers(truth)
     t_s = truth.seconds_since(int(odometry.stamps_ns[0]))
-    own_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    own_s = odometry.t_s
     inside = np.flatnonzero((t_s >= own_s[0]) & (t_s <= own_s[-1]))
     if len(inside) < _MIN_POSES:
         return whole

@@ -74,6 +74,11 @@ class Samples:
         """Time from the first stamp to the last, seconds."""
         return float(self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9
 
+    @property
+    def t_s(self) -> Array:
+        """Times since the first stamp (n,), seconds."""
+        return self.seconds_since(int(self.stamps_ns[0]))
+
     def seconds_since(self, origin_ns: int) -> Array:
         """Return the stamps as seconds (n,) since an integer origin."""
         return (self.stamps_ns - origin_ns).astype(np.float64) * 1e-9

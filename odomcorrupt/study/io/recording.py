@@ -13,6 +13,8 @@ from odomcorrupt.geometry.increments import increments
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.motion_model import Origin
@@ -98,17 +100,6 @@ class Recording:
     turn_scale_error: float = 0.0
     turn_bias_error: float = 0.0
     heading_source: str = ""
-
-    @property
-    def matched(self) -> bool:
-        """Whether the truth comes from scan matching."""
-        return self.truth.covariance is not None and not self.truth.relative
-
-    @property
-    def axes(self) -> list[int]:
-        """Axes that the truth measured: along (0), across (1), yaw (2)."""
-        return [*([0, 1] if self.positioned else []), *([2] if self.headed else [])]
-
     geodetic_origin: Origin | None = None
     frame: str = ""
     truth_level: tuple[float, float] = (1.0, 1.0)
@@ -128,6 +119,16 @@ class Recording:
     alerts: tuple[str, ...] = ()
 
     @property
+    def matched(self) -> bool:
+        """Whether the truth comes from scan matching."""
+        return self.truth.covariance is not None and not self.truth.relative
+
+    @property
+    def axes(self) -> list[int]:
+        """Axes that the truth measured: along (0), across (1), yaw (2)."""
+        return [*([0, 1] if self.positioned else []), *([2] if self.headed else [])]
+
+    @property
     def headed(self) -> bool:
         """Whether the truth measured headings; headings estimated for a truth of positions do not count."""
         return self.heading_error_rad is None and bool(np.isfinite(self.truth.xyt[:, 2]).all())
@@ -136,6 +137,18 @@ class Recording:
     def odometry_s(self) -> Array:
         """Times of the odometry (n,), seconds since the origin."""
         return self.odometry.seconds_since(self.origin_ns)
+
+    @property
+    def truth_s(self) -> Array:
+        """Times of the truth (t,), seconds since the origin."""
+        return self.truth.seconds_since(self.origin_ns)
+
+    @property
+    def within_odometry(self) -> NDArray[np.bool_]:
+        """Mask (t,) of the truth's samples in the time of the odometry."""
+        first_s, last_s = self.odometry_s[[0, -1]].tolist()
+        inside: NDArray[np.bool_] = (self.truth_s >= first_s) & (self.truth_s <= last_s)
+        return inside
 
     @property
     def travel_m(self) -> float:

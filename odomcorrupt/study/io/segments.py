@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +28,7 @@ MIN_HEADED_S, _MIN_UNHEADED_S = 25.0, 50.0
 
 def without_frozen(odometry: Samples, truth: Samples) -> Samples:
     """Return the truth without poses repeated while the robot moved, as from a tracker that lost its target."""
-    t_s, own = truth.seconds_since(int(odometry.stamps_ns[0])), odometry.seconds_since(int(odometry.stamps_ns[0]))
+    t_s, own = truth.seconds_since(int(odometry.stamps_ns[0])), odometry.t_s
     yaw = np.nan_to_num(truth.yaw_rad)
     repeated = np.concatenate(([False], (np.diff(truth.xyz, axis=0) == 0.0).all(axis=1) & (np.diff(yaw) == 0.0)))
     if not repeated.any():
@@ -44,7 +45,7 @@ def without_frozen(odometry: Samples, truth: Samples) -> Samples:
 
 def without_gaps(odometry: Samples, truth: Samples) -> Samples:
     """Return the truth without poses inside gaps of the odometry, which cannot be compared."""
-    steps = np.diff(odometry.seconds_since(int(odometry.stamps_ns[0])))
+    steps = np.diff(odometry.t_s)
     gaps = np.flatnonzero(steps > max(GAP_S, GAP_STEPS * float(np.median(steps))))
     if not len(gaps):
         return truth
@@ -69,51 +70,41 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
     """
     pieces = []
     notes = [*odometry.notes, *truth.notes]
-    for path in (odometry, truth):
+    for path, what in ((odometry, ("reset", "resets")), (truth, ("jump that lasts", "jumps that last"))):
         cut = stretches(path, reach_of(odometry, path))
         if cut.outliers:
             notes.append(f"{path.name}: {cut.outliers} outliers (jumps there and back) left out")
         if len(cut.rows) > 1:
-            what = ("reset", "resets") if path is odometry else ("jump that lasts", "jumps that last")
-            where = ", ".join(
-                _jump(odometry, path, a[-1], b[0]) for a, b in zip(cut.rows[:6], cut.rows[1:7], strict=False)
-            )
+            where = ", ".join(_jump(odometry, path, a[-1], b[0]) for a, b in pairwise(cut.rows[:7]))
             notes.append(f"{path.name}: {len(cut.rows) - 1} {what[len(cut.rows) > 2]} ({where})")
         pieces.append([path.only(rows) for rows in cut.rows])
-    both = [(one, other) for one in pieces[0] for other in pieces[1] if _shared_s(one, other) >= SHORTEST_S]
-    moved = _long_pairs([pair for pair in both if _moves(pair[0])])
+    both = [(one, other) for one in pieces[0] for other in pieces[1]]
+    moved = _long_pairs([pair for pair in both if _shared_s(*pair) >= SHORTEST_S and _moves(pair[0])])
     if not moved:
-        longest = max((_shared_s(a, b) for a in pieces[0] for b in pieces[1]), default=0.0)
+        longest_s = max(_shared_s(*pair) for pair in both)
         raise RecordingError(
             f"{name}: jumps leave no stretch of {SHORTEST_S:g} s in which the robot moves (the longest lasts "
-            f"{max(longest, 0.0):.1f} s); {'; '.join(notes)}"
+            f"{max(longest_s, 0.0):.1f} s); {'; '.join(notes)}"
         )
-    total = len(pieces[0]) * len(pieces[1])
-    if total > 1:
+    if len(both) > 1:
         used = sum(_shared_s(*pair) for pair in moved)
         notes.append(f"{len(moved)} independent stretches used, {used:.0f} s of {_shared_s(odometry, truth):.0f} s")
-    recordings = []
-    for i, (one, other) in enumerate(moved):
-        part = f"{name} part {i + 1}" if len(moved) > 1 else name
-        own = (_odometry_until(one, other) if len(moved) > 1 else one).trajectory()
-        said = tuple(notes) if i == 0 else ()
-        # Parts separated by resets still share one clock.
-        origin_ns = int((odometry if len(moved) > 1 else one).stamps_ns[0])
-        clock = f"{name} from {origin_ns}" if len(moved) > 1 else ""
-        real = _truth_during(one, other) if len(moved) > 1 else other
-        recordings.append(
-            Recording(
-                name=part,
-                odometry=own,
-                truth=real.trajectory(),
-                origin_ns=origin_ns,
-                track_m=track_m,
-                notes=said,
-                clock=clock,
-                geodetic_origin=truth.geodetic_origin,
-            )
+    origin_ns, several = int(moved[0][0].stamps_ns[0]), len(moved) > 1
+    if several:  # parts separated by resets still share one clock
+        origin_ns, moved = int(odometry.stamps_ns[0]), [_with_margins(*pair) for pair in moved]
+    return [
+        Recording(
+            name=f"{name} part {i + 1}" if several else name,
+            odometry=one.trajectory(),
+            truth=other.trajectory(),
+            origin_ns=origin_ns,
+            track_m=track_m,
+            notes=tuple(notes) if i == 0 else (),
+            clock=f"{name} from {origin_ns}" if several else "",
+            geodetic_origin=truth.geodetic_origin,
         )
-    return recordings
+        for i, (one, other) in enumerate(moved)
+    ]
 
 
 def _long_pairs(pairs: list[tuple[Samples, Samples]]) -> list[tuple[Samples, Samples]]:
@@ -122,16 +113,12 @@ def _long_pairs(pairs: list[tuple[Samples, Samples]]) -> list[tuple[Samples, Sam
     return enough or pairs
 
 
-def _truth_during(odometry: Samples, truth: Samples) -> Samples:
-    """Return the truth in the time of a stretch of odometry, plus a margin for clock offsets."""
+def _with_margins(odometry: Samples, truth: Samples) -> tuple[Samples, Samples]:
+    """Return the odometry up to the end of the truth, and the truth in its time, plus a margin for clock offsets."""
     margin = round(_CLOCKS_S * 1e9)
     first, last = odometry.stamps_ns[0] - margin, odometry.stamps_ns[-1] + margin
-    return truth.only((truth.stamps_ns >= first) & (truth.stamps_ns <= last))
-
-
-def _odometry_until(odometry: Samples, truth: Samples) -> Samples:
-    """Return the odometry from the start of the run up to the end of a stretch of truth, plus a margin."""
-    return odometry.only(odometry.stamps_ns <= truth.stamps_ns[-1] + round(_CLOCKS_S * 1e9))
+    inside = (truth.stamps_ns >= first) & (truth.stamps_ns <= last)
+    return odometry.only(odometry.stamps_ns <= truth.stamps_ns[-1] + margin), truth.only(inside)
 
 
 def _shared_s(a: Samples, b: Samples) -> float:

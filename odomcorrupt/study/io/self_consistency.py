@@ -40,7 +40,7 @@ def check_itself(path: Samples) -> None:
     RecordingError
         If headings are in degrees or mirrored, or the usual speed exceeds 60 m/s.
     """
-    t_s = path.seconds_since(int(path.stamps_ns[0]))
+    t_s = path.t_s
     later = np.searchsorted(t_s, t_s + _SPEED_S)
     here = np.flatnonzero(later < len(t_s))
     later = later[here]

@@ -152,7 +152,7 @@ def stamp_jitter_s(path: Samples, other: Samples) -> float:
         return 0.0
     varies_s = interval_s - usual_s
     off_s = float(np.std(varies_s[used])) / np.sqrt(2.0)
-    there = other.trajectory().at(path.seconds_since(int(path.stamps_ns[0])), int(path.stamps_ns[0]))[:, :2]
+    there = other.trajectory().at(path.t_s, int(path.stamps_ns[0]))[:, :2]
     expected_m = (speed * varies_s)[used]
     if off_s < _MIN_JITTER_S or _follow(varies_m[used], expected_m):
         return 0.0

@@ -97,7 +97,7 @@ def without_course(odometry: Samples, truth: Samples) -> Samples:
     """
     if not truth.headed or truth.relative or truth.span_s < _MIN_STEPS * _STRIDE_S:
         return truth
-    t_s = truth.seconds_since(int(truth.stamps_ns[0]))
+    t_s = truth.t_s
     rows = np.unique(np.searchsorted(t_s, np.arange(0.0, t_s[-1], _STRIDE_S)))
     step, own = _steps(odometry, truth.only(rows))
     straight = np.abs(own[:, 0]) > np.maximum(_MIN_BACK_M, 2.0 * np.abs(own[:, 1]))
@@ -172,7 +172,7 @@ def _shrinks(variance: Array) -> int:
 
 def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
     """Return the number of sudden steps of the odometry if more than 80 % of them reduce its error; otherwise 0."""
-    t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    t_s = odometry.t_s
     own = truth.seconds_since(int(odometry.stamps_ns[0]))
     inside = (t_s >= own[0]) & (t_s <= own[-1])
     t_s, xy = t_s[inside], odometry.xyz[inside, :2]

@@ -41,7 +41,7 @@ def yaw_dead_band(odometry: Samples, truth: Samples) -> float:
     """
     if not truth.headed or len(odometry.stamps_ns) < _FEWEST:
         return 0.0
-    t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    t_s = odometry.t_s
     steps = increments(odometry.trajectory().xyt)
     turn = np.abs(steps.dtheta_rad)
     turning = turn[turn > _ZERO_RAD]

@@ -195,9 +195,8 @@ def _within(one: Fit, spans_s: list[tuple[float, float]]) -> Fit:
     """Return the fit repeated on the truth samples within the span of each recording."""
     recordings = []
     for recording, (first_s, last_s) in zip(one.problem.recordings, spans_s, strict=True):
-        truth, truth_s = recording.truth, recording.truth.seconds_since(recording.origin_ns)
-        inside = (truth_s >= first_s) & (truth_s <= last_s)
-        recordings.append(replace(recording, truth=truth.only(inside)))
+        inside = (recording.truth_s >= first_s) & (recording.truth_s <= last_s)
+        recordings.append(replace(recording, truth=recording.truth.only(inside)))
     return gauss_newton.fit(
         recordings,
         one.effects,

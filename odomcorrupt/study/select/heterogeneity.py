@@ -60,8 +60,7 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
     if len(runs) < 2:
         return ()
     kinds = registry()
-    own = {e.name: e for e in problem.effects}
-    tested = [own.get(name) or kinds[name]() for name in _CHANGING]
+    tested = [fit.by_name.get(name) or kinds[name]() for name in _CHANGING]
     others = replace(
         fit, problem=replace(problem, effects=tuple(e for e in problem.effects if e.name not in _CHANGING))
     )

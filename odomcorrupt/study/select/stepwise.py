@@ -82,7 +82,6 @@ def learn(
     *,
     law_name: str = "diffusion",
     decisions: Decisions = DECISIONS,
-    most: int | None = None,
     work: Work | None = None,
 ) -> Learned:
     """Return the model selected from recordings of one robot, beginning with the given effects.
@@ -93,12 +92,9 @@ def learn(
     start : effects that are in the model from the beginning and are not dropped
     law_name : the noise law, see `odomcorrupt.model.noise_laws`
     decisions : thresholds of inclusion, replacement and removal
-    most : largest number of included effects, default `decisions.max_effects`
     work : progress callbacks of the stages
     """
     (work := work or Work()).begin_clocks()
-    if most is not None:
-        decisions = replace(decisions, max_effects=most)
     start = (*start, *mounting_of(recordings, start))
     as_given, encoders = recordings, encoder_effects(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]

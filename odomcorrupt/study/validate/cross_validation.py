@@ -144,12 +144,9 @@ def _distance(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
     """Return the truth's stamps (n,) in the time of the odometry, sorted, and the distance travelled (n,), m."""
     stamps, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for recording in run:
-        odometry, truth = recording.odometry, recording.truth
-        travelled = distance_along(odometry.xyt)
-        own_s, truth_s = recording.odometry_s, truth.seconds_since(recording.origin_ns)
-        inside = (truth_s >= own_s[0]) & (truth_s <= own_s[-1])
-        distance_m = np.interp(truth_s[inside], own_s, travelled)
-        stamps.append(truth.stamps_ns[inside])
+        inside = recording.within_odometry
+        distance_m = np.interp(recording.truth_s[inside], recording.odometry_s, distance_along(recording.odometry.xyt))
+        stamps.append(recording.truth.stamps_ns[inside])
         gone.append(np.diff(distance_m, prepend=distance_m[:1]))
     every = np.concatenate(stamps)
     order = np.argsort(every, kind="stable")

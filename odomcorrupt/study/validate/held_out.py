@@ -95,7 +95,8 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     fitted, said = learned.fit, list[HeldOut]()
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
     placed = shared_frame([*fitted.problem.recordings, *others]) is not None
-    timed = {law.name for law in learned.laws if law.regressor == "time"} if len(_runs(fitted)) == 1 else set()
+    single = len(set(clock_leaders(fitted.problem.recordings))) == 1
+    timed = {law.name for law in learned.laws if single and law.regressor == "time"}
     means: dict[str, Effect] = {}
     while parts := [(part,) for part in _parts(fitted)]:
         # Also test all parts jointly: each may compensate another's error while all of them are worse than none.
@@ -133,10 +134,6 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     learned = replace(learned, laws=laws, noise=noise, unknown=unknown, means=tuple(m for m in means if m in kept))
     left_out = {one.name: one.failure for one in said if one.failure}
     return replace(learned, fit=fitted, error_m=ten_second_error(fitted), left_out=left_out), tuple(said)
-
-
-def _runs(fitted: Fit) -> set[int]:
-    return set(clock_leaders(fitted.problem.recordings))
 
 
 def _needs_support(one: HeldOut, others: Sequence[Recording]) -> HeldOut:

@@ -7,7 +7,7 @@ truth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -209,29 +209,26 @@ def failures(
         if log_p[best] > np.log(LEVEL):
             break
         pattern, c = tries[best]
-        rate = float(columns[:, best] @ r / length[best] ** 2)
-        failure = _rate_failure(pattern, CHANNELS[c], rate, 2.0 / float(length[best]), float(log_p[best]), name)
-        found.append(replace(failure, besides=any(f.channel == failure.channel for f in found)))
+        found.append(
+            Failure(
+                kind=pattern.kind,
+                channel=CHANNELS[c],
+                where=pattern.where,
+                per=pattern.per,
+                measured=float(columns[:, best] @ r / length[best] ** 2),
+                expected=2.0 / float(length[best]),
+                amount=pattern.amount,
+                log_p=float(log_p[best]),
+                recording=name,
+                span_s=pattern.span_s,
+                place=pattern.place,
+                besides=any(f.channel == CHANNELS[c] for f in found),
+            )
+        )
         unit = columns[:, best] / length[best]
         r = r - unit * (unit @ r)
         columns = columns - np.outer(unit, unit @ columns)
     return found
-
-
-def _rate_failure(pattern: Pattern, channel: str, rate: float, expected: float, log_p: float, name: str) -> Failure:
-    return Failure(
-        kind=pattern.kind,
-        channel=channel,
-        where=pattern.where,
-        per=pattern.per,
-        measured=rate,
-        expected=expected,
-        amount=pattern.amount,
-        log_p=log_p,
-        recording=name,
-        span_s=pattern.span_s,
-        place=pattern.place,
-    )
 
 
 def sudden_failures(

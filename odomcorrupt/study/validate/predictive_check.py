@@ -87,7 +87,7 @@ class Replay:
         return within
 
 
-def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
+def replay(piece: Evaluation, *, runs: int = 100) -> Replay:
     """Return corrupted runs along a stretch's truth, beside its odometry with the measurement's effects removed."""
     if runs < _MIN_RUNS:
         raise ValueError(f"runs: {runs}; give {_MIN_RUNS} or more: fewer do not determine the covariance of the runs")
@@ -97,12 +97,12 @@ def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     stamps = measured.odometry.stamps_ns
     kept = np.unique(np.linspace(0, len(stamps) - 1, min(_MAX_POSES, len(stamps))).astype(np.int64))
     travelled = distance_along(smooth)
-    starts = stream(seed, 0, "replay").standard_normal((runs, 3)) * np.array(
+    starts = stream(0, 0, "replay").standard_normal((runs, 3)) * np.array(
         [piece.truth.xy_m, piece.truth.xy_m, piece.truth.yaw_rad]
     )
     poses, systematic = np.empty((runs, len(kept), 3)), SystematicEffects(model)
     for run in range(runs):
-        error = NoisyPath(model, seed, run, covariance=False, systematic=systematic).feed(stamps, smooth).error_xyt
+        error = NoisyPath(model, 0, run, covariance=False, systematic=systematic).feed(stamps, smooth).error_xyt
         poses[run] = truth[kept] + error[kept]
         # The true start is uncertain: the truth's noise turns and shifts the whole run.
         first = truth[0]
@@ -267,11 +267,9 @@ def _replaced(recording: Recording, stretches: Sequence[Event]) -> Recording:
 def _corrupted(recording: Recording, model: MotionModel, truth: TruthNoise, runs: int) -> list[Recording]:
     """Return corrupted runs along a recording's truth, each with a noisy truth; none if the model cannot corrupt it."""
     smooth, _ = smooth_truth(recording)
-    stamps, origin = recording.odometry.stamps_ns, recording.origin_ns
-    truth_s = recording.truth.seconds_since(origin)
-    inside = (truth_s >= recording.odometry_s[0]) & (truth_s <= recording.odometry_s[-1])
-    path = Trajectory(stamps, smooth)
-    true = path.at(truth_s[inside], origin)
+    stamps, inside = recording.odometry.stamps_ns, recording.within_odometry
+    truth_s = recording.truth_s[inside]
+    true = Trajectory(stamps, smooth).at(truth_s, recording.origin_ns)
     if not recording.headed:
         true[:, 2] = np.where(np.isfinite(true[:, 2]), true[:, 2], 0.0)
     found, systematic = [], SystematicEffects(model)
@@ -280,7 +278,7 @@ def _corrupted(recording: Recording, model: MotionModel, truth: TruthNoise, runs
             error = NoisyPath(model, 0, run, covariance=False, systematic=systematic).feed(stamps, smooth).error_xyt
         except OdomCorruptError:
             return []
-        noisy = true + _noise(truth, truth_s[inside], run, headed=recording.headed)
+        noisy = true + _noise(truth, truth_s, run, headed=recording.headed)
         found.append(
             replace(
                 recording,

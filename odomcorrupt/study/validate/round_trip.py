@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
 
 RUNS = 20
-"""Corrupted runs that must succeed for a model with random effects; without these all runs are equal."""
+"""Corrupted runs that must succeed for a model with random effects; without these all runs are equal. The first covers
+all recordings, each other one a few minutes."""
 _STRETCH_S = 300.0
 """Length of each run but the first, seconds. Random effects show in a few minutes; dependence on time, place and
 distance shows in the first run, over all data."""
@@ -83,27 +84,26 @@ class _Drive:
     true_xyt: Array
 
 
-def verified_model(model: MotionModel, recordings: Sequence[Recording], *, runs: int = RUNS) -> RoundTrip:
+def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> RoundTrip:
     """Return the model in a usable form, and the changes made.
 
     Parameters
     ----------
     model : as fitted
     recordings : those that it was fitted to; clocks come from the model's set-up
-    runs : corrupted runs, see `RUNS`; the first covers all recordings, each other one a few minutes
     """
     drives = [_drive(model, recording) for recording in recordings]
     changes: list[str] = []
     model = _within_bounds(model, changes)
     while True:
-        failure = _failure(model, drives, runs) or _worse(model, drives)
+        failure = _failure(model, drives) or _worse(model, drives)
         if not failure:
             break
-        repair = next((m for m in _repairs(model) if not (_failure(m[0], drives, runs) or _worse(m[0], drives))), None)
+        repair = next((m for m in _repairs(model) if not (_failure(m[0], drives) or _worse(m[0], drives))), None)
         # If no single change helps, drop the weakest effect and try again.
         model, change = repair or _without(model, _weakest(model))
         changes.append(f"{change}: {failure}")
-    model, notes = _correctable(model, drives, runs)
+    model, notes = _correctable(model, drives)
     said = (*changes, *notes, *bound_notes(model), *_setup_note(model, recordings))
     if said:
         model = replace(model, source=dict(model.source) | {"remarks": list(said)})
@@ -184,7 +184,7 @@ def _within_bounds(model: MotionModel, changes: list[str]) -> MotionModel:
     return replace(model, effects=effects, setup=replace(model.setup, effects=tuple(map(held, model.setup.effects))))
 
 
-def _failure(model: MotionModel, drives: Sequence[_Drive], runs: int) -> str:
+def _failure(model: MotionModel, drives: Sequence[_Drive]) -> str:
     """Return the reason why a model cannot be used on these drives; "" if it can."""
     try:
         model = parse_model(format_model(model))
@@ -199,8 +199,8 @@ def _failure(model: MotionModel, drives: Sequence[_Drive], runs: int) -> str:
             return "the fitted odometry could not be corrected with it"
         if not np.isfinite(moved).all():
             return "the fitted odometry corrected with it is not finite"
-    for run in range(runs if random else 1):
-        for drive, rows in _driven(drives, run, runs):
+    for run in range(RUNS if random else 1):
+        for drive, rows in _driven(drives, run):
             try:
                 moved = NoisyPath(plain, 0, run).feed(drive.stamps_ns[rows], drive.true_xyt[rows]).error_xyt
             except OdomCorruptError:
@@ -210,14 +210,14 @@ def _failure(model: MotionModel, drives: Sequence[_Drive], runs: int) -> str:
     return ""
 
 
-def _driven(drives: Sequence[_Drive], run: int, runs: int) -> Iterator[tuple[_Drive, slice]]:
+def _driven(drives: Sequence[_Drive], run: int) -> Iterator[tuple[_Drive, slice]]:
     """Yield drives with row ranges for a run: everything in the first run, `_STRETCH_S` in turn in the others."""
     if run == 0:
         yield from ((drive, slice(None)) for drive in drives)
         return
     left_s = _STRETCH_S
     for drive in (*drives[run % len(drives) :], *drives[: run % len(drives)]):
-        begin_s = drive.t_s[0] + max(float(drive.t_s[-1] - drive.t_s[0]) - left_s, 0.0) * run / (runs - 1)
+        begin_s = drive.t_s[0] + max(float(drive.t_s[-1] - drive.t_s[0]) - left_s, 0.0) * run / (RUNS - 1)
         first, last = np.searchsorted(drive.t_s, (begin_s, begin_s + left_s), side="right")
         yield drive, slice(max(int(first) - 1, 0), int(last))
         left_s -= float(drive.t_s[-1] - drive.t_s[0])
@@ -238,7 +238,7 @@ def _worse(model: MotionModel, drives: Sequence[_Drive]) -> str:
     return f"`correct` with it leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, {plain_m * 1e3:.1f} without"
 
 
-def _correctable(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tuple[MotionModel, list[str]]:
+def _correctable(model: MotionModel, drives: Sequence[_Drive]) -> tuple[MotionModel, list[str]]:
     """Return the model with the least error after `correct` if that clearly exceeds the fit's error, and a sentence.
 
     The fit uses accelerations of smoothed motion, the correction those between successive poses unless the odometry is
@@ -259,11 +259,11 @@ def _correctable(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tup
     if little or left_m > _MAX_RATIO * fitted_m:
         means = [_mean_of(model, law, drives) for law in reading if isinstance(law, UserEffect)]
         others = [*(m for m in means if m is not None), *(_without(model, effect) for effect in reversed(reading))]
-        usable = [one for one in others if not _failure(one[0], drives, runs)]
+        usable = [one for one in others if not _failure(one[0], drives)]
         errors_m = [_corrected_error(other.effects, other, drives) for other, _ in usable]
         if errors_m and (little or min(errors_m) < left_m):
             other, change = usable[int(np.argmin(errors_m))]
-            other, more = _correctable(other, drives, runs)
+            other, more = _correctable(other, drives)
             return other, [f"{change}, which leaves {min(errors_m) * 1e3:.1f} mm: `correct` with it {errors}", *more]
     names = " and ".join(effect.name for effect in reading)
     why = "reads accelerations or places, and from one pose to the next these are rougher than the fit's smooth ones"

@@ -110,9 +110,8 @@ def trajectory_error(recordings: Sequence[Recording]) -> TrajectoryError:
 
 def _at_truth(recording: Recording) -> tuple[Array, Array]:
     """Return the truth's poses (n, 3) in the time of the odometry, and the odometry's poses (n, 3) there."""
-    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
-    inside = (truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])
-    return recording.truth.xyt[inside], recording.odometry.at(truth_s[inside], recording.origin_ns)
+    inside = recording.within_odometry
+    return recording.truth.xyt[inside], recording.odometry.at(recording.truth_s[inside], recording.origin_ns)
 
 
 def _rms(parts: Sequence[Array]) -> float:
