@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.calibrate import Calibration
-    from odomcorrupt.laser.sweep import Sweep
 
 _APART_M, _APART_S = 0.5, 3.0
 """Travel between two compared sweeps, m, and largest time between them, s, for a robot that stands."""
@@ -49,7 +48,7 @@ def without_moving(calibration: Calibration) -> Calibration:
     kept = []
     for row, (sweep, others) in enumerate(zip(sweeps.sweeps, _compared(t_s, poses), strict=True)):
         moving = _moving(scans[row], [(between(poses[k], poses[row]), tables[k]) for k in others])
-        kept.append(_only(sweep, ~moving) if moving.any() else sweep)
+        kept.append(sweep.only(~moving) if moving.any() else sweep)
     share = 1.0 - sum(map(len, kept)) / max(sum(map(len, sweeps.sweeps)), 1)
     said = calibration.said
     if share > _SAID_SHARE:
@@ -111,7 +110,3 @@ def _objects(xy: Array) -> list[NDArray[np.int64]]:
     if len(parts) > 1 and float(np.linalg.norm(xy[0] - xy[-1])) < _GAP_M:
         parts = [np.concatenate((parts[-1], parts[0])), *parts[1:-1]]
     return parts
-
-
-def _only(sweep: Sweep, kept: NDArray[np.bool_]) -> Sweep:
-    return replace(sweep, xy=sweep.xy[kept], after_s=sweep.after_s[kept])

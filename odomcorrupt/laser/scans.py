@@ -124,12 +124,8 @@ def _ordered(
     _, index = np.unique(stamps, return_index=True)
     if len(index) < len(rows):
         notes.append(f"{name}: {len(rows) - len(index)} sweeps with duplicate stamps left out")
-    kept = [(_stamped(rows[i][0], int(stamps[i])), rows[i][1]) for i in index]
+    kept = [(replace(rows[i][0], stamp_ns=int(stamps[i])), rows[i][1]) for i in index]
     return kept, notes
-
-
-def _stamped(message: ScanMessage | CloudMessage, stamp_ns: int) -> ScanMessage | CloudMessage:
-    return message if message.stamp_ns == stamp_ns else replace(message, stamp_ns=stamp_ns)
 
 
 def _mount(tree: FrameTree, base: str, laser: str) -> Mount | None:

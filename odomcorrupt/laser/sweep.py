@@ -37,6 +37,10 @@ class Sweep:
     def __len__(self) -> int:
         return len(self.xy)
 
+    def only(self, kept: NDArray[np.bool_]) -> Sweep:
+        """Return the sweep with the returns selected by a mask (m,)."""
+        return replace(self, xy=self.xy[kept], after_s=self.after_s[kept])
+
 
 @dataclass(frozen=True, slots=True)
 class Sweeps:

@@ -119,12 +119,8 @@ def _turned(e: Excitation) -> str:
     return "never turned" if left and right else "never turned left" if left else "never turned right" if right else ""
 
 
-def _moved(e: Excitation) -> str:
-    return "hardly drove" if e.forward_m + e.reverse_m < 5.0 else ""
-
-
 EXCITATIONS: tuple[MissingExcitation, ...] = (
-    MissingExcitation(_moved, ("squares",)),
+    MissingExcitation(lambda e: "hardly drove" if e.forward_m + e.reverse_m < 5.0 else "", ("squares",)),
     MissingExcitation(
         lambda e: "never reversed" if e.reverse_m < 0.01 * e.forward_m + 0.1 else "", ("there_and_back",)
     ),

@@ -133,13 +133,10 @@ def levelled(recordings: Sequence[Recording], clocks: Clocks) -> list[Recording]
             truth.xy_m / max(first.xy_m, _LEAST_M),
             truth.yaw_rad / max(first.yaw_rad, _LEAST_RAD) if both else 1.0,
         )
-        level = tuple(float(np.clip(r, 1.0 / _MOST_LEVEL, _MOST_LEVEL)) if _differs(r) else 1.0 for r in ratio)
+        alike = [1.0 / _PLAIN_LEVEL < r < _PLAIN_LEVEL for r in ratio]
+        level = np.where(alike, 1.0, np.clip(ratio, 1.0 / _MOST_LEVEL, _MOST_LEVEL)).tolist()
         found.append(replace(recording, truth_level=(level[0], level[1])))
     return found
-
-
-def _differs(ratio: float) -> bool:
-    return not 1.0 / _PLAIN_LEVEL < ratio < _PLAIN_LEVEL
 
 
 def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:

@@ -185,12 +185,10 @@ def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[s
         either = (*either, *([unsteered] if unsteered else []))
     elif drive is not None:
         either = tuple(other for other in either if drive.admits(kinds[other]))
-    return tuple(other for other in either if _admits(kinds[other], effect))
-
-
-def _admits(kind: type[Effect], effect: Effect | str) -> bool:
-    """Return whether the values of an effect are within the bounds of an alias."""
-    return all(p.low <= getattr(effect, p.name, p.identity) <= p.high for p in parameters(kind))
+    return tuple(
+        other for other in either
+        if all(p.low <= getattr(effect, p.name, p.identity) <= p.high for p in parameters(kinds[other]))
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,9 +72,6 @@ def find_setup(
     alone = fitted(*there, *effects)
     found = alone.effects[: len(there)]
     better = ten_second_error(alone) <= ten_second_error(fitted(*effects))
-    return found if better and all(_plausible(effect) for effect in found) else ()
-
-
-def _plausible(effect: Effect) -> bool:
-    """Return whether an effect is within half its bounds: one near a bound compensates for another cause."""
-    return all(2.0 * abs(getattr(effect, p.name)) < p.high for p in amplitudes(effect))
+    # one near its bound compensates for another cause
+    plausible = all(2.0 * abs(getattr(e, p.name)) < p.high for e in found for p in amplitudes(e))
+    return found if better and plausible else ()

@@ -146,7 +146,7 @@ class NoiseLikelihood:
     def evaluate(self, free: Array) -> NoiseFit:
         """Return the fit at given noise parameters, with columns estimated by generalised least squares."""
         coefficients, truth = self._unpack(free)
-        white = factored(self._band(self._shares(free)), self._rho)
+        white = factored(self._sum(self._shares(free)) + self._floor, self._rho)
         k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
         nothing = np.zeros(0)
         blank = NoiseFit(
@@ -293,10 +293,6 @@ class NoiseLikelihood:
         """Return the weighted sum of the bands."""
         summed: Array = (shares @ self._bands).reshape(self._floor.shape[::-1]).T
         return summed
-
-    def _band(self, shares: Array) -> Array:
-        """Return the covariance as a lower band (6, 3 K)."""
-        return self._sum(shares) + self._floor
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
         """Return coefficients (8,) and truth noise; a coefficient at its lower bound is exactly zero."""

@@ -161,7 +161,10 @@ def _processes(taus_s: Sequence[float], biases_s: Sequence[float]) -> list[Proce
     kinds = registry()
     markov = [
         Process(kinds["gauss_markov"], {"tau": tau, "channel": channel}, "sigma", unit, tau)
-        for channel, unit in (("along", _along), ("yaw", _turn))
+        for channel, unit in (
+            ("along", lambda m: stacked(m.v, 0.0, 0.0, m.v)),
+            ("yaw", lambda m: stacked(0.0, 0.0, m.omega, m.v)),
+        )
         for tau in taus_s
     ]
     walk = kinds["gyro_bias_walk"]
@@ -178,14 +181,6 @@ def processes_like(effect: Effect, *, beside: bool = False) -> list[Process]:
     every = _processes(taus_s, [t for t in taus_s if t >= _QUICKEST_S or t == tau_s])
     own = [p for p in every if p.kind is type(effect) and p.fixed.get("channel") == channel]
     return [p for p in own if (p.tau is None) == (tau_s == 0.0)]
-
-
-def _along(motion: Motion) -> Array:
-    return stacked(motion.v, 0.0, 0.0, motion.v)
-
-
-def _turn(motion: Motion) -> Array:
-    return stacked(0.0, 0.0, motion.omega, motion.v)
 
 
 def bias_of(motion: Motion) -> Array:

@@ -138,6 +138,7 @@ def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Proble
     smoothers = [MotionSmoother([drive], "odometry") for drive in drives]
     left = [undo(drive, effects, smoother=smoother) for drive, smoother in zip(drives, smoothers, strict=True)]
     intervals = [intervals_between(drive, np.array([0, 1])) for drive in left]
+    first = np.cumsum([0, *(len(drive.odometry) - 1 for drive in left[:-1])]).tolist()
     return Problem(
         recordings=tuple(drives),
         effects=effects,
@@ -145,15 +146,10 @@ def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Proble
         approach=Approach(),
         smoothers=tuple(smoothers),
         left=tuple(left),
-        intervals=join(intervals, _starts([len(drive.odometry) - 1 for drive in left])),
+        intervals=join(intervals, first),
         run=np.arange(float(len(intervals))),
         motions=tuple(smoother.recorded for smoother in smoothers),
     )
-
-
-def _starts(steps: Sequence[int]) -> list[int]:
-    """Return the index of each drive's first increment."""
-    return [sum(steps[:i]) for i in range(len(steps))]
 
 
 def _covariance(problem: Problem) -> Array:

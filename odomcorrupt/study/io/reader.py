@@ -11,6 +11,7 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.rounded_stamps import resolution_s
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.fixes import without_float_episodes
@@ -23,7 +24,7 @@ from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
-from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s, stamp_resolution_s
+from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
 from odomcorrupt.study.io.warnings import (
@@ -276,7 +277,7 @@ def recordings_of(
         If they cannot be of one run; the message gives the reason.
     """
     odometry, truth = in_order(odometry), in_order(truth)
-    rounded_s = math.hypot(stamp_resolution_s(odometry), stamp_resolution_s(truth))
+    rounded_s = math.hypot(resolution_s(odometry.stamps_ns), resolution_s(truth.stamps_ns))
     odometry, truth = even_stamps(odometry), even_stamps(truth)
     if truth_shift_s:
         shift = round(truth_shift_s * 1e9)

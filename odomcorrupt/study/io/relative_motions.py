@@ -78,7 +78,8 @@ def read_motions(path: Path) -> Motions:
     """
     try:
         with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
-            rows = ((n, line) for n, line in enumerate(csv.reader(stream), start=1) if line and not _is_comment(line))
+            lines = enumerate(csv.reader(stream), start=1)
+            rows = ((n, line) for n, line in lines if line and not line[0].lstrip().startswith("#"))
             layout, table = None, []
             for n, line in itertools.islice(rows, _MAX_LINES):
                 if layout is None:
@@ -276,7 +277,3 @@ def _nanoseconds(values: Array, tick: int, place: str) -> NDArray[np.int64]:
     whole = np.floor(values)
     stamps: NDArray[np.int64] = whole.astype(np.int64) * tick + np.round((values - whole) * tick).astype(np.int64)
     return stamps
-
-
-def _is_comment(line: Sequence[str]) -> bool:
-    return line[0].lstrip().startswith("#")

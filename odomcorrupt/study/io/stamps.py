@@ -45,14 +45,9 @@ class Step(NamedTuple):
     by_s: float
 
 
-def stamp_resolution_s(path: Samples) -> float:
-    """Return the resolution of the stamps, seconds; 0 if they are not rounded or it cannot be determined."""
-    return resolution_s(path.stamps_ns)
-
-
 def even_stamps(path: Samples) -> Samples:
     """Return the samples with rounded stamps of a periodic publisher restored to an even grid; others unchanged."""
-    rounded_s = stamp_resolution_s(path)
+    rounded_s = resolution_s(path.stamps_ns)
     if not rounded_s:
         return path
     said = f"stamps are rounded to {rounded_s * 1e3:g} ms: a clock that is off by less than half of that cannot be seen"

@@ -115,7 +115,8 @@ def compare_with_basis(
     (own,) = score_columns(bare, [columns])
     motions, count = fit.problem.motions, len(fit.problem.intervals)
     penalties = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
-    penalties += (len(effects) - 1) * float(np.log(equal_candidates(_library_names(), decisions)))
+    competing = [name for name, kind in registry().items() if kind.kind != "noise"]
+    penalties += (len(effects) - 1) * float(np.log(equal_candidates(competing, decisions)))
     nats = 0.5 * own.statistic - penalties
     rest, whiten = project_out(bare), bare.noise.whitener.whiten
     whitened = rest.of(whiten(columns))
@@ -163,11 +164,6 @@ def rivals(compared: Sequence[ModelComparison], decisions: Decisions) -> list[De
     """Return for effects, alone and together, the dependence that may explain them, if there is one."""
     found = [(own.names, own.better(decisions, -decisions.rival_nats)[:1]) for own in compared]
     return [replace(one, instead_of=names) for names, nearest in found for one in nearest]
-
-
-def _library_names() -> list[str]:
-    """Return the names of all effects that compete in a selection."""
-    return [name for name, kind in registry().items() if kind.kind != "noise"]
 
 
 def _at_other_speeds(problem: Problem) -> Problem:

@@ -134,7 +134,7 @@ def evaluate_stretch(
     intervals = problem.intervals
     q = intervals.covariance(model.noise.law, model.noise.coefficients, problem.steps)
     headed = recording.headed
-    truth = model.setup.truth or _truth_noise(intervals, q, recording)
+    truth = model.setup.truth or _robust_truth(intervals, q, recording)[0]
     if model.setup.truth is not None and not refitted:
         truth = _own_truth(intervals, q, truth, recording)
     band = remainder_whitener(intervals, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
@@ -211,11 +211,6 @@ def _max_noise(recording: Recording, stated: TruthNoise) -> TruthNoise:
 
 def _numbers(truth: TruthNoise) -> tuple[float, float, float]:
     return truth.xy_m, truth.yaw_rad, truth.random_walk
-
-
-def _truth_noise(intervals: Intervals, q: Array, recording: Recording) -> TruthNoise:
-    """Return the truth's noise for a model file that states none."""
-    return _robust_truth(intervals, q, recording)[0]
 
 
 def _robust_truth(intervals: Intervals, q: Array, recording: Recording) -> tuple[TruthNoise, Array]:

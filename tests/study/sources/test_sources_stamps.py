@@ -10,9 +10,10 @@ import pytest
 from sourcebags import topic, write
 from sourcedrive import START_NS, odometry, truth
 
+from odomcorrupt.geometry.rounded_stamps import resolution_s
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.raw_trajectory import Samples
-from odomcorrupt.study.io.stamps import clock_steps, even_stamps, stamp_resolution_s
+from odomcorrupt.study.io.stamps import clock_steps, even_stamps
 
 
 def path(t_s, log_s=None):
@@ -60,7 +61,7 @@ UNEVEN = np.cumsum(np.random.default_rng(4).uniform(0.01, 0.03, 3000))
     ],
 )
 def test_what_stamps_are_rounded_to_is_seen_where_intervals_vary_on_it(t_s, rounded_s, found_s):
-    assert stamp_resolution_s(path(np.floor(t_s / rounded_s) * rounded_s)) == pytest.approx(found_s)
+    assert resolution_s(path(np.floor(t_s / rounded_s) * rounded_s).stamps_ns) == pytest.approx(found_s)
 
 
 # a 50 Hz timer that jitters across the steps of rounding to half of its period
