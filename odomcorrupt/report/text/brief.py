@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from enum import IntEnum
 from math import degrees, isfinite, radians
 from typing import TYPE_CHECKING
 
@@ -51,10 +52,18 @@ _LEAST_TURNED_RAD, _LEAST_APART_M = radians(0.1), 0.005
 _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
 _PERHAPS = "perhaps"
 """Label of names below even odds."""
-_Rank = tuple[int, int, float]
-"""Place of a finding: kind, whether it is not in the model, negative evidence in nats."""
 _OF_ONE_DRIVE = ("time", "distance")
 """Regressors that no manoeuvre varies: another drive shows whether an error recurs."""
+
+
+class _Group(IntEnum):
+    """Groups of findings in their order; names below even odds are doubtful."""
+
+    NAMED = 0
+    NOT_IN_MODEL = 1
+    NOISE = 2
+    DOUBTFUL = 3
+    SET_UP = 4
 
 
 def findings_brief(
@@ -238,8 +247,8 @@ def _found_lines(
     undecided : names in the line of undecided alternatives
     held_out : data of the evaluation
     """
-    ranked: list[tuple[_Rank, Line]] = []
-    ranks: dict[str, _Rank] = {}
+    ranked: list[tuple[tuple[_Group, float], Line]] = []  # in a group the one with the most evidence is first
+    ranks: dict[str, tuple[_Group, float]] = {}
     small: list[str] = []
     for one in effects_found(search, fit):
         name, said = one.effect.name, f"{one.names}  {', '.join(numbers_text(one.effect, one.errors))}"
@@ -250,18 +259,21 @@ def _found_lines(
         said += f"  {confidence_words(one.confidence)}"
         said += f", or {', '.join(rivals)}" if rivals else ""
         doubtful = one.confidence < EVEN_ODDS
-        label = "set-up" if name in search.of_setup else _PERHAPS if doubtful else ""
-        rank = ranks[name] = (("", "noise", _PERHAPS, "set-up").index(label), 0, -one.gain_nats)
+        group, label = (_Group.DOUBTFUL, _PERHAPS) if doubtful else (_Group.NAMED, "")
+        if name in search.of_setup:
+            group, label = _Group.SET_UP, "set-up"
+        ranks[name] = (group, -one.gain_nats)
         said += _contact_words(one.effect, search)
-        ranked.append((rank, Line(label, said, weight=SPARE if doubtful else USUAL)))
+        ranked.append((ranks[name], Line(label, said, weight=SPARE if doubtful else USUAL)))
     for unknown in dependences_found(search, fit)[:2]:
         law = unknown.law
         if law in search.unexplained or law.instead_of:
             other = f"or, instead of {' and '.join(law.instead_of)}, " if law.instead_of else ""
             said = f"{other}{dependence(law)}: {unknown.expression}{_left_out(unknown, search, held_out)}"
             beside = [ranks[name] for name in law.instead_of if name in ranks]
-            rank = max(beside, default=(0, not unknown.fitted, -law.nats))
-            ranked.append((rank, Line("", said, weight=SPARE if rank[0] else USUAL)))
+            own = (_Group.NAMED if unknown.fitted else _Group.NOT_IN_MODEL, -law.nats)
+            rank = max(beside, default=own)
+            ranked.append((rank, Line("", said, weight=USUAL if rank[0] <= _Group.NOT_IN_MODEL else SPARE)))
         else:
             small.append(unknown.expression)
     for noise in noise_found(search):
@@ -269,7 +281,8 @@ def _found_lines(
         said = f"{noise.effect.name}, {values}  {confidence_words(noise.confidence)}"
         said += ", or the scale of the truth varies" if noise.of_truth else ""
         doubtful = noise.confidence < EVEN_ODDS
-        ranked.append(((1 + doubtful, 0, 0.0), Line("noise", said, weight=SPARE if doubtful else USUAL)))
+        group = _Group.DOUBTFUL if doubtful else _Group.NOISE
+        ranked.append(((group, 0.0), Line("noise", said, weight=SPARE if doubtful else USUAL)))
     lines = [line for _, line in sorted(ranked, key=lambda one: one[0])]
     lines += _clock_lines(search.clocks, search.fit)
     lines += [
