@@ -13,11 +13,12 @@ from odomcorrupt.study.select.closed_loop import least_thresholds
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.model_comparison import compare_with_basis
 from odomcorrupt.study.select.screening import CoarseDesign
+from odomcorrupt.study.select.stepwise import learn
 
 CURVATURE, ROT_TRANS, V = 0.013, 0.007, 0.5
 
 
-def held_on_line(seed, duration_s=240.0):
+def held_on_line(seed, curvature=CURVATURE, duration_s=240.0):
     """A drive of straights and turns on the spot with unequal wheels, whose true heading is held within 0.4 s."""
     rng = np.random.default_rng(seed)
     n, dt = int(duration_s * RATE_HZ), 1.0 / RATE_HZ
@@ -32,7 +33,7 @@ def held_on_line(seed, duration_s=240.0):
         rate += np.clip(wanted - rate, -2.0 * dt, 2.0 * dt)
         gone[i] = V * dt if abs(goal - heading) < 0.3 else 0.0
         commanded[i] = rate * dt
-        turned[i] = commanded[i] - CURVATURE * gone[i] + ROT_TRANS * np.sqrt(gone[i]) * rng.standard_normal()
+        turned[i] = commanded[i] - curvature * gone[i] + ROT_TRANS * np.sqrt(gone[i]) * rng.standard_normal()
         heading += turned[i]
     zeros = np.zeros(n)
     odometry = accumulate(np.zeros(3), Increments(gone, zeros, commanded))
@@ -50,3 +51,11 @@ def test_unequal_wheels_are_not_taken_for_a_threshold_within_the_noise_of_the_ya
         for limits in ({}, least)
     )
     assert found > DECISIONS.alternative_nats > plain
+
+
+def test_the_yaw_rate_with_which_unequal_wheels_are_counteracted_is_no_threshold():
+    run = held_on_line(3, curvature=0.04)
+    fitted = fit([run], [effect_from_values("unequal_wheels", {"curvature": 0.0})], approach=Approach())
+    # the controller turns the robot at 0.04 rad/m * 0.5 m/s, with the noise about that
+    assert 0.02 + 0.015 < least_thresholds(fitted)["yaw_rate"] < 0.02 + 0.03
+    assert learn([run]).laws == ()

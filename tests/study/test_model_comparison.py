@@ -57,11 +57,11 @@ def test_a_basis_function_that_explains_nearly_as_much_is_a_rival_and_replaces_n
     monkeypatch.setattr(model_comparison, "dependences", lambda _, scores, __: scores)
     basis = SimpleNamespace(score=SimpleNamespace(nats=41.0))
     near = SimpleNamespace(best=basis, nats=41.0, score=basis.score)
-    own = ModelComparison(effects=(), bare=None, nats=43.0, penalty=3.0, scores=[near])
-    assert own.better(DECISIONS, -DECISIONS.alternative_nats) == [near]
-    assert own.better(DECISIONS, DECISIONS.replacement_nats) == []
-    assert ModelComparison(effects=(), bare=None, nats=30.0, penalty=3.0, scores=[near]).better(
-        DECISIONS, DECISIONS.replacement_nats
+    own = ModelComparison(effects=(), bare=None, nats=43.0, penalty=3.0, scores=[near], decisions=DECISIONS)
+    assert own.better(-DECISIONS.alternative_nats) == [near]
+    assert own.better(DECISIONS.replacement_nats) == []
+    assert ModelComparison(effects=(), bare=None, nats=30.0, penalty=3.0, scores=[near], decisions=DECISIONS).better(
+        DECISIONS.replacement_nats
     ) == [near]
 
 
@@ -72,7 +72,7 @@ def test_effects_that_together_imitate_a_dependence_share_its_margin(monkeypatch
     def compared(effects, nats, *gains):
         bases = [SimpleNamespace(score=SimpleNamespace(nats=gain)) for gain in gains]
         found = [Found(basis, basis.score.nats, basis.score) for basis in bases]
-        return ModelComparison(effects=effects, bare=None, nats=nats, penalty=3.0, scores=found)
+        return ModelComparison(effects=effects, bare=None, nats=nats, penalty=3.0, scores=found, decisions=DECISIONS)
 
     every = [compared((slip,), 96.0), compared((scale,), 39.0, 20.0), compared((slip, scale), 150.0, 148.0)]
     assert margins(every) == {"accel_slip": 2.0, "wheel_scale": 2.0}

@@ -160,8 +160,9 @@ def least_thresholds(fit: Fit) -> dict[str, float]:
 
     A controller that holds the true heading turns the robot by the noise, with the opposite sign. The odometry's yaw
     rate on a straight is then the error itself, and a threshold below `_NOISE` standard deviations of it selects the
-    intervals with a large error, whatever its cause. So does a sideways speed, if the true line is held. Regressors
-    from the truth contain hardly any of this noise.
+    intervals with a large error, whatever its cause. If an effect turns the odometry all the time, as unequal wheels do,
+    the controller turns the robot against it: the noise is then about the yaw rate of this effect, which is added. A
+    sideways speed is noise, too, if the true line is held. Regressors from the truth contain hardly any of this noise.
     """
     problem = fit.problem
     if problem.approach.side == "truth":
@@ -174,9 +175,12 @@ def least_thresholds(fit: Fit) -> dict[str, float]:
     dt_s = (intervals.end_s - intervals.start_s)[moving]
     across, noise = (_NOISE * np.sqrt(covariance[moving, i, i]) / dt_s for i in (1, 2))
     speed = np.hypot(*intervals.odometry_step[moving, :2].T) / dt_s
+    fast = float(np.quantile(speed, 0.9))
+    turned_too_much = (_turn_columns(fit) - intervals.truth_step)[moving, 2] / dt_s
+    steady = abs(float(np.median(turned_too_much))) * fast / float(np.median(speed))
     return {
-        "yaw_rate": float(np.median(noise)),
-        "lateral_acceleration": float(np.median(noise * speed)),
+        "yaw_rate": float(np.median(noise)) + steady,
+        "lateral_acceleration": float(np.median(noise * speed)) + steady * fast,
         "sideways_speed": float(np.median(across)),
     }
 

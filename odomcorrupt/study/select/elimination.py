@@ -130,7 +130,7 @@ def eliminate_random(
 def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:
     """Return a fit and its random coefficient after alternating re-estimation of both until convergence."""
     for _ in range(_ITERATIONS):
-        new = remeasured(fit, effect)
+        new, _ = remeasured(fit, effect)
         alike = all(np.isclose(getattr(new, p.name), getattr(effect, p.name), rtol=_ALIKE) for p in parameters(new))
         calmer = fit.refit(random=[new if e is effect else e for e in fit.random])
         if alike and calmer.log_likelihood < fit.log_likelihood + _SETTLED_NATS:

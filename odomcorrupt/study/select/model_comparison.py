@@ -7,6 +7,7 @@ included effect, and all of them at once, are removed, to first order, and every
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,7 +65,7 @@ class Proposal:
     candidate: Candidate
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ModelComparison:
     """One or several included effects against the basis functions that may replace them.
 
@@ -73,6 +74,7 @@ class ModelComparison:
     nats, penalty : their joint gain minus their penalty, and that penalty
     scores : the best basis function of each regressor and channel, except copies of the effects and functions that a
         refit refutes
+    decisions : thresholds of the selection
     """
 
     effects: tuple[Effect, ...]
@@ -80,6 +82,7 @@ class ModelComparison:
     nats: float
     penalty: float
     scores: list[BasisScore]
+    decisions: Decisions
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,13 +94,16 @@ class ModelComparison:
         """Gain of the effects over the best basis function, nats, both minus their penalties."""
         return self.nats - max((one.score.nats for one in self.scores), default=0.0)
 
-    def better(self, decisions: Decisions, by_nats: float) -> list[Dependence]:
+    @cached_property
+    def _dependences(self) -> list[Dependence]:
+        return dependences(self.bare, self.scores, self.decisions)
+
+    def better(self, by_nats: float) -> list[Dependence]:
         """Return the dependences that gain more than the effects by `by_nats` and are close to the best of them."""
         if self.margin > -by_nats:
             return []
-        found = dependences(self.bare, self.scores, decisions)
-        found = [one for one in found if one.best is not None and one.best.score.nats > self.nats + by_nats]
-        return [one for one in found if one.nats > found[0].nats - decisions.alternative_nats]
+        found = [one for one in self._dependences if one.best is not None and one.best.score.nats > self.nats + by_nats]
+        return [one for one in found if one.nats > found[0].nats - self.decisions.alternative_nats]
 
 
 def compare_with_basis(
@@ -151,7 +157,7 @@ def compare_with_basis(
     # refit from the best function on, as long as that can change the comparison
     while scores and scores[0].score.nats > nats - decisions.replacement_nats and refuted(scores[0].score):
         del scores[0]
-    return ModelComparison(tuple(effects), bare, nats, penalties, scores)
+    return ModelComparison(tuple(effects), bare, nats, penalties, scores, decisions)
 
 
 def margins(compared: Sequence[ModelComparison]) -> dict[str, float]:
@@ -162,7 +168,7 @@ def margins(compared: Sequence[ModelComparison]) -> dict[str, float]:
 
 def rivals(compared: Sequence[ModelComparison], decisions: Decisions) -> list[Dependence]:
     """Return for effects, alone and together, the dependence that may explain them, if there is one."""
-    found = [(own.names, own.better(decisions, -decisions.rival_nats)[:1]) for own in compared]
+    found = [(own.names, own.better(-decisions.rival_nats)[:1]) for own in compared]
     return [replace(one, instead_of=names) for names, nearest in found for one in nearest]
 
 
@@ -365,6 +371,6 @@ def best_replacement(
     """
     found = []
     for own in compared:
-        better = [one for one in own.better(decisions, decisions.replacement_nats) if one.channel not in contradicted]
+        better = [one for one in own.better(decisions.replacement_nats) if one.channel not in contradicted]
         found.append(best_dependence(fit, better, decisions, instead_of=own))
     return max((one for one in found if one is not None), key=lambda one: one.candidate.gain, default=None)

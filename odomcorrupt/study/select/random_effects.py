@@ -68,6 +68,8 @@ class DetectedRandomEffect:
     nats: float
 
 
+_REFIT_NATS = 15.0
+"""Largest gain by fitting the noise again, nats, once a process has its own parameters; at most 10 was observed."""
 _MAP_NATS = 20.0
 """Additional nats required of a varying travel gain if the truth depends on a map, whose distortions vary too."""
 
@@ -99,18 +101,18 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[DetectedRandomEf
     for key, (one, least) in found.items():
         if key in have or is_remainder(fit, one.effect):
             continue
-        beside, measured = _measured(fit, one)
+        beside, measured = _measured(fit, one, least)
         if measured.nats > least and _in_both_halves(beside, measured.effect):
             named.append(measured)
     return sorted(named, key=lambda one: one.nats, reverse=True)
 
 
-def _measured(fit: Fit, one: DetectedRandomEffect) -> tuple[Fit, DetectedRandomEffect]:
+def _measured(fit: Fit, one: DetectedRandomEffect, least: float) -> tuple[Fit, DetectedRandomEffect]:
     """Return a fit with its noise re-estimated beside a random bias, and the bias with its gain in the refit.
 
     If intervals last seconds, as with poses of a localisation, or if the angle random walk of a gyro is fitted, the
-    fitted noise absorbs most of a random walk of the bias, and a test beside that noise has little power. Otherwise
-    both are returned unchanged.
+    fitted noise absorbs most of a random walk of the bias, and a test beside that noise has little power. Otherwise,
+    and if no refit is likely to gain `least` nats, both are returned unchanged.
     """
     (process,) = processes_like(one.effect)
     approach = fit.problem.approach
@@ -118,14 +120,22 @@ def _measured(fit: Fit, one: DetectedRandomEffect) -> tuple[Fit, DetectedRandomE
         return fit, one
     (usual,) = (p.typical for p in parameters(process.kind) if p.name == process.scale)
     start = process.kind(**{process.scale: max(getattr(one.effect, process.scale), usual), **process.fixed})
-    effect = remeasured(fit.refit(random=(*fit.random, start)), start)
+    paid = 0.5 * process.numbers * float(np.log(len(fit.problem.intervals)))
+    least = max(one.nats, least) + paid
+    begun = fit.refit(random=(*fit.random, start))
+    effect, more = remeasured(begun, start)
+    if begun.log_likelihood + more + _REFIT_NATS - fit.log_likelihood <= least:
+        return fit, one
     calmer = fit.refit(random=(*fit.random, effect))
-    # the mean of a bias is no part of the process
+    nats = calmer.log_likelihood - fit.log_likelihood
     mean = registry()["gyro_bias"]()
-    steady = fit if mean.name in fit.by_name else fit.refit((*fit.effects, mean))
-    nats = calmer.log_likelihood - max(fit.log_likelihood, steady.log_likelihood)
-    nats -= 0.5 * process.numbers * float(np.log(len(fit.problem.intervals)))
-    return (_beside(calmer, effect), DetectedRandomEffect(effect, nats)) if nats > one.nats else (fit, one)
+    if nats > least and mean.name not in fit.by_name:
+        # the mean of a bias is no part of the process
+        steady = fit.refit((*fit.effects, mean))
+        nats = min(nats, calmer.log_likelihood - steady.log_likelihood)
+    if nats <= least:
+        return fit, one
+    return _beside(calmer, effect), DetectedRandomEffect(effect, nats - paid)
 
 
 def _beside(fit: Fit, effect: Effect) -> Fit:
@@ -197,9 +207,11 @@ def explained_by(gains: Iterable[tuple[Dependence, float]], effect: Effect, deci
     return max((nats - known * (one.title == "yaw over time") for one, nats in gains), default=0.0)
 
 
-def remeasured(fit: Fit, effect: Effect) -> Effect:
-    """Return a random coefficient of a fit with its parameters re-estimated beside the noise of the fit."""
+def remeasured(fit: Fit, effect: Effect) -> tuple[Effect, float]:
+    """Return a random coefficient of a fit with its parameters re-estimated beside the noise, and what that gains."""
     evidence = _Evidence(_beside(fit, effect))
+    (present,) = processes_like(effect)
+    before = evidence.at(rooted(fit.problem, present, FINELY), present, getattr(effect, present.scale))
     best = max(
         (
             (evidence.of(rooted(fit.problem, process, FINELY), process), process)
@@ -207,8 +219,8 @@ def remeasured(fit: Fit, effect: Effect) -> Effect:
         ),
         key=lambda found: found[0][0],
     )
-    (_, scale), process = best
-    return process.kind(**{process.scale: scale, **process.fixed})
+    (nats, scale), process = best
+    return process.kind(**{process.scale: scale, **process.fixed}), nats - before
 
 
 def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[DetectedRandomEffect]:
@@ -255,15 +267,21 @@ class _Evidence:
 
     def of(self, root: Root, process: Process) -> tuple[float, float]:
         """Return the gain at the best scale of a process, nats, and that scale."""
-        information, score = self._of_knots(root.spread, process)
-        spectrum = _spectrum(root.mixing.T @ information @ root.mixing, root.mixing.T @ score)
-        scales = _scales(process)
+        spectrum, scales = self._spectrum(root, process), _scales(process)
         for _ in range(2):
             gains = _gains(*spectrum, scales)
             best = int(np.argmax(gains))
             nats, scale = float(gains[best]), float(scales[best])
             scales = np.geomspace(0.9 * scale, min(1.1 * scale, _scales(process)[-1]), 21)
         return nats, scale
+
+    def at(self, root: Root, process: Process, scale: float) -> float:
+        """Return the gain of a process at a scale, nats."""
+        return float(_gains(*self._spectrum(root, process), np.array([scale]))[0])
+
+    def _spectrum(self, root: Root, process: Process) -> tuple[Array, Array]:
+        information, score = self._of_knots(root.spread, process)
+        return _spectrum(root.mixing.T @ information @ root.mixing, root.mixing.T @ score)
 
     def _of_knots(self, spread: csr_array, process: Process) -> tuple[Array, Array]:
         """Return information (k, k) and score (k,) of the knots beside the model."""

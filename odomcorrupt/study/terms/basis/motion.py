@@ -68,10 +68,11 @@ def functions_of_motion(
     yield from _either_signs(motions)
     yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # g-sensitive gyro
     yield from _saturations(motions)
-    yield from _one_way(motions, sideways=sideways)
+    turning = max(_STILL, least.get("yaw_rate", 0.0))
+    yield from _one_way(motions, turning, sideways=sideways)
     if sideways:
         yield BasisFunction(_SIDEWAYS, "k", (lambda m: np.ones(len(m)),), reaches=("sideways gain",))
-    yield from _at_rest()
+    yield from _at_rest(turning)
 
 
 def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
@@ -237,30 +238,32 @@ def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...],
     )
 
 
-def _one_way(motions: Sequence[Motion], *, sideways: bool) -> Iterator[BasisFunction]:
+def _one_way(motions: Sequence[Motion], turning: float, *, sideways: bool) -> Iterator[BasisFunction]:
     """Yield errors in reverse only, to the right only, and of one wheel that scrubs in turns to one side.
 
     Reverse is tested only if the robot drove in reverse: a wheel also runs backwards in turns on the spot.
+
+    turning : yaw rate from which on a robot turns, rad/s
     """
-    tested: list[tuple[str, str, Of]] = [("speed", "v", lambda m: m.v)]
+    tested: list[tuple[str, str, float, Of]] = [("speed", "v", _STILL, lambda m: m.v)]
     if sideways:
-        tested.append((_SIDEWAYS, "vy", lambda m: m.vy))
-    kinds: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega)]
+        tested.append((_SIDEWAYS, "vy", _STILL, lambda m: m.vy))
+    kinds: list[tuple[str, str, float, Of]] = [("yaw_rate", "omega", turning, lambda m: m.omega)]
     least = _least_part(motions)
-    kinds += [one for one in tested if np.concatenate([one[2](m) < -_STILL for m in motions]).mean() > least]
-    for regressor, name, value in kinds:
-        text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
-        yield BasisFunction(regressor, text, (_below(value, -_STILL),), reaches=_reaches(regressor, "one", "both"))
+    kinds += [one for one in tested if np.concatenate([one[3](m) < -one[2] for m in motions]).mean() > least]
+    for regressor, name, rate, value in kinds:
+        text = f"k * where({name} < {-rate:.4g}, 1, 0)"
+        yield BasisFunction(regressor, text, (_below(value, -rate),), reaches=_reaches(regressor, "one", "both"))
     yield BasisFunction("yaw_rate", "k * max(omega, 0)", (lambda m: np.maximum(m.omega, 0.0),), 2, reaches=("one",))
     yield BasisFunction("yaw_rate", "k * max(-omega, 0)", (lambda m: np.maximum(-m.omega, 0.0),), 2, reaches=("one",))
 
 
-def _at_rest() -> Iterator[BasisFunction]:
-    """Yield errors only while the robot is at rest, does not drive, or does not turn."""
-    for regressor in ("speed", "yaw_rate"):
+def _at_rest(turning: float) -> Iterator[BasisFunction]:
+    """Yield errors only while the robot is at rest, does not drive, or does not turn (below the rate `turning`)."""
+    for regressor, rate in (("speed", _STILL), ("yaw_rate", turning)):
         text, value = VALUES[regressor]
         yield BasisFunction(
-            regressor, f"k * where({text} < {_STILL:.4g}, 1, 0)", (_below(value, _STILL),), reaches=("bias",)
+            regressor, f"k * where({text} < {rate:.4g}, 1, 0)", (_below(value, rate),), reaches=("bias",)
         )
     still = _below(lambda m: np.maximum(np.abs(m.v), np.abs(m.omega)), _STILL)
     yield BasisFunction(
