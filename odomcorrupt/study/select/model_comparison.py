@@ -24,13 +24,13 @@ from odomcorrupt.study.select.candidates import (
 )
 from odomcorrupt.study.select.closed_loop import hardly_turns
 from odomcorrupt.study.select.decisions import equal_candidates, penalty
-from odomcorrupt.study.select.dependence import BasisScore, basis_scores, basis_term, dependences
+from odomcorrupt.study.select.dependence import BasisScore, basis_scores, dependences
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.score import project_out, score_columns
 from odomcorrupt.study.terms.basis.heading import functions_of_heading
 from odomcorrupt.study.terms.basis.place import rectangle_of
-from odomcorrupt.study.terms.term import LibraryTerm
+from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.result import Step
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.select.screening import CoarseDesign
-    from odomcorrupt.study.terms.term import BasisTerm
 
 
 _VARIED_S = 5.0
@@ -329,9 +328,9 @@ def best_dependence(
         near = max(decisions.replacement_nats, _NEAR_FORM * (most - fit.log_likelihood))
         refined = [with_shape_refined(*pair, decisions, fit) for pair in fits if _worth(pair) >= most - near]
         with_it, score = max(refined, key=_worth)
-        if _is_unclear_wave(score, with_it, others, decisions):
-            score = replace(score, term=basis_term(score).where_driven(fit.problem.motions))
-            with_it = with_it.refit((*others, score.estimated), weights_of=fit)
+        known = _where_known(score, with_it, others, decisions)
+        if known is not score:
+            with_it, score = with_it.refit((*others, known.estimated), weights_of=fit), known
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + spared
         # what the data do not separate stays in the order of the robust score tests
         more = best.candidate.gain + decisions.alternative_nats if best else least
@@ -343,19 +342,22 @@ def best_dependence(
     return replace(best, candidate=replace(best.candidate, fit=best.candidate.fit.refit()))
 
 
-def _is_unclear_wave(score: Score, with_it: Fit, others: Sequence[Effect], decisions: Decisions) -> bool:
-    """Return whether a dependence is a wave over the heading, and one of another period explains about as much.
+def _where_known(score: Score, with_it: Fit, others: Sequence[Effect], decisions: Decisions) -> Score:
+    """Return a score, confined to the headings driven if it is of a wave whose period these do not show.
 
-    Both are then the same at the headings of this drive, and at other headings they differ: the data do not show which.
+    A wave of another period that explains about as much is the same at these headings and differs at others.
 
     with_it, others : fit with the dependence, and its other effects
     """
-    term = basis_term(score)
-    waves = functions_of_heading() if term.function.regressor == "heading" else ()
-    rivals = [replace(term, function=wave).start for wave in waves if wave.text != term.function.text]
-    fits = [_with(with_it, (*others, rival), with_it) for rival in rivals]
+    term = score.term
+    if not isinstance(term, BasisTerm) or term.function.regressor != "heading":
+        return score
+    waves = [wave for wave in functions_of_heading() if wave.text != term.function.text]
+    fits = [_with(with_it, (*others, replace(term, function=wave).start), with_it) for wave in waves]
     least = with_it.log_likelihood - decisions.alternative_nats
-    return any(fit is not None and fit.log_likelihood > least for fit in fits)
+    if any(fit is not None and fit.log_likelihood > least for fit in fits):
+        return replace(score, term=term.where_driven(with_it.problem.motions))
+    return score
 
 
 def _with(fit: Fit, effects: Sequence[Effect], weights_of: Fit | None = None) -> Fit | None:
