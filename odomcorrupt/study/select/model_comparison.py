@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.effects.region_slip import RegionSlip
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
@@ -345,18 +346,22 @@ def best_dependence(
 def _where_known(score: Score, with_it: Fit, others: Sequence[Effect], decisions: Decisions) -> Score:
     """Return a score, confined to the headings driven if it is of a wave whose period these do not show.
 
-    A wave of another period that explains about as much is the same at these headings and differs at others.
+    A wave of another period may explain the same there, within `alternative_nats`, and differ at all other headings.
 
     with_it, others : fit with the dependence, and its other effects
     """
     term = score.term
     if not isinstance(term, BasisTerm) or term.function.regressor != "heading":
         return score
-    waves = [wave for wave in functions_of_heading() if wave.text != term.function.text]
-    fits = [_with(with_it, (*others, replace(term, function=wave).start), with_it) for wave in waves]
-    least = with_it.log_likelihood - decisions.alternative_nats
-    if any(fit is not None and fit.log_likelihood > least for fit in fits):
-        return replace(score, term=term.where_driven(with_it.problem.motions))
+    problem, whiten = with_it.problem, with_it.noise.whitener.whiten
+    law = next(effect for effect in with_it.effects if effect.name == term.name)
+    explained = whiten(term.columns(problem)) @ [getattr(law, p.name) for p in amplitudes(law)]
+    beside = [problem.columns(effect) for effect in others]
+    for wave in (one for one in functions_of_heading() if one.text != term.function.text):
+        instead = whiten(np.concatenate((replace(term, function=wave).columns(problem), *beside), axis=2))
+        lost_nats = 0.5 * (1.0 - _share(instead, explained)) * float(explained @ explained)
+        if lost_nats < decisions.alternative_nats:
+            return replace(score, term=term.where_driven(problem.motions))
     return score
 
 
