@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.effects.region_slip import RegionSlip
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
@@ -29,8 +30,9 @@ from odomcorrupt.study.select.dependence import BasisScore, basis_scores, depend
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.score import project_out, score_columns
+from odomcorrupt.study.terms.basis.heading import functions_of_heading
 from odomcorrupt.study.terms.basis.place import rectangle_of
-from odomcorrupt.study.terms.term import LibraryTerm
+from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
@@ -45,7 +47,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.result import Step
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.select.screening import CoarseDesign
-    from odomcorrupt.study.terms.term import BasisTerm
 
 
 _VARIED_S = 5.0
@@ -330,6 +331,9 @@ def best_dependence(
         near = max(decisions.replacement_nats, _NEAR_FORM * (most - fit.log_likelihood))
         refined = [with_shape_refined(*pair, decisions, fit) for pair in fits if _worth(pair) >= most - near]
         with_it, score = max(refined, key=_worth)
+        known = _where_known(score, with_it, others, decisions)
+        if known is not score:
+            with_it, score = with_it.refit((*others, known.estimated), weights_of=fit), known
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + spared
         # what the data do not separate stays in the order of the robust score tests
         more = best.candidate.gain + decisions.alternative_nats if best else least
@@ -339,6 +343,28 @@ def best_dependence(
     if best is None or best.candidate.fit is None:
         return best
     return replace(best, candidate=replace(best.candidate, fit=best.candidate.fit.refit()))
+
+
+def _where_known(score: Score, with_it: Fit, others: Sequence[Effect], decisions: Decisions) -> Score:
+    """Return a score, confined to the headings driven if it is of a wave whose period these do not show.
+
+    A wave of another period may explain the same there, within `alternative_nats`, and differ at all other headings.
+
+    with_it, others : fit with the dependence, and its other effects
+    """
+    term = score.term
+    if not isinstance(term, BasisTerm) or term.function.regressor != "heading":
+        return score
+    problem, whiten = with_it.problem, with_it.noise.whitener.whiten
+    law = next(effect for effect in with_it.effects if effect.name == term.name)
+    explained = whiten(term.columns(problem)) @ [getattr(law, p.name) for p in amplitudes(law)]
+    beside = [problem.columns(effect) for effect in others]
+    for wave in (one for one in functions_of_heading() if one.text != term.function.text):
+        instead = whiten(np.concatenate((replace(term, function=wave).columns(problem), *beside), axis=2))
+        lost_nats = 0.5 * (1.0 - _share(instead, explained)) * float(explained @ explained)
+        if lost_nats < decisions.alternative_nats:
+            return replace(score, term=term.where_driven(problem.motions))
+    return score
 
 
 def _with(fit: Fit, effects: Sequence[Effect], weights_of: Fit | None = None) -> Fit | None:

@@ -18,7 +18,7 @@ from odomcorrupt.effects.effect import amplitudes, choices, shapes
 from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.rng import stream
 from odomcorrupt.study.terms.basis import COEFFICIENTS, VALUES, BasisFunction
-from odomcorrupt.study.terms.channels import Action, every_action, views
+from odomcorrupt.study.terms.channels import MOVES, Action, every_action, views
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -261,6 +261,14 @@ class BasisTerm:
         function = self.function.with_shape(own) if self.function.with_shape is not None else self.function
         action = replace(self.action, toward=shape[-1]) if self.action.turn else self.action
         return BasisTerm(function, action)
+
+    def where_driven(self, motions: Sequence[Motion]) -> BasisTerm:
+        """Return a function of the heading as zero at headings that these motions do not show; others unchanged."""
+        if self.function.within is None:
+            return self
+        theta = np.concatenate([m.theta for m in motions])
+        moved = np.concatenate([np.abs(MOVES[self.action.move](m)) * m.dt_s for m in motions])
+        return replace(self, function=self.function.within(theta, moved))
 
     def columns(self, problem: Problem) -> Array:
         """Return columns (K, 3, p), one for each coefficient."""

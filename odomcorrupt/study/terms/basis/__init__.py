@@ -10,8 +10,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from odomcorrupt.study.terms.basis.basis_function import COEFFICIENTS, BasisFunction
+from odomcorrupt.study.terms.basis.heading import functions_of_heading
 from odomcorrupt.study.terms.basis.motion import VALUES, functions_of_motion
-from odomcorrupt.study.terms.basis.place import functions_of_heading, functions_of_place
+from odomcorrupt.study.terms.basis.place import functions_of_place
 from odomcorrupt.study.terms.basis.time import functions_of_time
 
 if TYPE_CHECKING:

@@ -33,7 +33,9 @@ class BasisFunction:
     shape, steps : shape parameters that may be refined, and the first step of a search over each
     with_shape : returns the function with other shape parameters
     related : functions of other shapes to be tried if this one has a large gain
-    place : region in the plane of the truth, in words; "" if it is not confined
+    within : returns the function that is zero far from the values (n,) of its regressor, each with an amount of motion
+        (n,), on which it was fitted
+    place : region in the plane of the truth, or headings, in words; "" if it is not confined
     """
 
     regressor: str
@@ -47,4 +49,5 @@ class BasisFunction:
     steps: tuple[float, ...] = ()
     with_shape: Callable[[tuple[float, ...]], BasisFunction] | None = field(default=None, compare=False)
     related: tuple[BasisFunction, ...] = field(default=(), compare=False)
+    within: Callable[[Array, Array], BasisFunction] | None = field(default=None, compare=False)
     place: str = field(default="", compare=False)

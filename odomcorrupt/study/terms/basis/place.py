@@ -1,4 +1,4 @@
-"""Basis functions of place and heading: discs, rectangles and strips of floor, and iron that deflects a compass."""
+"""Basis functions of place: discs, rectangles and strips of floor, and iron that deflects a compass."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
@@ -28,14 +28,6 @@ _HALF_WIDTHS_M = (0.4, 0.8)  # of strips, m
 _STRIP_SHAPE, _BOX_SHAPE = 4, 5
 """Number of shape parameters of a strip and of a rectangle."""
 _BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)  # of rectangles, rad
-
-
-def functions_of_heading() -> Iterator[BasisFunction]:
-    """Yield waves of the heading with one and two periods per turn."""
-    for times, inner in ((1, "theta"), (2, "2 * theta")):
-        yield BasisFunction(
-            "heading", f"k * cos({inner}) + m * sin({inner})", (_wave(np.cos, times), _wave(np.sin, times)), 2
-        )
 
 
 def functions_of_place(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
@@ -170,10 +162,6 @@ def _spread(values: Array) -> Array:
     """Return places (_PLACES,) along an axis that span nearly all of the values."""
     low, high = np.quantile(values, _OUTER)
     return np.linspace(float(low), float(high), _PLACES)
-
-
-def _wave(function: Callable[[Array], Array], times: int) -> Of:
-    return lambda m: function(times * m.theta)
 
 
 def _within(x: float, y: float, radius: float) -> Of:
