@@ -1,8 +1,8 @@
 """Level of the random walk of a gyro's bias, where a gyro is the only truth.
 
 It is a variance component, estimated by restricted maximum likelihood with a prior (Patterson & Thompson 1971,
-Biometrika 58, 545). Wheels at rest do not turn, so the rests of a drive show the bias itself; while it drives, the walk is
-what varies slowly in the difference of wheels and gyro, beside effects of turns.
+Biometrika 58, 545). Wheels at rest do not turn, so the rests of a drive show the bias itself; in motion, the walk is what
+varies slowly in the difference of wheels and gyro, beside effects of turns.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _WALKS = np.geomspace(3e-6, 3e-3, 121)
 _SPREAD = 1.0
-"""Standard deviation of the logarithm of the level, around `USUAL_WALK`: MEMS gyros have 1e-5 to 5e-4 (IEEE Std 952)."""
+"""Standard deviation of the logarithm of the level, around `USUAL_WALK`: MEMS gyros have 1e-5 to 5e-4."""
 _BESIDE = ("wheelbase", "unequal_wheels", "turn_asymmetry")
 """Effects that are free during the estimate."""
 

@@ -84,7 +84,7 @@ def bias_roots(problem: Problem) -> Array:
 
 
 def bias_steps(problem: Problem) -> tuple[Array, Array]:
-    """Return columns of the yaw rate's bias where a gyro is the truth, of each recording: at its beginning, and of steps.
+    """Return columns of the bias of each gyro that is the truth: at the beginning, and steps of its random walk.
 
     Returns
     -------
