@@ -1,8 +1,8 @@
 """Level of the random walk of a gyro's bias, where a gyro is the only truth.
 
 It is a variance component, estimated by restricted maximum likelihood with a prior (Patterson & Thompson 1971,
-Biometrika 58, 545). Wheels at rest do not turn, so the rests of a drive show the bias itself; in motion, the walk is what
-varies slowly in the difference of wheels and gyro, beside effects of turns.
+Biometrika 58, 545). Wheels at rest do not turn, so the rests of a drive show the bias itself; in motion, the walk is
+what varies slowly in the difference of wheels and gyro, beside effects of turns.
 """
 
 from __future__ import annotations
