@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from functools import partial
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -20,6 +21,7 @@ sys.path[:0] = [str(HERE.parent / "tests" / "study"), str(HERE.parent / "tests")
 from laboratory.run import read_results, run  # noqa: E402 - after the path
 from laser.ask import ask  # noqa: E402
 from laser.cases import LENGTHS, laser_cases  # noqa: E402
+from laser.gyro import WALK_RADPS_PER_SQRT_S  # noqa: E402
 from laser.gyro_tables import gyro_tables  # noqa: E402
 from laser.tables import tables  # noqa: E402
 
@@ -34,6 +36,7 @@ def main() -> None:
     runner.add_argument("--jobs", type=int, default=1)
     runner.add_argument("--minutes", type=float, default=1e9, help="start no case after so long")
     runner.add_argument("--pilot", action="store_true", help="other seeds, to try the script on")
+    runner.add_argument("--gyro-walk", type=float, default=WALK_RADPS_PER_SQRT_S, help="of its bias, rad/s/sqrt(s)")
     commands.add_parser("summary").add_argument("results", type=Path)
     chosen = parser.parse_args()
     if chosen.command == "summary":
@@ -43,7 +46,7 @@ def main() -> None:
         print("\n\n".join(table(some) for table, some in ((tables, others), (gyro_tables, gyro)) if some))
         return
     wanted = [c for c in laser_cases(pilot=chosen.pilot) if c.arm in (chosen.arm or LENGTHS)]
-    run(wanted, chosen.results, ask, jobs=chosen.jobs, minutes=chosen.minutes)
+    run(wanted, chosen.results, partial(ask, gyro_walk=chosen.gyro_walk), jobs=chosen.jobs, minutes=chosen.minutes)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["ask_gyro"]
+__all__ = ["WALK_RADPS_PER_SQRT_S", "ask_gyro"]
 
 GAIN = 0.01  # one standard deviation, as the program assumes
 BIAS_RADPS, WALK_RADPS_PER_SQRT_S, NOISE_RADPS = 0.01, 1e-4, 0.003
@@ -37,10 +37,17 @@ GRID_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Gyro:
-    """Errors and mounting of a gyro: scale error, biases of its axes (rad/s), lag of stamps (s), upward axis, sign."""
+    """Errors and mounting of a gyro.
+
+    gain : scale error
+    bias_radps, walk : biases of its axes (3,), rad/s, and their random walk, rad/s/sqrt(s)
+    lag_s : lag of its stamps, s
+    axis, sign : upward axis, and 1 if it points up or -1 if down
+    """
 
     gain: float
     bias_radps: Array
+    walk: float
     lag_s: float
     axis: int
     sign: float
@@ -50,13 +57,13 @@ class Gyro:
         t_s = (run.truth_stamps_ns - run.truth_stamps_ns[0]) * 1e-9
         rates = np.zeros((len(t_s), 3))
         rates[:, self.axis] = self.sign * (1.0 + self.gain) * np.gradient(np.unwrap(run.truth_xyt[:, 2]), t_s)
-        walk = np.cumsum(rng.normal(size=rates.shape), axis=0) * WALK_RADPS_PER_SQRT_S / np.sqrt(RATE_HZ)
+        walk = np.cumsum(rng.normal(size=rates.shape), axis=0) * self.walk / np.sqrt(RATE_HZ)
         rates += self.bias_radps + walk + NOISE_RADPS * rng.normal(size=rates.shape)
         return run.truth_stamps_ns + round(self.lag_s * 1e9), rates
 
 
-def ask_gyro(case: Case) -> dict[str, Any]:
-    """Return the results of a case with wheels and a gyro alone."""
+def ask_gyro(case: Case, walk: float = WALK_RADPS_PER_SQRT_S) -> dict[str, Any]:
+    """Return the results of a case with wheels and a gyro alone, whose bias walks (rad/s/sqrt(s))."""
     options: dict[str, Any] = {
         "size": SIZES.get(case.size, 1.0),
         "route": case.route,
@@ -67,15 +74,15 @@ def ask_gyro(case: Case) -> dict[str, Any]:
     run = simulate(case.seed, list(case.causes) or None, **options)
     rng = np.random.default_rng([case.seed, 8])
     gyro = Gyro(
-        float(GAIN * rng.normal()), BIAS_RADPS * rng.normal(size=3), float(rng.uniform(-MOST_LAG_S, MOST_LAG_S)),
+        float(GAIN * rng.normal()), BIAS_RADPS * rng.normal(size=3), walk, float(rng.uniform(-MOST_LAG_S, MOST_LAG_S)),
         int(rng.integers(3)), float(rng.choice((-1.0, 1.0))),
     )  # fmt: skip
     row: dict[str, Any] = {
         "truth": run.answer["causes"],
-        "gyro": {"gain": gyro.gain, "lag_s": gyro.lag_s, "axis": "xyz"[gyro.axis], "sign": gyro.sign},
+        "gyro": {"gain": gyro.gain, "walk": walk, "lag_s": gyro.lag_s, "axis": "xyz"[gyro.axis], "sign": gyro.sign},
     }
     if case.causes:
-        row["deviations"] = _deviations(run, simulate(case.seed, None, **options))
+        row["deviations"] = _deviations(run, simulate(case.seed, None, **options), walk)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         write_gyro_bag(path, run, *gyro.measure(run, rng))
@@ -92,7 +99,7 @@ def ask_gyro(case: Case) -> dict[str, Any]:
     return row
 
 
-def _deviations(run: SimulatedRun, without: SimulatedRun) -> float:
+def _deviations(run: SimulatedRun, without: SimulatedRun, walk: float) -> float:
     """Return the cause's effect on turns, in standard deviations of wheels and gyro.
 
     The effect is the heading error with the cause minus that without it, per half second. Its covariance has the
@@ -102,8 +109,10 @@ def _deviations(run: SimulatedRun, without: SimulatedRun) -> float:
     other, _ = _turns(without)
     t_s = GRID_S * np.arange(1, len(turns) + 1)
     white = NOISE_RADPS**2 * GRID_S / RATE_HZ + float(np.var(other))
-    walk = WALK_RADPS_PER_SQRT_S**2 * np.minimum.outer(t_s, t_s)
-    covariance = white * np.eye(len(turns)) + GAIN**2 * np.outer(turns, turns) + GRID_S**2 * (REST_BIAS_RADPS**2 + walk)
+    walked = walk**2 * np.minimum.outer(t_s, t_s)
+    covariance = (
+        white * np.eye(len(turns)) + GAIN**2 * np.outer(turns, turns) + GRID_S**2 * (REST_BIAS_RADPS**2 + walked)
+    )
     effect = error - other
     return float(np.sqrt(effect @ np.linalg.solve(covariance, effect)))
 

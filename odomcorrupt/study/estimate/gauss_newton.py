@@ -17,7 +17,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise_beside
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, with_random
-from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, has_bias
+from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, bias_steps, has_bias
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.clock import Clock, clock_leaders, led
 
@@ -198,7 +198,7 @@ def fit_problem(
         components = VarianceComponents(approach.law, problem.intervals, problem.steps, gyro_noise=approach.gyro_noise)
         free_too = columns
         if has_bias(problem):
-            free_too = np.concatenate((columns, bias_roots(problem)[:, :, :SHARED]), axis=2)
+            free_too = np.concatenate((columns, bias_roots(problem)[:, :, :SHARED], *bias_steps(problem)), axis=2)
         begin = NoiseStart(start, weights, elsewhere=i == 0, bursts=bursts)
         noise = fit_noise_beside(problem, components, free_too, coefficients, begin)
         start, weighted = noise.free, problem

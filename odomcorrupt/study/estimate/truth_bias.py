@@ -30,10 +30,12 @@ LOCAL_BIAS = 1e-3
 CELL_M = 2.0
 MAP_STRAIN = 1e-3
 """Standard deviation of the stretch and of the shear of a whole map, in its axes: that of its cells."""
-GYRO_WALK, _WALK_STEP_S = 1e-4, 30.0
-"""Random walk of a gyro's bias, rad/s after one second (0.006 deg/s; MEMS gyros have 0.001 to 0.03, IEEE Std 952), and
-duration of each bias, s."""
-SHARED = 6
+GYRO_BIAS, USUAL_WALK = 0.02, 1e-4
+"""Standard deviation of a gyro's bias at the beginning, rad/s, which rests of the drive measure, and its random walk if
+that is not estimated, rad/s/sqrt(s)."""
+_WALK_STEP_S, _MOST_STEPS = 10.0, 150
+"""Shortest duration between steps of that walk, s, and their largest number."""
+SHARED = 5
 """Number of leading columns that belong to the instrument; a noise fit treats them as free."""
 _MOST_CELLS = 150
 
@@ -56,15 +58,15 @@ def bias_roots(problem: Problem) -> Array:
     scale_of_turns = np.array([r.turn_scale_error for r in runs])[problem.run]
     columns += [_of_turn(np.hypot(TURN_BIAS * matched, scale_of_turns) * turn)]
     columns += [_of_turn(TURN_BIAS * matched * turn * speed)]
-    duration = intervals.end_s - intervals.start_s
-    columns += [_of_turn(-np.array([r.turn_bias_error for r in runs])[problem.run] * duration)]
     by_gyro = np.array([float(not r.positioned) for r in runs])[problem.run]
     kind = registry().get("channel_lag")
     if kind is not None:
         lag_s = np.maximum(LAG_BIAS_S * matched, GYRO_LAG_S * by_gyro)
         columns += [lag_s[:, None] * part for part in np.moveaxis(problem.columns(kind()), 2, 0)]
-    step_radps = GYRO_WALK * np.sqrt(_WALK_STEP_S)
-    columns += [_of_turn(-step_radps * later) for later in _after_steps(problem, duration)]
+    walk = np.array([USUAL_WALK if r.turn_bias_walk is None else r.turn_bias_walk for r in runs])[problem.run]
+    start, steps = bias_steps(problem)
+    columns += [GYRO_BIAS * one for one in np.moveaxis(start, 2, 0)]
+    columns += [walk[:, None] * one for one in np.moveaxis(steps, 2, 0)]
     for r, run in enumerate(runs):
         if run.matched:
             own = along * (problem.run == r)[:, None]
@@ -79,6 +81,27 @@ def bias_roots(problem: Problem) -> Array:
         if here.any():
             columns.append(_of_travel(LOCAL_BIAS * along * here[:, None]))
     return np.stack(columns, axis=2)
+
+
+def bias_steps(problem: Problem) -> tuple[Array, Array]:
+    """Return columns of the bias of each gyro that is the truth: at the beginning, and steps of its random walk.
+
+    Returns
+    -------
+    start : (K, 3, r) for a bias of 1 rad/s of each of r recordings
+    steps : (K, 3, m) for the steps of a random walk of 1 rad/s/sqrt(s)
+    """
+    intervals = problem.intervals
+    start, steps = [np.zeros((len(intervals), 0))], [np.zeros((len(intervals), 0))]
+    for i in (i for i, r in enumerate(problem.recordings) if not r.positioned):
+        own = problem.run == i
+        turn = np.where(own, intervals.start_s - intervals.end_s, 0.0)[:, None]
+        start.append(turn)
+        first_s, last_s = (f(intervals.start_s[own], initial=0.0) for f in (np.min, np.max))
+        step_s = max(_WALK_STEP_S, (last_s - first_s) / _MOST_STEPS)
+        later = intervals.start_s[:, None] >= np.arange(first_s + step_s, last_s, step_s)
+        steps.append(np.sqrt(step_s) * turn * later)
+    return _of_turns(np.concatenate(start, axis=1)), _of_turns(np.concatenate(steps, axis=1))
 
 
 def scale_errors(problem: Problem, noise: NoiseFit) -> Array:
@@ -111,16 +134,13 @@ def _strains(problem: Problem, along: Array) -> tuple[Array, Array]:
     return np.column_stack((c * x - s * y, -s * x - c * y)), np.column_stack((s * x + c * y, c * x - s * y))
 
 
-def _after_steps(problem: Problem, duration: Array) -> list[Array]:
-    """Return the duration (K,) of the intervals, s, after each step of the bias of each run whose truth is a gyro."""
-    steps = np.floor(problem.intervals.start_s / _WALK_STEP_S).astype(np.int64)
-    own = [(problem.run == i, steps[problem.run == i]) for i, r in enumerate(problem.recordings) if not r.positioned]
-    after = [duration * (run & (steps >= one)) for run, mine in own for one in np.unique(mine)[1:]]
-    return after[:_MOST_CELLS]
-
-
 def _of_turn(yaw: Array) -> Array:
     return np.column_stack((np.zeros((len(yaw), 2)), yaw))
+
+
+def _of_turns(yaw: Array) -> Array:
+    """Return columns (K, 3, m) of turns (K, m) alone."""
+    return np.stack((np.zeros_like(yaw), np.zeros_like(yaw), yaw), axis=1)
 
 
 def _of_travel(xy: Array) -> Array:

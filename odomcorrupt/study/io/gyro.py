@@ -38,7 +38,6 @@ _WINDOW_S = 0.3  # time over which yaw rates are averaged
 _STILL_S = 1.0  # shortest rest
 _STILL_MPS, _STILL_RADPS = 2e-3, 2e-3
 _MIN_STILL_S = 3.0  # total rest for a measured bias
-_KNOWN_BIAS_RADPS, _UNKNOWN_BIAS_RADPS = 3e-4, 0.02  # standard deviations of a bias measured, and not measured, at rest
 _MAX_BIAS_RADPS = 0.05
 _MAX_JITTER, _REST_CORR = 0.1, 0.5  # residual jitter (relative) and correlation at rest of a heading from the gyro
 _EXACT_RAD = 1e-7  # smaller heading steps count as zero
@@ -69,7 +68,6 @@ class YawGyro:
 
     stamps_ns : (n,)
     rate : (n,) yaw rate minus the estimated bias, rad/s; includes the gyro's scale error
-    bias_error_radps : standard deviation of the remaining bias
     heading_source : source of the odometry's heading: "wheels", "gyro", or "" if undecided
     notes : findings, for reports
     """
@@ -78,7 +76,6 @@ class YawGyro:
     topic: str
     stamps_ns: NDArray[np.int64]
     rate: Array
-    bias_error_radps: float
     heading_source: str
     notes: tuple[str, ...]
 
@@ -174,16 +171,16 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
     interval_s = float(np.median(np.diff(stamps))) * 1e-9
     still_s = float(np.count_nonzero(at)) * interval_s
     if still_s > _MIN_STILL_S:
-        bias, error = float(np.median(rate[at])), _KNOWN_BIAS_RADPS
+        bias = float(np.median(rate[at]))
         how = f"measured in {still_s:.0f} s at rest"
     else:
         own = angles @ axis
-        bias, error = float(np.median(_rate_on(own_s - lag_s, own, grid) - turned)), _UNKNOWN_BIAS_RADPS
+        bias = float(np.median(_rate_on(own_s - lag_s, own, grid) - turned))
         how = "taken from the odometry, which hardly rests, and so uncertain"
         if abs(bias) > _MAX_BIAS_RADPS:
             # A difference this large comes from skidding wheels, not from a gyro.
             bias, how = 0.0, "unknown, because the odometry hardly rests"
-    found = YawGyro(gyro.place, gyro.topic, stamps, rate - bias, error, "", ())
+    found = YawGyro(gyro.place, gyro.topic, stamps, rate - bias, "", ())
     source = _heading_source(found, odometry, still)
     notes = [_axis_words(axis), f"its bias is {np.degrees(bias):.3f} deg/s, {how}"]
     if abs(lag_s) > _REPORTED_LAG_S:
@@ -191,7 +188,7 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
         notes.append(f"stamped {abs(lag_s):.3f} s {word} against the odometry's turns; taken out")
     notes.append(_SOURCES[source])
     said = tuple(f"{gyro.topic}: {note}" for note in notes)
-    return YawGyro(gyro.place, gyro.topic, stamps, rate - bias, error, source, said)
+    return YawGyro(gyro.place, gyro.topic, stamps, rate - bias, source, said)
 
 
 _SOURCES = {

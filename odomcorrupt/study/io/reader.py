@@ -172,7 +172,6 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
             positioned=False,
             pulled_per_s=0.0,
             turn_scale_error=error,
-            turn_bias_error=gyro.bias_error_radps,
             heading_source=gyro.heading_source,
         )
         for r in runs

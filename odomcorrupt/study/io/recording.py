@@ -65,7 +65,7 @@ class Recording:
     truth_scale_error : standard deviation of a scale error common to all lengths of the truth (of a laser, or of a map)
     positioned : whether the truth measured positions; a gyro's are the odometry's travel along the gyro's headings
     turn_scale_error : standard deviation of a scale error common to all turns of the truth (a gyro's)
-    turn_bias_error : standard deviation of a bias common to all yaw rates of the truth, rad/s
+    turn_bias_walk : random walk of the bias of a gyro as the truth, rad/s/sqrt(s); None if not estimated yet
     heading_source : source of the odometry's heading according to a gyro: "wheels", "gyro", or "" if unknown
     geodetic_origin : origin of the truth's frame, for satellite fixes
     frame : name of the truth's frame if it is that of one run only, such as a laser's map, in which places and headings
@@ -98,7 +98,7 @@ class Recording:
     truth_scale_error: float = 0.0
     positioned: bool = True
     turn_scale_error: float = 0.0
-    turn_bias_error: float = 0.0
+    turn_bias_walk: float | None = None
     heading_source: str = ""
     geodetic_origin: Origin | None = None
     frame: str = ""

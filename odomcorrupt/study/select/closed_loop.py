@@ -160,8 +160,8 @@ def least_thresholds(fit: Fit) -> dict[str, float]:
 
     A controller that holds the true heading turns the robot by the noise, with the opposite sign. The odometry's yaw
     rate on a straight is then the error itself, and a threshold below `_NOISE` standard deviations of it selects the
-    intervals with a large error, whatever its cause. If an effect turns the odometry all the time, as unequal wheels do,
-    the controller turns the robot against it: the noise is then about the yaw rate of this effect, which is added. A
+    intervals with a large error, whatever its cause. If an effect always turns the odometry, as unequal wheels do, the
+    controller turns the robot against it: the noise is then about the yaw rate of this effect, which is added. A
     sideways speed is noise, too, if the true line is held. Regressors from the truth contain hardly any of this noise.
     """
     problem = fit.problem

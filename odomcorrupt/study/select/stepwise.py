@@ -19,6 +19,7 @@ from odomcorrupt.study.estimate.correlation_length import with_correlation_lengt
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
+from odomcorrupt.study.estimate.gyro_walk import with_bias_walks
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
@@ -99,7 +100,7 @@ def learn(
     as_given, encoders = recordings, encoder_effects(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
-    recordings = with_correlation_lengths(recordings, approach)
+    recordings = with_bias_walks(with_correlation_lengths(recordings, approach), approach)
     clocks = find_clocks(recordings, approach)
     same_data = all(one is other for one, other in zip(recordings, as_given, strict=True))
     recordings = levelled(recordings, clocks)
