@@ -15,8 +15,8 @@ from odomcorrupt.bags.placement import beside, place, remove
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import content_of, note, read_records
 from odomcorrupt.batching.parameter_draws import drawn_values
-from odomcorrupt.batching.patch_batch import LateTopic, portions
-from odomcorrupt.batching.run_state import RunState, SharedTransform
+from odomcorrupt.batching.patch_batch import LateTopic, SharedTransform, portions
+from odomcorrupt.batching.run_state import RunState
 from odomcorrupt.batching.sinks import BagSink, FullSink, MultiSink, OverlaySink, TumSink
 from odomcorrupt.corruption.additions import CorrectionEdge
 from odomcorrupt.corruption.inverse import SystematicEffects, acts
