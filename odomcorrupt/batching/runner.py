@@ -21,6 +21,7 @@ from odomcorrupt.batching.sinks import BagSink, FullSink, MultiSink, OverlaySink
 from odomcorrupt.corruption.additions import CorrectionEdge
 from odomcorrupt.corruption.inverse import SystematicEffects, acts
 from odomcorrupt.corruption.run import corrupt_bag
+from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.result_files import write_bytes
 
@@ -101,7 +102,8 @@ def _alone(job: Job, run: int) -> Failure | None:
     try:
         make(Task(job, (run,)))
     except Exception as error:  # noqa: BLE001 - as above; reported at the end
-        return run, str(error) or type(error).__name__
+        said = error.message if isinstance(error, OdomCorruptError) else str(error)
+        return run, said or type(error).__name__
     return None
 
 
