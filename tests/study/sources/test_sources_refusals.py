@@ -290,19 +290,8 @@ def test_each_recording_and_each_held_out_one_has_the_truth_file_of_its_place(tm
 
 
 def test_the_next_command_reads_the_same_recordings_again():
-    words = [
-        "--track",
-        "0.3",
-        "--odom",
-        "/odom",
-        "--truth-bag",
-        "a.csv",
-        "--truth-bag",
-        "b.csv",
-        "--truth-shift",
-        "2.5",
-    ]
-    words += ["--gyro-scale-accuracy", "0.02", "--joints", "left", "right", "--drive-type", "skid"]
+    words = "--track 0.3 --odom /odom --truth-bag a.csv --truth-bag b.csv --truth-shift 2.5 --gyro-scale-accuracy 0.02"
+    words = [*words.split(), "--joints", "left", "right", "--drive-type", "skid"]
     assert reading_command.main(words, standalone_mode=False).words == tuple(words)
     assert reading_command.main([], standalone_mode=False).words == ()
 
