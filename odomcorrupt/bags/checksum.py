@@ -31,8 +31,7 @@ def crc_of_both(first: int, second: int, piece: bytes | memoryview) -> int:
         The second one; only its length is used if `CAN_COMBINE`, else its bytes are.
     """
     if CAN_COMBINE:
-        both: int = crc32_combine(first, second, len(piece))
-        return both
+        return crc32_combine(first, second, len(piece))
     return zlib.crc32(piece, first)
 
 
@@ -47,8 +46,7 @@ def combined(first: int, second: int, length: int) -> int:
         Length of the second one, bytes; without isal the time grows with it.
     """
     if CAN_COMBINE:
-        both: int = crc32_combine(first, second, length)
-        return both
+        return crc32_combine(first, second, length)
     # A CRC is affine: behind `first`, zeros differ from zeros behind nothing as the second piece would.
     zeros, shifted, plain = bytes(1 << 16), first, 0
     while length:

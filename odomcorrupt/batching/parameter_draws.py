@@ -242,8 +242,7 @@ def _effect(name: str, robots: Mapping[str, MotionModel], errors: dict[str, floa
             values[p.name] = members[0][0]
             continue
         values[p.name], errors[key] = _spread([m[0] for m in members], [m[1] for m in members], key)
-    effect: Effect = replace(have[0], **values)  # type: ignore[type-var]  # every effect is a dataclass
-    return effect
+    return replace(have[0], **values)  # type: ignore[type-var]  # every effect is a dataclass
 
 
 def _spread(values: Sequence[float], errors: Sequence[Mapping[str, float]], name: str) -> tuple[float, float]:

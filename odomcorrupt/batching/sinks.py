@@ -182,8 +182,7 @@ class BagSink(ABC):
     @property
     def writer(self) -> BagWriter:
         """Writer of the bag."""
-        writer: BagWriter = self._writer
-        return writer
+        return self._writer
 
     @property
     def crc(self) -> int | None:

@@ -54,13 +54,11 @@ class Rests:
 
     def compress(self, codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
         """Return a chunk compressed for an MCAP, with checksums; data common to all runs is compressed once."""
-        chunk: Packed = self._once(packed, codec, data, level)
-        return chunk
+        return self._once(packed, codec, data, level)
 
     def compress_for_ros1(self, codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
         """Return a chunk compressed for a ROS 1 bag; data common to all runs is compressed once."""
-        chunk: bytes | memoryview = self._once(compress_for_ros1, codec, data, level)
-        return chunk
+        return self._once(compress_for_ros1, codec, data, level)
 
     def _once(self, how: Any, codec: str, data: NDArray[np.uint8], level: int | None) -> Any:
         # a block of several chunks is compressed chunk by chunk

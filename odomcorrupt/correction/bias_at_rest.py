@@ -113,8 +113,7 @@ def _smoothed(walk: GyroBiasWalk, readings: Readings) -> Array:
 def _between(walk: GyroBiasWalk, t_s: Array, bias: Array, at_s: Array) -> Array:
     """Return the expected bias (n,) at times (n,), given that (k,) at the readings (k,)."""
     if not walk.tau:
-        values: Array = np.interp(at_s, t_s, bias)
-        return values
+        return np.interp(at_s, t_s, bias)
     after = np.searchsorted(t_s, at_s)
     low, high = np.maximum(after - 1, 0), np.minimum(after, len(t_s) - 1)
     since, until = (np.exp(-np.abs(at_s - t_s[side]) / walk.tau) for side in (low, high))

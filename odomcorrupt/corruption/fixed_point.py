@@ -147,8 +147,7 @@ class _Equations:
 def _largest(steps: Array) -> Array:
     """Return the largest of three numbers without their signs, (n,) of (n, 3): rows of three are slow to reduce."""
     along, across, yaw = np.abs(steps).T
-    largest: Array = np.maximum(np.maximum(along, across), yaw)
-    return largest
+    return np.maximum(np.maximum(along, across), yaw)
 
 
 def _iterated(equations: _Equations) -> tuple[Array, list[State], NDArray[np.bool_]]:

@@ -100,8 +100,7 @@ def _within_steps(noise: Noise, step: Step, steps: Increments, growth: StepGrowt
     first_piece = np.flatnonzero(np.diff(owner[order], prepend=-1))
 
     def grown(late: Array, early: Array) -> Array:
-        summed: Array = np.add.reduceat(np.maximum(late - early, 0.0), first_piece)
-        return summed
+        return np.add.reduceat(np.maximum(late - early, 0.0), first_piece)
 
     total = Variances(
         grown(after.rot1, before.rot1),
@@ -335,5 +334,4 @@ class NoisyPath:
 def _cos_less_one(angle_rad: Array) -> Array:
     """Return cos(angle) - 1 without cancellation, exactly zero at zero."""
     half = np.sin(angle_rad / 2.0)
-    less: Array = -2.0 * half * half
-    return less
+    return -2.0 * half * half

@@ -173,8 +173,7 @@ def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:
             across[:, i] = np.maximum(across[:, i], np.abs(gain))
     each_other = np.sqrt(across * across.transpose(0, 2, 1)) * (1.0 - np.eye(3))
     acting = (each_other.sum(axis=2) - own).max(axis=1, keepdims=True)
-    stiff: Array = 1.0 + acting / np.maximum(motion.dt_s, TRAIL_S)[:, None]
-    return stiff
+    return 1.0 + acting / np.maximum(motion.dt_s, TRAIL_S)[:, None]
 
 
 def _sum_of(effects: Sequence[Effect], motion: Motion) -> Array:

@@ -180,16 +180,14 @@ class _Block(NamedTuple):
     @property
     def since_s(self) -> Array:
         """Times of the samples since the first one, seconds."""
-        since: Array = self.t_s - self.t_s[0]
-        return since
+        return self.t_s - self.t_s[0]
 
     def sums(self, values: Array) -> Array:
         """Return the sums (c, windows) of values (c, samples) over each window."""
         running = np.empty((len(values), values.shape[1] + 1))
         running[:, 0] = 0.0
         values.cumsum(axis=1, out=running[:, 1:])
-        summed: Array = running.take(self.last, axis=1) - running.take(self.first, axis=1)
-        return summed
+        return running.take(self.last, axis=1) - running.take(self.first, axis=1)
 
 
 class LocalSlopes:

@@ -83,5 +83,4 @@ def yaw_from_quaternion(quat_xyzw: Array) -> Array:
     Yaw of the z-y-x Euler angles: direction of the body's x axis in the horizontal plane.
     """
     x, y, z, w = np.moveaxis(quat_xyzw, -1, 0)
-    yaw: Array = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    return yaw
+    return np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

@@ -69,8 +69,7 @@ class RewrittenReader:
     @property
     def part_read(self) -> float | None:
         """Part of the bag read in this pass, 0 to 1; None where unknown."""
-        part: float | None = getattr(self.reader, "part_read", None)
-        return part
+        return getattr(self.reader, "part_read", None)
 
     def definition(self, channel: Channel) -> Definition:
         """Return the definition of a channel's type."""

@@ -48,8 +48,7 @@ def require_data_crc(stated: int, crc: int, length: int, header: bytes, what: st
 
 def _crc_of_summary(footer: bytes, crc: int) -> int:
     """Return the checksum that a footer's content should state, of CRC-32 `crc` of the section before it."""
-    head: int = crc32(struct.pack("<BQ", FOOTER, len(footer)) + footer[:16], crc)
-    return head
+    return crc32(struct.pack("<BQ", FOOTER, len(footer)) + footer[:16], crc)
 
 
 def require_summary_crc(footer: bytes, crc: int, what: str) -> None:
