@@ -15,7 +15,6 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator
     from pathlib import Path
-    from types import TracebackType
 
     from odomcorrupt.bags.block import BagReader, Definition
 
@@ -128,9 +127,7 @@ class RewrittenReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Do nothing: the other reader is closed by its own context."""
 
 
