@@ -80,10 +80,7 @@ class _Task(Generic[T]):
 class Workers:
     """Thread pool; closed by the context manager, which drops calls not yet started.
 
-    Parameters
-    ----------
-    threads : int
-        Total number of threads of the process: with one, `submit` makes the call itself.
+    threads : total number of threads of the process: with one, `submit` makes the call itself
     """
 
     def __init__(self, threads: int) -> None:
@@ -138,10 +135,7 @@ class Workers:
 class OrderedResults:
     """Calls in worker threads, whose results are processed in order by the submitting thread.
 
-    Parameters
-    ----------
-    workers : Workers | None
-        Thread pool; None: the submitting thread makes the calls.
+    workers : thread pool; None: the submitting thread makes the calls
     """
 
     def __init__(self, workers: Workers | None) -> None:
@@ -157,14 +151,9 @@ class OrderedResults:
     def put(self, call: Callable[[], T], then: Callable[[T], None], size: int, *, worth: bool = True) -> None:
         """Submit a call, and a function to process its result.
 
-        Parameters
-        ----------
-        call, then : Callable
-            The call, for any thread, and the function of its result, for the submitting thread.
-        size : int
-            Memory held until then, bytes.
-        worth : bool
-            Whether the call is worth a thread; else the submitting thread makes it in turn.
+        call, then : the call, for any thread, and the function of its result, for the submitting thread
+        size : memory held until then, bytes
+        worth : whether the call is worth a thread; else the submitting thread makes it in turn
         """
         if self._workers is None or not worth:
             self.put_behind(lambda: then(call()), size)

@@ -131,14 +131,9 @@ class Task:
 def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     """Return the jobs of a batch in the directory `target`.
 
-    Parameters
-    ----------
-    inputs : sequence of Path
-        Bags.
-    target : Path
-        Directory of the batch.
-    spec : BatchSpec
-        Model, seed, sweeps, options and kind of output.
+    inputs : bags
+    target : directory of the batch
+    spec : model, seed, sweeps, options and kind of output
 
     Returns
     -------

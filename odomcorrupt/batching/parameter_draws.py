@@ -77,14 +77,9 @@ def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: 
     Every parameter has a random stream of its own, so a further distribution changes no parameter that it is not
     correlated with. Correlated parameters are drawn jointly; where one is out of bounds, all of them are drawn again.
 
-    Parameters
-    ----------
-    model : MotionModel
-        Means, and correlations of their errors.
-    spreads : tuple of Spread
-        Standard deviations of the parameters to draw.
-    seed, run : int
-        Seed of all draws, and number of the run.
+    model : means, and correlations of their errors
+    spreads : standard deviations of the parameters to draw
+    seed, run : seed of all draws, and number of the run
 
     Returns
     -------
@@ -177,10 +172,7 @@ def fleet_model(robots: Mapping[str, MotionModel]) -> MotionModel:
     an effect counts with the effect's identity value; shapes, such as time constants, are averaged over the robots
     that have the effect.
 
-    Parameters
-    ----------
-    robots
-        Models by file name, two or more.
+    robots : models by file name, two or more
 
     Raises
     ------

@@ -98,16 +98,10 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
 
     Arrays: runs (k,), stamps_ns (n,), clean_xyt (n, 3), xyt (k, n, 3), metres and radians.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    clean : TumPath
-        Path without noise.
-    runs : sequence of int
-        Numbers of the runs.
-    files : sequence of Path
-        Their TUM files, in the same order.
+    path : file to write
+    clean : path without noise
+    runs : numbers of the runs
+    files : their TUM files, in the same order
     """
     output = Output(path, overwrite=True)
     try:

@@ -146,16 +146,10 @@ def _part(block: Block) -> int:
 def assemble(overlay: Path, source: Path, target: Path, container: BagContainer) -> int:
     """Write the original with the overlay's messages in place of its own; return the number of replaced messages.
 
-    Parameters
-    ----------
-    overlay : Path
-        MCAP with the modified topics of a run.
-    source : Path
-        The bag that it was made from.
-    target : Path
-        Whole bag to write.
-    container : Container
-        How bags are read and written.
+    overlay : MCAP with the modified topics of a run
+    source : the bag that it was made from
+    target : whole bag to write
+    container : how bags are read and written
 
     Returns
     -------

@@ -41,12 +41,9 @@ class Readings(NamedTuple):
 def bias_seen_at_rest(effects: Sequence[Effect], motion: Motion, omega: Array) -> Array:
     """Return the gyro's bias (n,), rad/s: read in rests, smoothed as a `gyro_bias_walk` between them; zero without one.
 
-    Parameters
-    ----------
     effects : of the model
     motion : of the odometry, n intervals
-    omega : (n,)
-        Yaw rates after the removal of systematic effects, rad/s.
+    omega : (n,) yaw rates after the removal of systematic effects, rad/s
     """
     walk = next((effect for effect in effects if isinstance(effect, GyroBiasWalk) and effect.acts), None)
     readings = _readings(motion, omega)

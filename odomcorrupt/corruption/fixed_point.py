@@ -55,8 +55,6 @@ def solve(stage: Sequence[tuple[Effect, State]], clean: Array, true: Motion, *, 
     A motion without an inverse is scaled down, with its accelerations, to the largest fraction that has one, and that
     fraction's f is scaled up again: the relative error stays as it is there.
 
-    Parameters
-    ----------
     stage : effects that act at once, with their states
     clean : (n, 3) true twists, less the f of earlier stages, m/s and rad/s
     true : the true motion

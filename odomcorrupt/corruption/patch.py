@@ -65,14 +65,9 @@ class TopicTwist:
     def change(self, stamps_ns: NDArray[np.int64], clean_xyt: Array, at: Correction) -> TwistChange:
         """Return the changes of the twists of the next n messages.
 
-        Parameters
-        ----------
-        stamps_ns : (n,)
-            Header stamps.
-        clean_xyt : (n, 3)
-            Their clean poses, metres and radians.
-        at : Correction
-            The correction at these stamps.
+        stamps_ns : (n,) header stamps
+        clean_xyt : (n, 3) their clean poses, metres and radians
+        at : the correction at these stamps
         """
         n = len(stamps_ns)
         edges = np.flatnonzero(np.diff(at.stretch)) + 1

@@ -50,16 +50,10 @@ def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGr
     negative; a step ends exactly at its distance or angle, if need be inside an increment. The same increments give
     the same bits for any division into calls.
 
-    Parameters
-    ----------
-    noise : Noise
-        Law, coefficients and step.
-    steps : Increments
-        n increments with the effects applied, metres and radians.
-    dt_s : (n,)
-        Their lengths, seconds.
-    growth : StepGrowth
-        State of the present step, as returned by the call before.
+    noise : law, coefficients and step
+    steps : n increments with the effects applied, metres and radians
+    dt_s : (n,) their lengths, seconds
+    growth : state of the present step, as returned by the call before
 
     Returns
     -------
@@ -251,12 +245,8 @@ class NoisyPath:
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> PathSamples:
         """Return clean and noisy samples at the next n stamps.
 
-        Parameters
-        ----------
-        stamps_ns : (n,)
-            Ascending, and not before the last one fed.
-        clean_xyt : (n, 3)
-            Clean poses, metres and radians, finite.
+        stamps_ns : (n,) ascending, and not before the last one fed
+        clean_xyt : (n, 3) clean poses, metres and radians, finite
         """
         n = len(stamps_ns)
         if n and self._last is None:

@@ -208,24 +208,14 @@ def corrupt_bag(
 ) -> Outcome:
     """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
-    Parameters
-    ----------
-    source, target : Path or None
-        Bags; None is a pipe.
-    model : MotionModel
-        Noise and effects.
-    seed, run : int
-        Seed of all draws, and number of the run.
-    options : Options
-        What is moved.
-    container : Container
-        How bags are read and written.
-    watch : callable
-        Called with every block written.
-    path : PathSource, optional
-        Corrupted path, instead of the noisy path that the model draws.
-    metadata : mapping, optional
-        Further metadata for the output, besides model, seed, run and version.
+    source, target : bags; None is a pipe
+    model : noise and effects
+    seed, run : seed of all draws, and number of the run
+    options : what is moved
+    container : how bags are read and written
+    watch : called with every block written
+    path : corrupted path, instead of the noisy path that the model draws
+    metadata : further metadata for the output, besides model, seed, run and version
 
     Returns
     -------
@@ -281,16 +271,10 @@ def corrupt_bag(
 def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, seed: int, run: int) -> Outcome:
     """Return the result of a transform that has read a bag to its end.
 
-    Parameters
-    ----------
-    transform : Transform
-        After its last block.
-    reader : BagReader
-        The bag that it read, still open.
-    model : MotionModel
-        Model to report.
-    seed, run : int
-        Seed of all draws, and number of the run.
+    transform : after its last block
+    reader : the bag that it read, still open
+    model : model to report
+    seed, run : seed of all draws, and number of the run
 
     Returns
     -------

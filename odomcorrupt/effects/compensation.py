@@ -58,15 +58,11 @@ def corrected_twist(
     draws of random effects are unknown and contribute nothing, except where the odometry itself shows them; clock
     effects are not corrected.
 
-    Parameters
-    ----------
     effects : any order
     motion : from `motion_of`
-    place_xyt : (n, 3)
-        True poses at the starts of the intervals, where known; otherwise the corrected poses, from the odometry's
-        start.
-    rough
-        Whether the odometry is rough, see `is_rough`.
+    place_xyt : (n, 3) true poses at the starts of the intervals, where known; otherwise the corrected poses, from the
+        odometry's start
+    rough : whether the odometry is rough, see `is_rough`
 
     Raises
     ------

@@ -117,8 +117,6 @@ class LineFits:
     windows, because over an hour they would lose a thousandth of a speed. If a window has fewer than two samples, the
     nearest ones on both sides are used.
 
-    Parameters
-    ----------
     t_s : (n,) times of the samples, seconds
     at_s : (m,) centres of the windows, seconds
     width_s : width of the windows
@@ -193,8 +191,6 @@ class _Block(NamedTuple):
 class LocalSlopes:
     """Smooth twists and accelerations of paths with the same stamps, from line fits in windows around given times.
 
-    Parameters
-    ----------
     t_s : (n,) stamps of the poses, seconds
     at_s : (m,) centres of the windows, seconds
     width_s : width of the windows

@@ -145,15 +145,10 @@ def path_errors(
 ) -> PathErrors:
     """Return the errors of an estimate at its stamps within the truth's period.
 
-    Parameters
-    ----------
-    estimate, truth
-        Headings may be NaN, if only positions were recorded.
-    align
-        "rigid": rotated and translated for the smallest distance of positions; "origin": first poses made equal;
-        "none": as recorded, both in one frame.
-    covariance : (n, 3, 3)
-        Covariance of x, y (metres) and heading (radians) in the estimate's frame.
+    estimate, truth : headings may be NaN, if only positions were recorded
+    align : "rigid": rotated and translated for the smallest distance of positions; "origin": first poses made equal;
+        "none": as recorded, both in one frame
+    covariance : (n, 3, 3) covariance of x, y (metres) and heading (radians) in the estimate's frame
 
     Raises
     ------
