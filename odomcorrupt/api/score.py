@@ -128,7 +128,7 @@ def score(
         runs. For a sweep, it contains a directory for each point.
     align : {"rigid", "origin", "none"}
         Alignment of estimate and truth: best fit of positions, equal first poses, or none.
-    limits : odomcorrupt.scoring.Limits, optional
+    limits : odomcorrupt.scoring.errors.Limits, optional
         Limits of loss, jumps and coverage.
     count_missing : bool
         Whether runs without a complete output are failures.

@@ -12,8 +12,8 @@ import pytest
 import odomcorrupt as oc
 from odomcorrupt.batching.sinks import format_tum, read_tum
 from odomcorrupt.cli import run
-from odomcorrupt.scoring import Limits, score
-from odomcorrupt.scoring.errors import ScoreError
+from odomcorrupt.scoring.errors import Limits, ScoreError
+from odomcorrupt.scoring.run import score
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01")
