@@ -80,11 +80,6 @@ def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: 
     model : means, and correlations of their errors
     spreads : standard deviations of the parameters to draw
     seed, run : seed of all draws, and number of the run
-
-    Returns
-    -------
-    MotionModel
-        The robot of this run.
     """
     named = {_name(model, spread): spread for spread in spreads}
     known = model.correlation.among(named)

@@ -151,11 +151,6 @@ def assemble(overlay: Path, source: Path, target: Path, container: BagContainer)
     target : whole bag to write
     container : how bags are read and written
 
-    Returns
-    -------
-    int
-        Number of replaced messages.
-
     Raises
     ------
     BatchError

@@ -207,7 +207,9 @@ def correct_bag(
     start_xyt: Array | None = None,
     watch: Callable[[Block], None] = lambda _: None,
 ) -> Corrected:
-    """Correct a bag; a target of None is a pipe. The output is written completely or not at all.
+    """Correct a bag; return the effects removed and left, and the messages modified.
+
+    The output is written completely or not at all.
 
     source : measured bag, read twice
     target : corrected bag; None is a pipe
@@ -217,11 +219,6 @@ def correct_bag(
     start_xyt : (3,) pose at which the odometry begins in the frame of effects of place, metres and radians;
         None: as it states
     watch : called with every block written
-
-    Returns
-    -------
-    Corrected
-        Effects removed and left, and messages modified.
 
     Raises
     ------

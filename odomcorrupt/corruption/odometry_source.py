@@ -60,11 +60,6 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usua
     bag : name of the bag, for error messages
     usual : topic that is taken where there are several and it is among them: the one that a model was learned from
 
-    Returns
-    -------
-    str
-        The topic.
-
     Raises
     ------
     TopicError
@@ -97,16 +92,11 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usua
 
 
 def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame: str | None) -> Frames:
-    """Return the frames of the odometry source, or those requested.
+    """Return the frames of the odometry source, or those requested, without leading slashes.
 
     item : first message of the odometry, or transform of its edge
     topic : its topic, for error messages
     odom_frame, base_frame : requested frames; None for those of the message
-
-    Returns
-    -------
-    Frames
-        Odom and base frame without leading slashes.
 
     Raises
     ------
@@ -131,11 +121,6 @@ def side_of(parent: str, child: str, frames: Frames) -> Side | None:
 
     parent, child : frames of the transform, without leading slashes
     frames : odom and base frame
-
-    Returns
-    -------
-    {"left", "right"} or None
-        Side of the composition.
     """
     parent, child = plain(parent), plain(child)
     if parent == frames.odom and _last(child) not in GLOBAL_FRAMES:

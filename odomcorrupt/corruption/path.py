@@ -43,7 +43,7 @@ class GrownVariances(NamedTuple):
 
 
 def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGrowth) -> GrownVariances:
-    """Return the noise variances of n increments of lengths dt_s (n,) seconds.
+    """Return the noise variances (n,) of rot1, trans, across and rot2 of n increments, and the state after them.
 
     With a step, an increment's variance is the growth of the law's variance since the step's start. The law is
     evaluated at the metres and radians since then, the turn halved between rot1 and rot2, so growth is never
@@ -54,11 +54,6 @@ def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGr
     steps : n increments with the effects applied, metres and radians
     dt_s : (n,) their lengths, seconds
     growth : state of the present step, as returned by the call before
-
-    Returns
-    -------
-    GrownVariances
-        Variances of rot1, trans, across and rot2, (n,) each, and the state after them.
     """
     grown = GrownVariances(variances(noise.law, noise.coefficients, steps), growth)
     if noise.step is not None and len(steps):

@@ -217,11 +217,6 @@ def corrupt_bag(
     path : corrupted path, instead of the noisy path that the model draws
     metadata : further metadata for the output, besides model, seed, run and version
 
-    Returns
-    -------
-    Outcome
-        What was moved, the drift, and what is odd.
-
     Raises
     ------
     BagError
@@ -275,11 +270,6 @@ def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, s
     reader : the bag that it read, still open
     model : model to report
     seed, run : seed of all draws, and number of the run
-
-    Returns
-    -------
-    Outcome
-        What was moved, the drift, and what is odd.
     """
     drift = transform.drift.result()
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry

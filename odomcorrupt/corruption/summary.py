@@ -249,15 +249,10 @@ def _rate(outcome: Outcome) -> list[str]:
 
 
 def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) -> list[str]:
-    """Return a warning where noise law and robot disagree about sideways motion.
+    """Return a warning, one sentence or none, where noise law and robot disagree about sideways motion.
 
     model : its noise law may assume sideways motion
     sideways_m, distance_m : lateral and total travel of the drive, metres
-
-    Returns
-    -------
-    list of str
-        One sentence, or none.
     """
     law = model.noise.law
     if law.along_travel and not model.noise.coefficients.noise_free and sideways_m < STRAIGHT * distance_m:
