@@ -14,7 +14,6 @@ import odomcorrupt
 from odomcorrupt.bags.block import Block, Message, PartFraming
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter, ReframedReader
-from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output, OutputContext
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
@@ -221,11 +220,7 @@ class MultiSink:
 
 def bag_writer(job: Job, run: int, output: Target, workers: Workers | None = None) -> Any:
     """Return the writer of a run's whole bag, which compresses in `workers`."""
-    c = job.batch.container
-    return open_writer(
-        job.path_of(run), output.reader, overwrite=True, compression=c.compression, level=c.level, workers=workers,
-        form=output.form,
-    )  # fmt: skip
+    return replace(job.batch.container, overwrite=True).writer(job.path_of(run), output, workers)
 
 
 class FullSink(BagSink):

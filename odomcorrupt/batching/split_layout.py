@@ -12,7 +12,7 @@ from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
-from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.provenance import mapping_of
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.batching.sinks import BagSink, bag_writer
@@ -167,15 +167,7 @@ def assemble(overlay: Path, source: Path, target: Path, container: BagContainer)
         if output.reader is not reader:
             # what is converted is the merged bag
             output = container.target(target, merged)
-        writer = open_writer(
-            target,
-            output.reader,
-            overwrite=container.overwrite,
-            compression=container.compression,
-            level=container.level,
-            form=output.form,
-        )
-        with writer:
+        with container.writer(target, output) as writer:
             for block in (merged if output.reader is reader else output.reader).blocks():
                 writer.write(block)
             stream.require_end(source)

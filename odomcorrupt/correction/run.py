@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.correction.pose_corrections import pose_corrections
 from odomcorrupt.correction.undo import ClockInverse, true_stamps, undo_effects
 from odomcorrupt.corruption.covariance import SUMS, NoiseSteps, sum_terms
@@ -244,15 +244,7 @@ def correct_bag(
         output = container.target(target, raw)
         reader = output.reader
         transform.odometry.prepare(reader, reader.name)
-        writer = open_writer(
-            target,
-            reader,
-            overwrite=container.overwrite,
-            compression=container.compression,
-            level=container.level,
-            form=output.form,
-        )
-        with writer:
+        with container.writer(target, output) as writer:
             for block in transform.blocks(reader, reader.name, writer):
                 writer.write(block)
                 watch(block)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
     from odomcorrupt.bags.convert.message_types import Generation
     from odomcorrupt.bags.open import Form, Target
     from odomcorrupt.corruption.drift import Drift
@@ -150,6 +150,13 @@ class Container:
         """Return an output, with a reader of the input that yields the messages as the output has them."""
         return target_of(path, reader, ros=self.ros, storage=self.storage, exclude=self.exclude, recover=self.recover)
 
+    def writer(self, path: Path | None, output: Target, workers: Workers | None = None) -> BagWriter:
+        """Return the writer of an output; parameters as of `open_writer`."""
+        return open_writer(
+            path, output.reader, overwrite=self.overwrite, compression=self.compression, level=self.level,
+            workers=workers, form=output.form,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Outcome:
@@ -238,15 +245,7 @@ def corrupt_bag(
         output = container.target(target, raw)
         reader = output.reader
         transform.odometry.prepare(reader, reader.name)
-        writer = open_writer(
-            target,
-            reader,
-            overwrite=container.overwrite,
-            compression=container.compression,
-            level=container.level,
-            workers=workers,
-            form=output.form,
-        )
+        writer = container.writer(target, output, workers)
         if is_identity and not adds and container.as_it_was and reader is raw and may_stay(source, reader, output.form):
             blocks = transform.blocks(reader, reader.name)
             write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
