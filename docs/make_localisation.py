@@ -24,7 +24,8 @@ from odomcorrupt.export import Steady, amcl_alphas
 from odomcorrupt.model.model_file import format_model, read_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, drawing, new_figure, rendered
-from odomcorrupt.scoring import ScoreReport, score
+from odomcorrupt.scoring.errors import Limits
+from odomcorrupt.scoring.run import ScoreReport, score
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
@@ -106,8 +107,6 @@ def results(data: Path, folder: Path, runs: Path, chosen: dict[str, tuple[float,
 
 
 def _score(runs: Path, estimates: Path) -> ScoreReport:
-    from odomcorrupt.scoring import Limits  # noqa: PLC0415 - for this function alone
-
     return score(runs, truth="/ground_truth", outputs=estimates, align="none", limits=Limits(lost_m=LOST_M))
 
 

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from odomcorrupt.api.model import Model, Noise
     from odomcorrupt.api.motion import Density, Samples, density, sample
     from odomcorrupt.api.recordings import Recordings, read_recordings
+    from odomcorrupt.api.score import Score, score
     from odomcorrupt.api.simulation import Simulation, simulate
     from odomcorrupt.errors import OdomCorruptError
-    from odomcorrupt.scoring.run import score
 
 __version__ = "0.1.0"
 
@@ -38,16 +38,16 @@ _HOMES = {
     "api.model": ("Model", "Noise"),
     "api.motion": ("Density", "Samples", "density", "sample"),
     "api.recordings": ("Recordings", "read_recordings"),
+    "api.score": ("Score", "score"),
     "api.simulation": ("Simulation", "simulate"),
     "errors": ("OdomCorruptError",),
-    "scoring.run": ("score",),
 }
 """Modules of the public names."""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Batch", "Comparison", "Correction", "Corruption", "Density", "Diagnosis", "Fit", "Learned", "Model", "Noise",
-    "OdomCorruptError", "Recordings", "Samples", "Simulation", "SquareTest", "__version__", "batch", "compare",
+    "OdomCorruptError", "Recordings", "Samples", "Score", "Simulation", "SquareTest", "__version__", "batch", "compare",
     "correct", "corrupt", "density", "diagnose", "fit", "fit_returns", "learn", "read_recordings", "sample",
     "score", "simulate",
 ]  # fmt: skip

@@ -115,10 +115,13 @@ def run(args: Sequence[str]) -> int:
 
     0 done, 1 failed, 2 wrong usage, 3 data lost, 130 interrupted, 141 stdout closed by its reader.
     """
+    OdomCorruptError.names_options = True
     try:
         result = cli.main(args=list(args), prog_name="odomcorrupt", standalone_mode=False)
     except (click.ClickException, click.Abort, KeyboardInterrupt, OdomCorruptError, OSError, MemoryError) as error:
         return _report_error(error, args)
+    finally:
+        OdomCorruptError.names_options = False
     return result if isinstance(result, int) else 0
 
 

@@ -1,16 +1,49 @@
 """Exception types. Every message says what failed, the value found, and the way out."""
 
+import re
+
+COMMAND_LINE_ONLY = frozenset((
+    "--clock", "--dask", "--help", "--laser-pose", "--layout", "--rate", "--resolution", "--save", "--shard", "--speed",
+    "--to", "--to-step", "--turn-rate",
+))  # fmt: skip
+"""Options in messages that no argument in Python corresponds to."""
+_ARGUMENTS = {
+    "--add": "effects", "--effect": "effects", "--end": "ends", "--exclude-topic": "exclude", "--map": "within",
+    "--overwrite": "overwrite=True", "--recover": "recover=True", "--robot-radius": "radius_m",
+    "--start": "start_xyt", "--sweep": "sweeps", "--track": "track_m", "--truth-shift": "truth_shift_s",
+    "with --tf odometry": "without new_odom_frame", "--max-unpacked ": "ODOMCORRUPT_MAX_UNPACKED=",
+}  # fmt: skip
+"""Arguments in Python that are not called like the option."""
+_OPTION = re.compile(r"(?<![\w/.-])(?:with --tf odometry|--max-unpacked |--[a-z][a-z-]*[a-z](?![\w./-]))")
+
 
 class OdomCorruptError(Exception):
-    """Base class of all errors that a user can cause or fix; the command line exits with 1."""
+    """Base class of all errors that a user can cause or fix; the command line exits with 1.
+
+    Messages are written with options of the command line, as in `--odom-topic`; `str` replaces each by the argument in
+    Python, as in `odom_topic`, except while the command line runs.
+    """
+
+    names_options = False
+    """Whether `str` keeps the options, in all errors: set by the command line."""
+
+    @property
+    def message(self) -> str:
+        """The message with options of the command line; without the errno of an OSError."""
+        return str(self.args[0]) if self.args else ""
+
+    def __str__(self) -> str:
+        return self.message if OdomCorruptError.names_options else _OPTION.sub(_argument, self.message)
+
+
+def _argument(option: re.Match[str]) -> str:
+    """Return the argument in Python that an option of the command line corresponds to."""
+    word = option[0]
+    return word if word in COMMAND_LINE_ONLY else _ARGUMENTS.get(word, word.removeprefix("--").replace("-", "_"))
 
 
 class BagError(OdomCorruptError, OSError):
     """A bag cannot be read or written."""
-
-    def __str__(self) -> str:
-        """Return the message alone, without the errno of an OSError."""
-        return str(self.args[0]) if self.args else ""
 
 
 class TopicError(OdomCorruptError):

@@ -8,14 +8,9 @@ from odomcorrupt.errors import OdomCorruptError
 def require(library: str, purpose: str, extra: str) -> None:
     """Import an optional library; if it is missing, raise an error with the command to install it.
 
-    Parameters
-    ----------
-    library : str
-        Name of the module.
-    purpose : str
-        Purpose of the library, as in "pictures need it".
-    extra : str
-        Extra of this package that includes it: "study", "dask" or "pandas".
+    library : name of the module
+    purpose : purpose of the library, as in "pictures need it"
+    extra : extra of this package that includes it: "study", "dask" or "pandas"
 
     Raises
     ------

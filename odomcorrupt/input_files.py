@@ -27,12 +27,8 @@ _KINDS = {
 def open_input(path: Path, error: type[Exception] = OdomCorruptError) -> BinaryIO:
     """Open a regular file for reading.
 
-    Parameters
-    ----------
-    path : Path
-        The file, or a link to it.
-    error : type
-        Class of the error.
+    path : the file, or a link to it
+    error : class of the error
 
     Raises
     ------
@@ -61,16 +57,10 @@ def _open_at_once(path: str, flags: int) -> int:
 def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCorruptError) -> bytes:
     """Return the content of a regular file of at most `most` bytes.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    most : int
-        Largest size, bytes.
-    what : str
-        Expected content, as in "model file", for the error.
-    error : type
-        Class of the error.
+    path : the file
+    most : largest size, bytes
+    what : expected content, as in "model file", for the error
+    error : class of the error
 
     Raises
     ------

@@ -285,8 +285,7 @@ def _check_moments(effect: Effect) -> None:
 def _with_frequent_events(effect: Effect) -> Effect:
     """Return the effect with rare events made frequent enough to be counted."""
     sizes = {p.name: min(20.0 * p.typical, 0.5 * p.high) for p in amplitudes(effect)}
-    loud: Effect = replace(effect, **sizes)  # type: ignore[type-var]
-    return loud
+    return replace(effect, **sizes)  # type: ignore[type-var]
 
 
 def _compare(effect: Effect, samples: Array, mean: Array, variance: Array) -> None:

@@ -61,8 +61,7 @@ class Drive:
     @property
     def t_s(self) -> Array:
         """Seconds since the first stamp (n,)."""
-        out: Array = (self.stamps_ns - self.stamps_ns[0]) * np.float64(1e-9)
-        return out
+        return (self.stamps_ns - self.stamps_ns[0]) * np.float64(1e-9)
 
     @property
     def distance_m(self) -> Array:
@@ -164,8 +163,7 @@ class PathError:
     @property
     def position_m(self) -> Array:
         """Position error (n,), metres."""
-        out: Array = np.hypot(*(self.path_xyt - self.truth_xyt)[:, :2].T)
-        return out
+        return np.hypot(*(self.path_xyt - self.truth_xyt)[:, :2].T)
 
     @property
     def heading_rad(self) -> Array:

@@ -65,7 +65,7 @@ class CorruptedBag:
         truth
             Topic or edge of TF of this run's bag with the truth. None: the odometry before it was corrupted.
         align
-            As `odomcorrupt.scoring.path_errors` has it.
+            As `odomcorrupt.scoring.errors.path_errors` has it.
         """
         covariance = None
         if isinstance(estimate, str | Path):

@@ -370,3 +370,11 @@ def test_data_that_end_early_are_no_interruption(monkeypatch, capsys):
     monkeypatch.setattr("odomcorrupt.cli.cli.invoke", ends)
     assert run(["in.mcap", "out.mcap"]) == 1
     assert capsys.readouterr().err.strip() == "odomcorrupt: a file ended early: data too short"
+
+
+@pytest.mark.parametrize("name", ["compare", "diagnose", "fit", "learn"])
+def test_the_help_of_a_study_begins_with_what_most_recordings_need(name, capsys):
+    assert run([name, "--help"]) == 0
+    options = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", capsys.readouterr().out, re.MULTILINE)
+    assert [option for option in options if option != "--output"][:3] == ["--truth", "--track", "--odom"]
+    assert "--output" not in options[1:]

@@ -135,6 +135,7 @@ def batch(
     output: Literal["full", "overlay", "trajectories"] = "full",
     robots: Literal["stated", "posterior"] = "stated",
     sweeps: Sequence[str] = (),
+    points: int = 0,
     jobs: int = 1,
     within: MapCondition | str | PathLike[str] | None = None,
     **options: Unpack[BagOptions],
@@ -158,7 +159,9 @@ def batch(
     robots : {"stated", "posterior"}
         Draw for each run what the model states as "a +- b", or everything with a standard error.
     sweeps : sequence of str
-        Such as "alpha-scale=0.5,1,2"; each combination gets its own directory.
+        Such as "alpha-scale=0.5,1,2"; each combination gets its own directory. Ranges as "wheel_scale.e=0..0.02".
+    points : int
+        Number of Sobol points that cover all ranges.
     jobs : int
         Number of processes. In a script, call from under ``if __name__ == "__main__"``.
     within : MapCondition or path of a map's .yaml, optional
@@ -194,6 +197,7 @@ def batch(
         seed=seed_of(target) if seed is None else seed,
         model_file=file,
         sweeps=tuple(sweeps),
+        points=points,
         posterior=robots == "posterior",
         options=moved,
         container=container,
@@ -202,4 +206,5 @@ def batch(
     )
     planned = plan(as_paths(inputs), target, spec)
     made = run_batch(planned, range(runs), processes=jobs)
-    return Batch(target, tuple(planned), made.runs, made.failures)
+    failures = tuple((run, str(BatchError(why))) for run, why in made.failures)
+    return Batch(target, tuple(planned), made.runs, failures)

@@ -77,23 +77,6 @@ class Comparison(Result):
             for j in self.result.judgements
         ]
 
-    def horizon_rows(self) -> list[dict[str, Any]]:
-        """Return one row per model and path length: RMS errors, measured and expected, m and rad, and NEES."""
-        return [
-            {
-                "model": j.name,
-                "distance_m": h.distance_m,
-                "windows": h.windows,
-                "position_measured_m": h.position_measured,
-                "position_expected_m": h.position_expected,
-                "yaw_measured_rad": h.measured[2],
-                "yaw_expected_rad": h.expected[2],
-                "nees": h.nees,
-            }
-            for j in self.result.judgements
-            for h in j.horizons
-        ]
-
     def report(self) -> str:
         """Return the comparison as a self-contained HTML page with tables and figures, usable offline."""
         from odomcorrupt import __version__

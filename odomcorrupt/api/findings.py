@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from odomcorrupt.api.comparison import Comparison
 from odomcorrupt.api.model import Model, ModelLike, as_model
@@ -39,12 +39,12 @@ class Findings(Result):
     @property
     def verdict(self) -> Literal["complete", "missing", "unknown"]:
         """Whether an effect was found; unknown if an error remains that no known effect explains."""
-        return cast('Literal["complete", "missing", "unknown"]', self.to_dict()["verdict"])
+        return self.to_dict()["verdict"]
 
     @property
     def found(self) -> list[dict[str, Any]]:
         """Findings in the form of docs/json.md: clocks, effects in order, noise."""
-        return cast("list[dict[str, Any]]", self.to_dict()["found"])
+        return self.to_dict()["found"]
 
     @property
     def missing(self) -> tuple[str, ...]:

@@ -108,8 +108,7 @@ class Framing:
 
     def begins(self, table: NDArray[np.void]) -> NDArray[np.int64]:
         """Return the offsets (n,) of the records of a block's messages, bytes, headers included."""
-        offsets: NDArray[np.int64] = table["offset"]
-        return offsets
+        return table["offset"]
 
     def kept(self, begins: NDArray[np.int64]) -> Framing:  # noqa: ARG002 - overridden where they are part of it
         """Return the framing of some of the messages, whose records begin at these offsets (n,)."""
@@ -228,9 +227,7 @@ class BagReader(Protocol):
 
     def __enter__(self) -> Self: ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_error: object) -> None: ...
 
 
 def require_all(name: str, reader: BagReader, written: int, added: int) -> None:

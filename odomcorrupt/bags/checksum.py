@@ -23,32 +23,22 @@ except ImportError:
 def crc_of_both(first: int, second: int, piece: bytes | memoryview) -> int:
     """Return the CRC-32 of two consecutive pieces.
 
-    Parameters
-    ----------
-    first, second : int
-        CRC-32 of each of them.
-    piece : bytes | memoryview
-        The second one; only its length is used if `CAN_COMBINE`, else its bytes are.
+    first, second : CRC-32 of each of them
+    piece : the second one; only its length is used if `CAN_COMBINE`, else its bytes are
     """
     if CAN_COMBINE:
-        both: int = crc32_combine(first, second, len(piece))
-        return both
+        return crc32_combine(first, second, len(piece))
     return zlib.crc32(piece, first)
 
 
 def combined(first: int, second: int, length: int) -> int:
     """Return the CRC-32 of two consecutive pieces, without their bytes.
 
-    Parameters
-    ----------
-    first, second : int
-        CRC-32 of each of them.
-    length : int
-        Length of the second one, bytes; without isal the time grows with it.
+    first, second : CRC-32 of each of them
+    length : length of the second one, bytes; without isal the time grows with it
     """
     if CAN_COMBINE:
-        both: int = crc32_combine(first, second, length)
-        return both
+        return crc32_combine(first, second, length)
     # A CRC is affine: behind `first`, zeros differ from zeros behind nothing as the second piece would.
     zeros, shifted, plain = bytes(1 << 16), first, 0
     while length:

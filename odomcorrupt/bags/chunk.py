@@ -152,19 +152,12 @@ def record_blocks(
     the chunk does; if a record cannot be one, or is larger than what is left of the chunk, that block is the last and
     is yielded when the stream has come to its end, where its checksum is compared.
 
-    Parameters
-    ----------
-    pieces : Iterator
-        The decompressed chunk, none of them empty.
-    size : int
-        Its stated size, bytes.
-    record_bytes : Callable
-        Size of the record that begins at an offset of the data, bytes; less if its header is not whole, but more than
-        the data has; 0 if it is no record.
-    place : Callable
-        Allocator of buffers.
-    what : str
-        Name of the chunk in error messages.
+    pieces : the decompressed chunk, none of them empty
+    size : its stated size, bytes
+    record_bytes : size of the record that begins at an offset of the data, bytes; less if its header is not whole, but
+        more than the data has; 0 if it is no record
+    place : allocator of buffers
+    what : name of the chunk in error messages
 
     Raises
     ------

@@ -59,14 +59,9 @@ class PackedInMemory:
 class PackedInSource:
     """Compressed bytes that are next in a file or pipe.
 
-    Parameters
-    ----------
-    source : Source
-        Where they are read from.
-    size : int
-        How many there are.
-    what : str
-        Name of the chunk in error messages.
+    source : where they are read from
+    size : how many there are
+    what : name of the chunk in error messages
     """
 
     def __init__(self, source: Source, size: int, what: str) -> None:
@@ -87,18 +82,11 @@ class PackedInSource:
 def unpacked(codec: str, packed: Packed, size: int, what: str, budget: Budget | None) -> Iterator[bytes | memoryview]:
     """Yield a chunk in decompressed pieces, none of them empty and each valid until the next.
 
-    Parameters
-    ----------
-    codec : str
-        "none", "lz4", "zstd" or "bz2".
-    packed : Packed
-        Compressed bytes.
-    size : int
-        Decompressed size stated by the bag, bytes.
-    what : str
-        Name of the chunk in error messages.
-    budget : Budget | None
-        Limit of the bag; None if the chunk was counted before.
+    codec : "none", "lz4", "zstd" or "bz2"
+    packed : compressed bytes
+    size : decompressed size stated by the bag, bytes
+    what : name of the chunk in error messages
+    budget : limit of the bag; None if the chunk was counted before
 
     Raises
     ------

@@ -183,8 +183,7 @@ def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | 
     if codec == "zstd":
         return _zstd.compressor(1 if level is None else level).compress(data.data)
     if codec == "lz4":
-        packed: bytes = lz4.frame.compress(data.data, compression_level=level or 0, block_linked=False)
-        return packed
+        return lz4.frame.compress(data.data, compression_level=level or 0, block_linked=False)
     if codec == "bz2":
         return bz2.compress(data.data, 9 if level is None else level)
     return data.data

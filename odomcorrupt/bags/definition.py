@@ -11,7 +11,7 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.bags.block import BagReader
+    from odomcorrupt.bags.block import BagReader, Channel
 
 
 class RosType(NamedTuple):
@@ -71,16 +71,19 @@ _TYPED = ("md5sum", "topic_type_hash", "type")
 """Metadata that belong to the type, not to the topic."""
 
 
-def retyped(reader: BagReader, msgtype: str, encoding: str, like: Definition) -> Definition:
-    """Return the definition of a type (the bag's own, or the common one) with the QoS and callerid of `like`."""
+def retyped(reader: BagReader, msgtype: str, like: Channel) -> Definition:
+    """Return the definition of a type (the bag's own, or the common one) with the QoS and callerid of a channel."""
+    publisher, encoding = reader.definition(like), like.encoding
+    if msgtype == like.msgtype:
+        return publisher
     for other in reader.channels.values():
         if (other.msgtype, other.encoding) == (msgtype, encoding):
             found = reader.definition(other)
             typed = {key: found.metadata[key] for key in _TYPED if key in found.metadata}
-            return found._replace(metadata={**_without(like.metadata, _TYPED), **typed})
+            return found._replace(metadata={**_without(publisher.metadata, _TYPED), **typed})
     kind = ros_type(msgtype, encoding)
     values = {"md5sum": kind.digest, "topic_type_hash": kind.digest, "type": kind.name}
-    metadata = {**like.metadata, **{key: value for key, value in values.items() if key in like.metadata}}
+    metadata = {**publisher.metadata, **{key: value for key, value in values.items() if key in publisher.metadata}}
     return Definition(kind.name, "ros1msg" if encoding == "ros1" else "ros2msg", kind.text.encode(), metadata)
 
 

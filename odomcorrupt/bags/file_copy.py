@@ -37,16 +37,10 @@ class FileCopy:
 
     The copy ends early if the system has no such call, or if the call fails.
 
-    Parameters
-    ----------
-    source : Path
-        File to be copied.
-    target : int
-        Descriptor of the file that is written. Its file offset does not change.
-    begin : int
-        Position of the first byte to copy.
-    state : FileState, optional
-        State of the source when it was read; by default its present state.
+    source : file to be copied
+    target : descriptor of the file that is written. Its file offset does not change
+    begin : position of the first byte to copy
+    state : state of the source when it was read; by default its present state
 
     Raises
     ------

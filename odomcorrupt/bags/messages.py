@@ -154,16 +154,14 @@ def _put(block: Block, layout: Layout, places: NDArray[np.int64], values: NDArra
 def gather_stamps_ns(block: Block, layout: Layout, item: Item) -> NDArray[np.int64]:
     """Return the header stamps (n,) in nanoseconds since 1970."""
     raw = windows(block.data, 8)[layout.starts + item.stamp].view(_stamp_type(layout))
-    stamps_ns: NDArray[np.int64] = raw["s"].astype(np.int64) * _SECOND_NS + raw["ns"]
-    return stamps_ns
+    return raw["s"].astype(np.int64) * _SECOND_NS + raw["ns"]
 
 
 def gather_status(block: Block, layout: Layout, item: Item) -> NDArray[np.int8]:
     """Return NavSatStatus.status (n,) of messages of a NavSatFix: -1 no fix, 0 fix, 1 SBAS, 2 GBAS."""
     assert item.status is not None  # noqa: S101 - asked of a NavSatFix alone
     raw = windows(block.data, 1)[layout.starts + item.status]
-    status: NDArray[np.int8] = raw.view(np.int8).reshape(-1)
-    return status
+    return raw.view(np.int8).reshape(-1)
 
 
 def scatter_stamps_ns(block: Block, layout: Layout, item: Item, stamps_ns: NDArray[np.int64]) -> None:

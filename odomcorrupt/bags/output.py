@@ -14,8 +14,6 @@ from odomcorrupt.bags.placement import beside, is_stream, place, sweep
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from odomcorrupt.bags.file_copy import FileState
 
 _BUFFER_BYTES = 1 << 16
@@ -275,9 +273,7 @@ class OutputContext:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         try:
             if kind is None:
                 self._finish()

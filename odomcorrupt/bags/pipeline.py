@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Generic, Self, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-    from types import TracebackType
 
 MOST_THREADS = 4
 """Largest default number of threads: more help slow codecs only, and each uses memory."""
@@ -81,10 +80,7 @@ class _Task(Generic[T]):
 class Workers:
     """Thread pool; closed by the context manager, which drops calls not yet started.
 
-    Parameters
-    ----------
-    threads : int
-        Total number of threads of the process: with one, `submit` makes the call itself.
+    threads : total number of threads of the process: with one, `submit` makes the call itself
     """
 
     def __init__(self, threads: int) -> None:
@@ -132,19 +128,14 @@ class Workers:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
 
 class OrderedResults:
     """Calls in worker threads, whose results are processed in order by the submitting thread.
 
-    Parameters
-    ----------
-    workers : Workers | None
-        Thread pool; None: the submitting thread makes the calls.
+    workers : thread pool; None: the submitting thread makes the calls
     """
 
     def __init__(self, workers: Workers | None) -> None:
@@ -160,14 +151,9 @@ class OrderedResults:
     def put(self, call: Callable[[], T], then: Callable[[T], None], size: int, *, worth: bool = True) -> None:
         """Submit a call, and a function to process its result.
 
-        Parameters
-        ----------
-        call, then : Callable
-            The call, for any thread, and the function of its result, for the submitting thread.
-        size : int
-            Memory held until then, bytes.
-        worth : bool
-            Whether the call is worth a thread; else the submitting thread makes it in turn.
+        call, then : the call, for any thread, and the function of its result, for the submitting thread
+        size : memory held until then, bytes
+        worth : whether the call is worth a thread; else the submitting thread makes it in turn
         """
         if self._workers is None or not worth:
             self.put_behind(lambda: then(call()), size)

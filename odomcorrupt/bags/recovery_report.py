@@ -22,7 +22,7 @@ _ADVICE = re.compile(r"[;,]? *(?:try )?--recover\b.*\Z", re.DOTALL)
 
 def loss_of(error: BagError) -> str:
     """Return an error's message without its advice to use --recover."""
-    return _ADVICE.sub("", str(error))
+    return _ADVICE.sub("", error.message)
 
 
 def with_readable(only: Container[int] | None, channels: Mapping[int, Channel]) -> Container[int] | None:

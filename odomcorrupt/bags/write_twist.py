@@ -20,13 +20,9 @@ def write_twists(
 ) -> None:
     """Write an MCAP with one Twist message for each command.
 
-    Parameters
-    ----------
     target : a binary stream
-    times_s : (n,)
-        Times since the first command, seconds; used as log times.
-    twist : (n, 3)
-        Forward and leftward speed, m/s, and turn rate, rad/s.
+    times_s : (n,) times since the first command, seconds; used as log times
+    twist : (n, 3) forward and leftward speed, m/s, and turn rate, rad/s
     topic : of the commands
     """
     from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - only needed to plan a drive

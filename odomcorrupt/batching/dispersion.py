@@ -151,8 +151,7 @@ def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: PathS
             moved = _quiet(replace(model, effects=tuple(effects)), clean)
         except EffectError:
             continue
-        slope: Array = (moved.error_xyt - centre.error_xyt) / part
-        return slope
+        return (moved.error_xyt - centre.error_xyt) / part
     return np.zeros_like(centre.error_xyt)
 
 
@@ -170,8 +169,7 @@ def _path(
         shared = SystematicEffects(model)
     source = NoisyPath(model, seed, record["run"], covariance=False, systematic=shared)
     samples = source.feed(clean.stamps_ns, clean.xyt)
-    path: Array = samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]
-    return path
+    return samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]
 
 
 def spread_brief(report: SpreadReport, following: Sequence[object]) -> Summary:

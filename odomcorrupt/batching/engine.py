@@ -109,14 +109,9 @@ class Audience(Protocol):
 def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
     """Run tasks in this process, or in `jobs` worker processes.
 
-    Parameters
-    ----------
-    tasks : sequence of Task
-        Passes over bags.
-    jobs : int
-        Number of processes; 1 for this process alone.
-    audience : Audience
-        Receives runs that are made or failed, and progress.
+    tasks : passes over bags
+    jobs : number of processes; 1 for this process alone
+    audience : receives runs that are made or failed, and progress
     """
     if jobs == 1:
         for task in tasks:
@@ -217,14 +212,9 @@ def _pass_on(news: Any, tasks: Mapping[int, Task], audience: Audience) -> None:
 def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, audience: Audience) -> None:
     """Run tasks on a Dask cluster with access to the same files; a task whose worker died is repeated on another.
 
-    Parameters
-    ----------
-    job_runs : sequence of (Job, sequence of int)
-        Jobs with the runs to make.
-    address : str
-        Of the scheduler, such as "tcp://host:8786".
-    audience : Audience
-        Receives runs that are made or failed.
+    job_runs : jobs with the runs to make
+    address : of the scheduler, such as "tcp://host:8786"
+    audience : receives runs that are made or failed
 
     Raises
     ------
@@ -297,8 +287,6 @@ def run_batch(
 ) -> Made:
     """Make the missing runs of jobs and their manifests; return the number made and the failures.
 
-    Parameters
-    ----------
     jobs, runs : jobs, and the numbers of their runs
     processes : number of processes
     shard : part of the runs to make, where several machines share them

@@ -129,21 +129,11 @@ class Task:
 
 
 def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
-    """Return the jobs of a batch in the directory `target`.
+    """Return the jobs of a batch in the directory `target`, one for each input and each point of a sweep.
 
-    Parameters
-    ----------
-    inputs : sequence of Path
-        Bags.
-    target : Path
-        Directory of the batch.
-    spec : BatchSpec
-        Model, seed, sweeps, options and kind of output.
-
-    Returns
-    -------
-    list of Job
-        One for each input and each point of a sweep.
+    inputs : bags
+    target : directory of the batch
+    spec : model, seed, sweeps, options and kind of output
 
     Raises
     ------

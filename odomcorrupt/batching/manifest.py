@@ -98,8 +98,7 @@ def read_beginning(directory: Path) -> dict[str, Any]:
         raise BatchError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
         raise BatchError(f"{path}: is not as batch writes it; restore it, or name another directory") from error
-    beginning: dict[str, Any] = table
-    return beginning
+    return table
 
 
 def seed_of(directory: Path) -> int:

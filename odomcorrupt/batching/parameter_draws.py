@@ -77,19 +77,9 @@ def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: 
     Every parameter has a random stream of its own, so a further distribution changes no parameter that it is not
     correlated with. Correlated parameters are drawn jointly; where one is out of bounds, all of them are drawn again.
 
-    Parameters
-    ----------
-    model : MotionModel
-        Means, and correlations of their errors.
-    spreads : tuple of Spread
-        Standard deviations of the parameters to draw.
-    seed, run : int
-        Seed of all draws, and number of the run.
-
-    Returns
-    -------
-    MotionModel
-        The robot of this run.
+    model : means, and correlations of their errors
+    spreads : standard deviations of the parameters to draw
+    seed, run : seed of all draws, and number of the run
     """
     named = {_name(model, spread): spread for spread in spreads}
     known = model.correlation.among(named)
@@ -177,10 +167,7 @@ def fleet_model(robots: Mapping[str, MotionModel]) -> MotionModel:
     an effect counts with the effect's identity value; shapes, such as time constants, are averaged over the robots
     that have the effect.
 
-    Parameters
-    ----------
-    robots
-        Models by file name, two or more.
+    robots : models by file name, two or more
 
     Raises
     ------
@@ -242,8 +229,7 @@ def _effect(name: str, robots: Mapping[str, MotionModel], errors: dict[str, floa
             values[p.name] = members[0][0]
             continue
         values[p.name], errors[key] = _spread([m[0] for m in members], [m[1] for m in members], key)
-    effect: Effect = replace(have[0], **values)  # type: ignore[type-var]  # every effect is a dataclass
-    return effect
+    return replace(have[0], **values)  # type: ignore[type-var]  # every effect is a dataclass
 
 
 def _spread(values: Sequence[float], errors: Sequence[Mapping[str, float]], name: str) -> tuple[float, float]:

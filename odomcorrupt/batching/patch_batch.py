@@ -13,8 +13,10 @@ import numpy as np
 from odomcorrupt.bags.block import TABLE, Block, own_framing
 from odomcorrupt.bags.gaps import windows
 from odomcorrupt.bags.messages import Layout
+from odomcorrupt.corruption.correction import Curve
 from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS
 from odomcorrupt.corruption.patch import Target
+from odomcorrupt.corruption.transform import Transform
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,8 +24,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, BagWriter
-    from odomcorrupt.batching.run_state import SharedTransform
+    from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.corruption.reorder import Arrivals
+    from odomcorrupt.corruption.transform import Options, _Held
+    from odomcorrupt.model.motion_model import MotionModel
 
 PORTION_BYTES = 8 << 20
 """Blocks that wait for all runs to be patched hold about this much together."""
@@ -87,6 +91,62 @@ class Portion:
             for length, theirs, mine in place.moves:
                 windows(self.blocks[number].data, length)[theirs] = windows(patched, length)[mine]
         return self.blocks[number]
+
+
+class _Reach(Curve):
+    """Extent in time of every run's C(t), without its values: it depends on stamps alone."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.until_ns: int | None = None
+
+    @property
+    def known_until_ns(self) -> int | None:
+        """Last stamp of the current stretch; None while it is empty."""
+        return self.until_ns
+
+    def restart(self) -> None:
+        """End the current stretch."""
+        self.until_ns = None
+
+
+class SharedTransform(Transform):
+    """Transform that determines, for all runs, when a block is ready and its targets; patches nothing.
+
+    growth : sorted odometry since it was last taken; None marks a restart of time
+    taken : targets of the block that `blocks` yielded last
+    """
+
+    def __init__(self, identity_model: MotionModel, options: Options) -> None:
+        super().__init__(identity_model, 0, 0, options)
+        self.growth: list[Arrivals | None] = []
+        self.taken: list[Target] = []
+        self._reach = _Reach()
+        self._curve = self._reach
+        self.watchers = [self]
+
+    @property
+    def first_ns(self) -> int:
+        """First stamp, nanoseconds."""
+        return self._first_ns or 0
+
+    def restart(self) -> None:
+        """Record a restart of time."""
+        self.growth.append(None)
+
+    def add(self, samples: PathSamples) -> None:
+        """Do nothing: no path is drawn."""
+
+    def _extend(self, ordered: Arrivals) -> None:
+        if len(ordered):
+            self.growth.append(ordered)
+            self._reach.until_ns = int(ordered.stamps_ns[-1])
+
+    def _patch(self, held: _Held) -> Block:
+        self.taken = [] if self._first_ns is None else self._targets(held)
+        if self.truth is not None:
+            self.truth.add(held.block, [target for target in self.taken if self.odometry.is_odometry(target.channel)])
+        return held.block
 
 
 def portions(

@@ -15,12 +15,13 @@ from odomcorrupt.bags.placement import beside, place, remove
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import content_of, note, read_records
 from odomcorrupt.batching.parameter_draws import drawn_values
-from odomcorrupt.batching.patch_batch import LateTopic, portions
-from odomcorrupt.batching.run_state import RunState, SharedTransform
+from odomcorrupt.batching.patch_batch import LateTopic, SharedTransform, portions
+from odomcorrupt.batching.run_state import RunState
 from odomcorrupt.batching.sinks import BagSink, FullSink, MultiSink, OverlaySink, TumSink
 from odomcorrupt.corruption.additions import CorrectionEdge
 from odomcorrupt.corruption.inverse import SystematicEffects, acts
 from odomcorrupt.corruption.run import corrupt_bag
+from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.result_files import write_bytes
 
@@ -101,7 +102,8 @@ def _alone(job: Job, run: int) -> Failure | None:
     try:
         make(Task(job, (run,)))
     except Exception as error:  # noqa: BLE001 - as above; reported at the end
-        return run, str(error) or type(error).__name__
+        said = error.message if isinstance(error, OdomCorruptError) else str(error)
+        return run, said or type(error).__name__
     return None
 
 

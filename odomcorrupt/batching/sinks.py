@@ -14,7 +14,6 @@ import odomcorrupt
 from odomcorrupt.bags.block import Block, Message, PartFraming
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter, ReframedReader
-from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output, OutputContext
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
@@ -98,16 +97,10 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
 
     Arrays: runs (k,), stamps_ns (n,), clean_xyt (n, 3), xyt (k, n, 3), metres and radians.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    clean : TumPath
-        Path without noise.
-    runs : sequence of int
-        Numbers of the runs.
-    files : sequence of Path
-        Their TUM files, in the same order.
+    path : file to write
+    clean : path without noise
+    runs : numbers of the runs
+    files : their TUM files, in the same order
     """
     output = Output(path, overwrite=True)
     try:
@@ -182,8 +175,7 @@ class BagSink(ABC):
     @property
     def writer(self) -> BagWriter:
         """Writer of the bag."""
-        writer: BagWriter = self._writer
-        return writer
+        return self._writer
 
     @property
     def crc(self) -> int | None:
@@ -228,11 +220,7 @@ class MultiSink:
 
 def bag_writer(job: Job, run: int, output: Target, workers: Workers | None = None) -> Any:
     """Return the writer of a run's whole bag, which compresses in `workers`."""
-    c = job.batch.container
-    return open_writer(
-        job.path_of(run), output.reader, overwrite=True, compression=c.compression, level=c.level, workers=workers,
-        form=output.form,
-    )  # fmt: skip
+    return replace(job.batch.container, overwrite=True).writer(job.path_of(run), output, workers)
 
 
 class FullSink(BagSink):

@@ -12,7 +12,7 @@ from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
-from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.provenance import mapping_of
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.batching.sinks import BagSink, bag_writer
@@ -54,13 +54,11 @@ class Rests:
 
     def compress(self, codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
         """Return a chunk compressed for an MCAP, with checksums; data common to all runs is compressed once."""
-        chunk: Packed = self._once(packed, codec, data, level)
-        return chunk
+        return self._once(packed, codec, data, level)
 
     def compress_for_ros1(self, codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
         """Return a chunk compressed for a ROS 1 bag; data common to all runs is compressed once."""
-        chunk: bytes | memoryview = self._once(compress_for_ros1, codec, data, level)
-        return chunk
+        return self._once(compress_for_ros1, codec, data, level)
 
     def _once(self, how: Any, codec: str, data: NDArray[np.uint8], level: int | None) -> Any:
         # a block of several chunks is compressed chunk by chunk
@@ -148,21 +146,10 @@ def _part(block: Block) -> int:
 def assemble(overlay: Path, source: Path, target: Path, container: BagContainer) -> int:
     """Write the original with the overlay's messages in place of its own; return the number of replaced messages.
 
-    Parameters
-    ----------
-    overlay : Path
-        MCAP with the modified topics of a run.
-    source : Path
-        The bag that it was made from.
-    target : Path
-        Whole bag to write.
-    container : Container
-        How bags are read and written.
-
-    Returns
-    -------
-    int
-        Number of replaced messages.
+    overlay : MCAP with the modified topics of a run
+    source : the bag that it was made from
+    target : whole bag to write
+    container : how bags are read and written
 
     Raises
     ------
@@ -180,15 +167,7 @@ def assemble(overlay: Path, source: Path, target: Path, container: BagContainer)
         if output.reader is not reader:
             # what is converted is the merged bag
             output = container.target(target, merged)
-        writer = open_writer(
-            target,
-            output.reader,
-            overwrite=container.overwrite,
-            compression=container.compression,
-            level=container.level,
-            form=output.form,
-        )
-        with writer:
+        with container.writer(target, output) as writer:
             for block in (merged if output.reader is reader else output.reader).blocks():
                 writer.write(block)
             stream.require_end(source)

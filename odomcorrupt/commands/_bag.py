@@ -140,8 +140,7 @@ def bag_words(given: Mapping[str, Any]) -> BagOptions:
         options["subtracted"] = True
     if given.get("ros") is not None:
         options["ros"] = int(given["ros"])
-    chosen: BagOptions = options
-    return chosen
+    return options
 
 
 def source_of(input_: str) -> Path | None:

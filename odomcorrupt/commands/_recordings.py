@@ -6,43 +6,36 @@ import functools
 import shutil
 import sys
 import tempfile
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
+from click.core import ParameterSource
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import OUTPUT, PAGE, TRACK, Number, Share, added
+from odomcorrupt.commands._options import OUTPUT, PAGE, TRACK, Decorator, Number, Share, added
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
 from odomcorrupt.result_files import write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from odomcorrupt.api.findings import Findings
     from odomcorrupt.api.recordings import Recordings
     from odomcorrupt.commands._standard import Console, Files
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reading:
-    """Reading options of a command line; one field per option of `recording_options`."""
+class Reading(NamedTuple):
+    """Reading options of a command line.
 
-    odom: str | None = None
-    truth: str | None = None
-    truth_bags: tuple[Path, ...] = ()
-    truth_shift_s: float = 0.0
-    track: float | None = None
-    scan: str | None = None
-    laser_scale_accuracy: float = 0.003
-    drive_type: str = AUTO
-    imu: str | None = None
-    gyro_scale_accuracy: float = 0.01
-    joints: tuple[str, str] | None = None
-    relative: tuple[Path, ...] = ()
+    given : values of the options of `recording_options`, by their names
+    words : words of the command line that read the same recordings again
+    """
+
+    given: Mapping[str, Any]
+    words: tuple[str, ...] = ()
 
     def stages(self, console: Console) -> Stages:
         """Return the progress display."""
@@ -68,20 +61,19 @@ class Reading:
         from odomcorrupt.api.recordings import describe, read_recordings
 
         count = len(paths) + len(held_out)
-        for flag, files in (("--truth-bag", self.truth_bags), ("--relative", self.relative)):
+        alike = dict(self.given)
+        own_track, truth_bags, relative = (alike.pop(name) for name in ("track", "truth_bags", "relative"))
+        for flag, files in (("--truth-bag", truth_bags), ("--relative", relative)):
             if len(files) > 1 and len(files) != count:
                 raise click.UsageError(f"{len(files)} {flag} for {count} recordings; name one for all, or one for each")
-        alike = {
-            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("track", "truth_bags", "relative")
-        }
 
         def read(own: Sequence[Path], rows: slice) -> Recordings:
             first, part = (rows.start or 0) / count, len(own) / count
-            truths, motions = (files[rows] if len(files) > 1 else files for files in (self.truth_bags, self.relative))
+            truths, motions = (files[rows] if len(files) > 1 else files for files in (truth_bags, relative))
             runs = read_recordings(
                 [_spooled(path) if str(path) == "-" else path for path in own],
                 names=["stdin" if str(path) == "-" else "" for path in own],
-                track_m=self.track if self.track is not None else track,
+                track_m=track if own_track is None else own_track,
                 truth_bag=truths, relative=motions,
                 progress=lambda stage, share: stages.reading(stage, first + part * share), **alike,
             )  # fmt: skip
@@ -92,21 +84,45 @@ class Reading:
         first = read(paths, slice(len(paths)))
         return first, read(held_out, slice(len(paths), None)) if held_out else None
 
-    def words(self) -> list[str]:
-        """Return the command-line words that read the same recordings again."""
-        said = [("--odom", self.odom), ("--truth", self.truth), ("--scan", self.scan), ("--imu", self.imu)]
-        said += [("--relative", str(path)) for path in self.relative]
-        said += [("--truth-bag", str(path)) for path in self.truth_bags]
-        said.append(("--truth-shift", repr(self.truth_shift_s) if self.truth_shift_s else None))
-        said.append(("--drive-type", self.drive_type if self.drive_type != AUTO else None))
-        said.append(("--track", f"{self.track:g}" if self.track is not None else None))
-        joints = ["--joints", *self.joints] if self.joints else []
-        return [*joints, *(word for flag, value in said if value for word in (flag, value))]
 
-
-_options = added(
+_USUAL = (
+    click.option(
+        "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only candidate]"
+    ),
+    click.option("--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."),
     click.option(
         "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"
+    ),
+)  # fmt: skip
+"""Options of reading that most recordings need."""
+_OTHERS = (
+    click.option(
+        "--truth-bag", "--truth-file", "truth_bags", type=click.Path(path_type=Path), multiple=True,
+        help="Bag, TUM or CSV file with the truth, where the recording has none: one for all, or one for each.",
+    ),
+    click.option(
+        "--truth-shift", "truth_shift_s", type=Number("seconds", -1e10, 1e10), default=0.0, metavar="SECONDS",
+        help="Seconds added to the truth's stamps if its clock is far off (the remainder is fitted).",
+    ),
+    click.option(
+        "--scan", metavar="TOPIC",
+        help="Laser scans (LaserScan, PointCloud2) to learn from if there is no truth; none: no laser. "
+        "[default: the only one]",
+    ),
+    click.option(
+        "--laser-scale-accuracy", type=Share("a share as in 0.3% or 0.003", 0.0, 20.0), metavar="SHARE",
+        default="0.3%",
+        help="Standard deviation of the laser's own scale error: no learned scale is more accurate. "
+        "[default: 0.3%]",
+    ),
+    click.option(
+        "--imu", metavar="TOPIC",
+        help="Gyro: separates wheel errors from heading errors; without truth or laser it is the truth of headings, "
+        "for diagnose alone. [default: the only Imu]",
+    ),
+    click.option(
+        "--gyro-scale-accuracy", type=Share("a share as in 1% or 0.01", 0.0, 20.0), metavar="SHARE", default="1%",
+        help="Standard deviation of the gyro's own scale error, if the gyro is the truth. [default: 1%]",
     ),
     click.option(
         "--relative", type=click.Path(exists=True, dir_okay=False, path_type=Path), multiple=True,
@@ -119,54 +135,39 @@ _options = added(
         "track alone]",
     ),
     click.option(
-        "--gyro-scale-accuracy", type=Share("a share as in 1% or 0.01", 0.0, 20.0), metavar="SHARE", default="1%",
-        help="Standard deviation of the gyro's own scale error, if the gyro is the truth. [default: 1%]",
-    ),
-    click.option(
-        "--imu", metavar="TOPIC",
-        help="Gyro: separates wheel errors from heading errors; without truth or laser it is the truth of headings, "
-        "for diagnose alone. [default: the only Imu]",
-    ),
-    click.option(
-        "--laser-scale-accuracy", type=Share("a share as in 0.3% or 0.003", 0.0, 20.0), metavar="SHARE",
-        default="0.3%",
-        help="Standard deviation of the laser's own scale error: no learned scale is more accurate. "
-        "[default: 0.3%]",
-    ),
-    click.option(
-        "--scan", metavar="TOPIC",
-        help="Laser scans (LaserScan, PointCloud2) to learn from if there is no truth; none: no laser. "
-        "[default: the only one]",
-    ),
-    click.option(
-        "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only candidate]"
-    ),
-    click.option(
-        "--truth-bag", "--truth-file", "truth_bags", type=click.Path(path_type=Path), multiple=True,
-        help="Bag, TUM or CSV file with the truth, where the recording has none: one for all, or one for each.",
-    ),
-    click.option(
-        "--truth-shift", "truth_shift_s", type=Number("seconds", -1e10, 1e10), default=0.0, metavar="SECONDS",
-        help="Seconds added to the truth's stamps if its clock is far off (the remainder is fitted).",
-    ),
-    click.option(
         "--drive-type", type=click.Choice((*DRIVE_TYPES, AUTO)), default=AUTO,
         help="Drive type; it decides which effects are tested. [default: auto, from the motion]",
     ),
-    click.option("--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."),
-    unpack_option,
 )  # fmt: skip
+_OPTIONS = {option.name: option for option in click.command()(added(*_USUAL, *_OTHERS)(lambda: None)).params}
 
 
-def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of odometry, truth and reading; the command receives them as one argument, `reading`."""
+def recording_options(*own: Decorator) -> Decorator:
+    """Return a decorator that adds the options of reading; the command receives them as one argument, `reading`.
 
-    @functools.wraps(command)
-    def with_reading(*args: Any, **given: Any) -> Any:
-        reading = Reading(**{field.name: given.pop(field.name) for field in fields(Reading)})
-        return command(*args, reading=reading, **given)
+    own : options of the command, listed after those of reading that most recordings need
+    """
 
-    return _options(with_reading)
+    def add(command: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def with_reading(*args: Any, **given: Any) -> Any:
+            context = click.get_current_context()
+            read = {name: given.pop(name) for name in _OPTIONS}
+            typed = (n for n in read if context.get_parameter_source(n) is not ParameterSource.DEFAULT)
+            reading = Reading(read, tuple(word for name in typed for word in _words(_OPTIONS[name], read[name])))
+            return command(*args, reading=reading, **given)
+
+        return added(*_USUAL, *own, *_OTHERS, unpack_option)(with_reading)
+
+    return add
+
+
+def _words(option: click.Parameter, value: Any) -> Iterator[str]:
+    """Yield the words that give an option its value."""
+    for one in value if option.multiple else (value,):
+        yield option.opts[0]
+        for part in one if option.nargs > 1 else (one,):
+            yield repr(part).removesuffix(".0") if isinstance(part, float) else str(part)
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], list[str]]:

@@ -26,13 +26,14 @@ _NAMES = ("error", "path", "nees", "residuals", "map", "pit")
 
 @click.command("compare", short_help="Compare models with measurements; see where they fail.")
 @click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... MODEL.toml...")
-@recording_options
-@click.option("--report", type=PAGE, help="Write the full result as one HTML page with pictures.")
-@click.option(
-    "--plot", multiple=True, metavar="[NAME=]FILE",
-    help=f"Write one picture as .png, .svg or .pdf (repeatable): {', '.join(_NAMES)}. [default name: error]",
+@recording_options(
+    click.option(
+        "--plot", multiple=True, metavar="[NAME=]FILE",
+        help=f"Write one picture as .png, .svg or .pdf (repeatable): {', '.join(_NAMES)}. [default name: error]",
+    ),
+    click.option("--report", type=PAGE, help="Write the full result as one HTML page with pictures."),
+    click.option("--fail-if-rejected", is_flag=True, help="Exit with 4 where the last model is REJECTED."),
 )  # fmt: skip
-@click.option("--fail-if-rejected", is_flag=True, help="Exit with 4 where the last model is REJECTED.")
 @overwrite_option("existing outputs", passed=True)
 @standard_options
 def command(
@@ -63,7 +64,7 @@ def command(
         runs = reading.read(paths, console, stages, track=track)
         stages("comparison", 0.0)
         result = compare(runs, models)
-    words = shlex.join([*map(str, paths), *reading.words(), names[-1]])
+    words = shlex.join([*map(str, paths), *reading.words, names[-1]])
     files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     if report is not None:
         files[report] = lambda: write_text(report, result.report())

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 @click.command("diagnose", short_help="Name the physical effect that a model misses.")
 @click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... [MODEL.toml]")
-@recording_options
-@advice_options
+@recording_options(advice_options)
 @overwrite_option("existing outputs")
 @standard_options
 def command(
@@ -44,7 +43,7 @@ def command(
     with reading.stages(console) as stages:
         runs = reading.read(paths, console, stages, track=model.motion_model.track_m if model else None)
         result = diagnose(runs, names[0] if names else None, watch=stages)
-    words = [*map(str, paths), *reading.words()]
+    words = [*map(str, paths), *reading.words]
     result = replace(result, following=_following(result, words, names))
     console.show(result, files=advice_files(result, drive, report))
 

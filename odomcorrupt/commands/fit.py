@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
 @click.command("fit", short_help="Fit a robot's motion model to odometry and truth.")
 @click.argument("recordings", nargs=-1, required=True)
-@recording_options
 @click.option("-o", "--output", type=OUTPUT, help="Model file to write.")
-@click.option("--start", type=FILE, help="Model file whose effects to refit.")
-@click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable).")
-@click.option(
-    "--law", help="Noise law, or all: select the most likely. [default: that of the start model, or diffusion]"
-)
-@click.option(
-    "--returns",
-    is_flag=True,
-    help="Square test (UMBmark): the only truth is that the drives ended where they began, at --end, or where their "
-    "last scans (--scan) match the first.",
-)
-@click.option(
-    "--end", "ends", multiple=True, metavar="X,Y,YAW",
-    help="Measured end pose relative to the start pose (m, m, deg): one for all drives, or one for each.",
+@recording_options(
+    click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable)."),
+    click.option("--start", type=FILE, help="Model file whose effects to refit."),
+    click.option(
+        "--law", help="Noise law, or all: select the most likely. [default: that of the start model, or diffusion]"
+    ),
+    click.option(
+        "--returns", is_flag=True,
+        help="Square test (UMBmark): the only truth is that the drives ended where they began, at --end, or where "
+        "their last scans (--scan) match the first.",
+    ),
+    click.option(
+        "--end", "ends", multiple=True, metavar="X,Y,YAW",
+        help="Measured end pose relative to the start pose (m, m, deg): one for all drives, or one for each.",
+    ),
 )  # fmt: skip
 @overwrite_option()
 @standard_options
@@ -63,7 +63,7 @@ def command(
     if models:
         raise click.UsageError(f"{models[0]} is a model; pass it with --start")
     if returns or ends:
-        if ends and reading.scan:
+        if ends and reading.given["scan"]:
             raise click.UsageError("--end and --scan: scans measure where a drive ended; leave one of them out")
         _square_test(paths, ends or ("0,0,0",), reading, add, output, console)
         return
@@ -73,7 +73,7 @@ def command(
         runs = reading.read(paths, console, stages, track=begin.motion_model.track_m if begin else None)
         stages("fit", 0.0)
         result = fit(runs, add, start=begin, law=law)
-    words = [*map(str, paths), *reading.words()]
+    words = [*map(str, paths), *reading.words]
     shown = replace(result, following=f"odomcorrupt compare {shlex.join([*words, str(output)])}")
     if output is None:
         shown = replace(result, following=shlex.join(["odomcorrupt", "fit", *typed_words(), "-o", "robot.toml"]))
@@ -91,17 +91,17 @@ def _square_test(
     """Fit a square test's effects to the ends of drives."""
     from odomcorrupt.api.fit import fit_returns
 
-    given = {"--truth": reading.truth, "--truth-bag": reading.truth_bags, "--imu": reading.imu,
-             "--relative": reading.relative}  # fmt: skip
-    for flag, value in given.items():
-        if value:
-            raise click.UsageError(f"--returns and {flag}: the ends are the only truth then; leave one of them out")
+    given = reading.given
+    for name in ("truth", "truth_bags", "imu", "relative"):
+        if given[name]:
+            flag = name.removesuffix("s").replace("_", "-")
+            raise click.UsageError(f"--returns and --{flag}: the ends are the only truth then; leave one of them out")
     poses = [_end(text) for text in ends]
     if len(poses) not in (1, len(paths)):
         raise click.UsageError(f"{len(poses)} --end for {len(paths)} drives; give one for all, or one for each")
     with reading.stages(console) as stages:
         stages("fit", 0.0)
-        result = fit_returns(paths, poses, effects=add, odom=reading.odom, track_m=reading.track, scan=reading.scan)
+        result = fit_returns(paths, poses, effects=add, odom=given["odom"], track_m=given["track"], scan=given["scan"])
     console.show(result, files=written(output, lambda path: result.model.save(path, overwrite=True)))
 
 

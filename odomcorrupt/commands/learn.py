@@ -21,14 +21,15 @@ if TYPE_CHECKING:
 
 @click.command("learn", short_help="Fit, diagnose and add effects until none is missing.")
 @click.argument("recordings", nargs=-1, required=True)
-@recording_options
 @click.option("-o", "--output", type=OUTPUT, help="Model file to write.")
-@click.option(
-    "--validate", "--judge", "validate", type=click.Path(path_type=Path), multiple=True,
-    help="Recording to evaluate the result on (repeatable).",
+@recording_options(
+    click.option(
+        "--validate", "--judge", "validate", type=click.Path(path_type=Path), multiple=True,
+        help="Recording to evaluate the result on (repeatable).",
+    ),
+    click.option("--plot", type=PICTURE, help="Picture of the errors, before and after."),
+    advice_options,
 )  # fmt: skip
-@click.option("--plot", type=PICTURE, help="Picture of the errors, before and after.")
-@advice_options
 @overwrite_option("existing outputs")
 @standard_options
 def command(
@@ -54,9 +55,9 @@ def command(
     with reading.stages(console) as stages:
         runs, held_out = reading.read_with_held_out(paths, validate, console, stages)
         result = learn(runs, validate=held_out or (), watch=stages)
-    evaluated_on = [*map(str, validate or paths), *reading.words()]
+    evaluated_on = [*map(str, validate or paths), *reading.words]
     usable = not result.comparison.fails and result.result.reproduction.holds
-    following = _following(output, [*map(str, paths), *reading.words()], evaluated_on, usable=usable)
+    following = _following(output, [*map(str, paths), *reading.words], evaluated_on, usable=usable)
     result = replace(result, following=following)
     saved = written(output, lambda path: result.model.save(path, overwrite=True))
     console.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})

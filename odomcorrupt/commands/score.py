@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, Number, one_of, save_picture
+from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, Number, one_of
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.input_files import read_input
 from odomcorrupt.result_files import write_text
-
-if TYPE_CHECKING:
-    from odomcorrupt.scoring.gate import Verdict
-    from odomcorrupt.scoring.run import ScoreReport
 
 _BASELINE_BYTES = 1 << 28
 
@@ -32,9 +28,7 @@ _BASELINE_BYTES = 1 << 28
     help="Where the estimates are: bags, TUM or CSV files named after the runs. [default: beside the runs]",
 )  # fmt: skip
 @click.option("--truth", metavar="TOPIC", help="Topic or edge of TF. [default: the odometry before it was corrupted]")
-@click.option(
-    "--truth-bag", "truth_file", type=click.Path(exists=True, path_type=Path), help="Bag, TUM or CSV with the truth."
-)
+@click.option("--truth-bag", type=click.Path(exists=True, path_type=Path), help="Bag, TUM or CSV with the truth.")
 @one_of(
     "--align",
     among=["rigid", "origin", "none"],
@@ -83,9 +77,9 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
 
     Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
     """
+    from odomcorrupt.api.score import score
     from odomcorrupt.scoring.errors import Limits
-    from odomcorrupt.scoring.gate import check, parse_rule
-    from odomcorrupt.scoring.run import score
+    from odomcorrupt.scoring.gate import parse_rule
 
     if given["baseline"] is not None and not given["rules"]:
         raise click.UsageError('--baseline: is for a gate; give a rule, as in --fail-if "ate_p90 +20%"')
@@ -93,19 +87,23 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
         parse_rule(rule)
     baseline = None if given["baseline"] is None else _baseline(given["baseline"])
     with Stages("scoring", quiet=console.quiet):
-        report = score(
-            list(runs), given["estimate"], truth=given["truth"], truth_file=given["truth_file"],
+        result = score(
+            runs, given["estimate"], truth=given["truth"], truth_bag=given["truth_bag"],
             outputs=given["outputs"], align=given["align"], count_missing=given["count_missing"],
             limits=Limits(given["lost_m"], given["lost_s"], given["jump_m"]),
-        )  # fmt: skip
-    verdicts: list[Verdict] = []
-    if given["rules"]:
-        from odomcorrupt.report.json.score import score_json
-
-        verdicts = check(score_json(report), given["rules"], baseline)
-    following = ["odomcorrupt", "score", *runs, *(("--estimate", given["estimate"]) if given["estimate"] else ())]
-    _tell(report, verdicts, given | {"following": [*following, "--report", "page.html"]}, console)
-    return 1 if any(verdict.failed for verdict in verdicts) else 0
+        ).check(given["rules"], baseline)  # fmt: skip
+    if console.as_json:
+        for verdict in result.verdicts:
+            click.echo(f"{verdict.sentence}.", err=True)
+    values, details = result.to_dict(), result.details()
+    text = json.dumps(values, indent=1, allow_nan=False) + "\n"
+    files = {
+        **written(given["save"], lambda path: write_text(path, text)),
+        **written(given["report"], lambda path: write_text(path, result.report())),
+        **written(given["output"], result.plot),
+    }
+    console.print(details if given["each"] else result.summary(), details, values, files=files)
+    return 1 if result.failed else 0
 
 
 def _baseline(path: Path) -> dict[str, Any]:
@@ -119,32 +117,3 @@ def _baseline(path: Path) -> dict[str, Any]:
     if not isinstance(table, dict) or "runs" not in table:
         raise ScoreError(f"{path}: is not a result of score; make a baseline with odomcorrupt score ... --save")
     return table
-
-
-def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], console: Console) -> None:
-    from odomcorrupt import __version__
-    from odomcorrupt.report.json.score import score_json
-    from odomcorrupt.report.text.score import score_brief, score_text
-
-    values = score_json(report, verdicts)
-    text = json.dumps(values, indent=1, allow_nan=False)
-    gates = [f"{verdict.sentence}." for verdict in verdicts]
-    details = "\n".join([score_text(report, every=True), *gates])
-    brief = details if given["each"] else score_brief(report, verdicts, following=given["following"])
-    if console.as_json:
-        for sentence in gates:
-            click.echo(sentence, err=True)
-
-    def write_page(path: Path) -> None:
-        from odomcorrupt.report.html.score import score_html
-
-        write_text(path, score_html(report, verdicts, version=__version__))
-
-    def draw(path: Path) -> None:
-        from odomcorrupt.report.plots.score import draw_score
-
-        save_picture(path, draw_score(report))
-
-    saved = written(given["save"], lambda path: write_text(path, text + "\n"))
-    files = {**saved, **written(given["report"], write_page), **written(given["output"], draw)}
-    console.print(brief, details, values, files=files)

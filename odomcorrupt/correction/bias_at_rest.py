@@ -41,12 +41,9 @@ class Readings(NamedTuple):
 def bias_seen_at_rest(effects: Sequence[Effect], motion: Motion, omega: Array) -> Array:
     """Return the gyro's bias (n,), rad/s: read in rests, smoothed as a `gyro_bias_walk` between them; zero without one.
 
-    Parameters
-    ----------
     effects : of the model
     motion : of the odometry, n intervals
-    omega : (n,)
-        Yaw rates after the removal of systematic effects, rad/s.
+    omega : (n,) yaw rates after the removal of systematic effects, rad/s
     """
     walk = next((effect for effect in effects if isinstance(effect, GyroBiasWalk) and effect.acts), None)
     readings = _readings(motion, omega)
@@ -113,8 +110,7 @@ def _smoothed(walk: GyroBiasWalk, readings: Readings) -> Array:
 def _between(walk: GyroBiasWalk, t_s: Array, bias: Array, at_s: Array) -> Array:
     """Return the expected bias (n,) at times (n,), given that (k,) at the readings (k,)."""
     if not walk.tau:
-        values: Array = np.interp(at_s, t_s, bias)
-        return values
+        return np.interp(at_s, t_s, bias)
     after = np.searchsorted(t_s, at_s)
     low, high = np.maximum(after - 1, 0), np.minimum(after, len(t_s) - 1)
     since, until = (np.exp(-np.abs(at_s - t_s[side]) / walk.tau) for side in (low, high))

@@ -41,12 +41,8 @@ def pose_corrections(t_s: Array, xyt: Array) -> PoseCorrections:
     The motion over a removed step is interpolated between its neighbours. Pose resets are kept, as in any correction.
     If steps are not much larger than the usual sideways motion, most of them are hidden, and none is removed.
 
-    Parameters
-    ----------
-    t_s : (n,)
-        Ascending times, seconds.
-    xyt : (n, 3)
-        Poses in the odom frame, metres and radians.
+    t_s : (n,) ascending times, seconds
+    xyt : (n, 3) poses in the odom frame, metres and radians
     """
     steps, dt_s = increments(xyt), np.diff(t_s)
     moved = steps.rows

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.correction.pose_corrections import pose_corrections
 from odomcorrupt.correction.undo import ClockInverse, true_stamps, undo_effects
 from odomcorrupt.corruption.covariance import SUMS, NoiseSteps, sum_terms
@@ -111,16 +111,10 @@ def corrected_samples(
 ) -> PathSamples:
     """Return the corrected path of one stretch of n poses, with the sums that the noise's covariances need.
 
-    Parameters
-    ----------
-    stamps_ns : (n,)
-        Header stamps as in the bag, ascending.
-    measured_xyt : (n, 3)
-        Measured poses, metres and radians, finite.
-    first_ns
-        First stamp of the odometry, the origin of the clocks' time.
-    frame_xyt : (3,)
-        Pose of the odom frame in the frame of position-dependent effects, None if it is the same.
+    stamps_ns : (n,) header stamps as in the bag, ascending
+    measured_xyt : (n, 3) measured poses, metres and radians, finite
+    first_ns : first stamp of the odometry, the origin of the clocks' time
+    frame_xyt : (3,) pose of the odom frame in the frame of position-dependent effects, None if it is the same
     """
     clocks = [effect for effect in model.effects if effect.clock]
     # rates from rounded stamps fluctuate: they are computed on the same even grid as in a fit
@@ -213,29 +207,18 @@ def correct_bag(
     start_xyt: Array | None = None,
     watch: Callable[[Block], None] = lambda _: None,
 ) -> Corrected:
-    """Correct a bag; a target of None is a pipe. The output is written completely or not at all.
+    """Correct a bag; return the effects removed and left, and the messages modified.
 
-    Parameters
-    ----------
-    source : Path
-        Measured bag, read twice.
-    target : Path or None
-        Corrected bag; None is a pipe.
-    model : MotionModel
-        Effects to remove, and the noise that remains.
-    options : Options
-        Messages to modify.
-    container : Container
-        Reading and writing of bags.
-    start_xyt : (3,), optional
-        Pose at which the odometry begins in the frame of effects of place, metres and radians; None: as it states.
-    watch : callable
-        Called with every block written.
+    The output is written completely or not at all.
 
-    Returns
-    -------
-    Corrected
-        Effects removed and left, and messages modified.
+    source : measured bag, read twice
+    target : corrected bag; None is a pipe
+    model : effects to remove, and the noise that remains
+    options : messages to modify
+    container : reading and writing of bags
+    start_xyt : (3,) pose at which the odometry begins in the frame of effects of place, metres and radians;
+        None: as it states
+    watch : called with every block written
 
     Raises
     ------
@@ -261,15 +244,7 @@ def correct_bag(
         output = container.target(target, raw)
         reader = output.reader
         transform.odometry.prepare(reader, reader.name)
-        writer = open_writer(
-            target,
-            reader,
-            overwrite=container.overwrite,
-            compression=container.compression,
-            level=container.level,
-            form=output.form,
-        )
-        with writer:
+        with container.writer(target, output) as writer:
             for block in transform.blocks(reader, reader.name, writer):
                 writer.write(block)
                 watch(block)

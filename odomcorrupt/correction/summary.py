@@ -37,8 +37,6 @@ _AT_REST = "is read where the robot stands for 0.6 s or more, interpolated betwe
 def brief(corrected: Corrected, target: str) -> Summary:
     """Return the effects removed, the change of the end pose, the remaining error, and warnings.
 
-    Parameters
-    ----------
     corrected : result of the correction
     target : the output; "-" is a pipe
     """

@@ -105,17 +105,12 @@ def undo_effects(
     Nothing is driven across a jump of the pose, so the correction is constant there. The error is propagated instead of
     the path itself: without an acting effect, it is zero to the last bit.
 
-    Parameters
-    ----------
     effects : any order
-    t_s : (n,)
-        Ascending true times, seconds.
-    measured_xyt : (n, 3)
-        Measured poses in the odom frame, metres and radians.
-    track_m
-        Nominal distance between the wheels, if known.
-    frame_xyt : (3,)
-        Pose of the odom frame in the frame of position-dependent effects; None if that is the odom frame itself.
+    t_s : (n,) ascending true times, seconds
+    measured_xyt : (n, 3) measured poses in the odom frame, metres and radians
+    track_m : nominal distance between the wheels, if known
+    frame_xyt : (3,) pose of the odom frame in the frame of position-dependent effects; None if that is the odom frame
+        itself
 
     Raises
     ------

@@ -69,16 +69,10 @@ class RandomEffectCovariance:
     def grow(self, gains: tuple[RandomCoefficient, ...], dt_s: Array, middle_xy: Array, travel_rad: Array) -> Grown:
         """Return the covariance terms of n intervals.
 
-        Parameters
-        ----------
-        gains : tuple of RandomCoefficient
-            Random coefficients; the same, in the same order, at every call.
-        dt_s : (n,)
-            Lengths of the intervals, seconds.
-        middle_xy : (2, n)
-            Noisy positions at the middle of each interval, metres from the path's start.
-        travel_rad : (n,)
-            Direction of the body's x axis during the translation, radians.
+        gains : random coefficients; the same, in the same order, at every call
+        dt_s : (n,) lengths of the intervals, seconds
+        middle_xy : (2, n) noisy positions at the middle of each interval, metres from the path's start
+        travel_rad : (n,) direction of the body's x axis during the translation, radians
         """
         if not self._memories:
             self._memories = [_Memory(gain.start, np.zeros(5)) for gain in gains]

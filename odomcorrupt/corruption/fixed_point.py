@@ -55,8 +55,6 @@ def solve(stage: Sequence[tuple[Effect, State]], clean: Array, true: Motion, *, 
     A motion without an inverse is scaled down, with its accelerations, to the largest fraction that has one, and that
     fraction's f is scaled up again: the relative error stays as it is there.
 
-    Parameters
-    ----------
     stage : effects that act at once, with their states
     clean : (n, 3) true twists, less the f of earlier stages, m/s and rad/s
     true : the true motion
@@ -147,8 +145,7 @@ class _Equations:
 def _largest(steps: Array) -> Array:
     """Return the largest of three numbers without their signs, (n,) of (n, 3): rows of three are slow to reduce."""
     along, across, yaw = np.abs(steps).T
-    largest: Array = np.maximum(np.maximum(along, across), yaw)
-    return largest
+    return np.maximum(np.maximum(along, across), yaw)
 
 
 def _iterated(equations: _Equations) -> tuple[Array, list[State], NDArray[np.bool_]]:

@@ -55,21 +55,10 @@ def says_truth(topic: str) -> bool:
 def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usual: str | None = None) -> str:
     """Return the topic of the odometry source.
 
-    Parameters
-    ----------
-    channels : iterable of Channel
-        All channels of the bag.
-    asked : str or None
-        Requested topic; None for the only odometry topic.
-    bag : str
-        Name of the bag, for error messages.
-    usual : str or None
-        Topic that is taken where there are several and it is among them: the one that a model was learned from.
-
-    Returns
-    -------
-    str
-        The topic.
+    channels : all channels of the bag
+    asked : requested topic; None for the only odometry topic
+    bag : name of the bag, for error messages
+    usual : topic that is taken where there are several and it is among them: the one that a model was learned from
 
     Raises
     ------
@@ -103,21 +92,11 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usua
 
 
 def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame: str | None) -> Frames:
-    """Return the frames of the odometry source, or those requested.
+    """Return the frames of the odometry source, or those requested, without leading slashes.
 
-    Parameters
-    ----------
-    item : Item
-        First message of the odometry, or transform of its edge.
-    topic : str
-        Its topic, for error messages.
-    odom_frame, base_frame : str or None
-        Requested frames; None for those of the message.
-
-    Returns
-    -------
-    Frames
-        Odom and base frame without leading slashes.
+    item : first message of the odometry, or transform of its edge
+    topic : its topic, for error messages
+    odom_frame, base_frame : requested frames; None for those of the message
 
     Raises
     ------
@@ -140,17 +119,8 @@ def side_of(parent: str, child: str, frames: Frames) -> Side | None:
     Edges between odom and its ancestors are localisation and are not moved. Of the edges that end in odom, only that
     from base is odometry (inverted).
 
-    Parameters
-    ----------
-    parent, child : str
-        Frames of the transform, without leading slashes.
-    frames : Frames
-        Odom and base frame.
-
-    Returns
-    -------
-    {"left", "right"} or None
-        Side of the composition.
+    parent, child : frames of the transform, without leading slashes
+    frames : odom and base frame
     """
     parent, child = plain(parent), plain(child)
     if parent == frames.odom and _last(child) not in GLOBAL_FRAMES:

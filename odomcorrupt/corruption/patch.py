@@ -65,14 +65,9 @@ class TopicTwist:
     def change(self, stamps_ns: NDArray[np.int64], clean_xyt: Array, at: Correction) -> TwistChange:
         """Return the changes of the twists of the next n messages.
 
-        Parameters
-        ----------
-        stamps_ns : (n,)
-            Header stamps.
-        clean_xyt : (n, 3)
-            Their clean poses, metres and radians.
-        at : Correction
-            The correction at these stamps.
+        stamps_ns : (n,) header stamps
+        clean_xyt : (n, 3) their clean poses, metres and radians
+        at : the correction at these stamps
         """
         n = len(stamps_ns)
         edges = np.flatnonzero(np.diff(at.stretch)) + 1
@@ -324,14 +319,12 @@ def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPos
 
 def _nonzero(xyt: Array) -> NDArray[np.bool_]:
     """Return a mask (n,) of the rows of (n, 3) that are not all zero."""
-    moved: NDArray[np.bool_] = (xyt[:, 0] != 0.0) | (xyt[:, 1] != 0.0) | (xyt[:, 2] != 0.0)
-    return moved
+    return (xyt[:, 0] != 0.0) | (xyt[:, 1] != 0.0) | (xyt[:, 2] != 0.0)
 
 
 def _has_already(twist: Array, added: Array) -> NDArray[np.bool_]:
     """Return a mask (n,) of the twists, less the pose's rates, that already contain the motion `added` (n, 3)."""
-    has: NDArray[np.bool_] = np.sum(twist * added, axis=1) > 0.5 * np.sum(added**2, axis=1)
-    return has
+    return np.sum(twist * added, axis=1) > 0.5 * np.sum(added**2, axis=1)
 
 
 def _set_planar(block: Block, target: Target, name: str, covariance: Array, which: slice | NDArray[np.bool_]) -> None:

@@ -43,28 +43,17 @@ class GrownVariances(NamedTuple):
 
 
 def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGrowth) -> GrownVariances:
-    """Return the noise variances of n increments of lengths dt_s (n,) seconds.
+    """Return the noise variances (n,) of rot1, trans, across and rot2 of n increments, and the state after them.
 
     With a step, an increment's variance is the growth of the law's variance since the step's start. The law is
     evaluated at the metres and radians since then, the turn halved between rot1 and rot2, so growth is never
     negative; a step ends exactly at its distance or angle, if need be inside an increment. The same increments give
     the same bits for any division into calls.
 
-    Parameters
-    ----------
-    noise : Noise
-        Law, coefficients and step.
-    steps : Increments
-        n increments with the effects applied, metres and radians.
-    dt_s : (n,)
-        Their lengths, seconds.
-    growth : StepGrowth
-        State of the present step, as returned by the call before.
-
-    Returns
-    -------
-    GrownVariances
-        Variances of rot1, trans, across and rot2, (n,) each, and the state after them.
+    noise : law, coefficients and step
+    steps : n increments with the effects applied, metres and radians
+    dt_s : (n,) their lengths, seconds
+    growth : state of the present step, as returned by the call before
     """
     grown = GrownVariances(variances(noise.law, noise.coefficients, steps), growth)
     if noise.step is not None and len(steps):
@@ -100,8 +89,7 @@ def _within_steps(noise: Noise, step: Step, steps: Increments, growth: StepGrowt
     first_piece = np.flatnonzero(np.diff(owner[order], prepend=-1))
 
     def grown(late: Array, early: Array) -> Array:
-        summed: Array = np.add.reduceat(np.maximum(late - early, 0.0), first_piece)
-        return summed
+        return np.add.reduceat(np.maximum(late - early, 0.0), first_piece)
 
     total = Variances(
         grown(after.rot1, before.rot1),
@@ -252,12 +240,8 @@ class NoisyPath:
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> PathSamples:
         """Return clean and noisy samples at the next n stamps.
 
-        Parameters
-        ----------
-        stamps_ns : (n,)
-            Ascending, and not before the last one fed.
-        clean_xyt : (n, 3)
-            Clean poses, metres and radians, finite.
+        stamps_ns : (n,) ascending, and not before the last one fed
+        clean_xyt : (n, 3) clean poses, metres and radians, finite
         """
         n = len(stamps_ns)
         if n and self._last is None:
@@ -335,5 +319,4 @@ class NoisyPath:
 def _cos_less_one(angle_rad: Array) -> Array:
     """Return cos(angle) - 1 without cancellation, exactly zero at zero."""
     half = np.sin(angle_rad / 2.0)
-    less: Array = -2.0 * half * half
-    return less
+    return -2.0 * half * half

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
     from odomcorrupt.bags.convert.message_types import Generation
     from odomcorrupt.bags.open import Form, Target
     from odomcorrupt.corruption.drift import Drift
@@ -150,6 +150,13 @@ class Container:
         """Return an output, with a reader of the input that yields the messages as the output has them."""
         return target_of(path, reader, ros=self.ros, storage=self.storage, exclude=self.exclude, recover=self.recover)
 
+    def writer(self, path: Path | None, output: Target, workers: Workers | None = None) -> BagWriter:
+        """Return the writer of an output; parameters as of `open_writer`."""
+        return open_writer(
+            path, output.reader, overwrite=self.overwrite, compression=self.compression, level=self.level,
+            workers=workers, form=output.form,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Outcome:
@@ -208,29 +215,14 @@ def corrupt_bag(
 ) -> Outcome:
     """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
-    Parameters
-    ----------
-    source, target : Path or None
-        Bags; None is a pipe.
-    model : MotionModel
-        Noise and effects.
-    seed, run : int
-        Seed of all draws, and number of the run.
-    options : Options
-        What is moved.
-    container : Container
-        How bags are read and written.
-    watch : callable
-        Called with every block written.
-    path : PathSource, optional
-        Corrupted path, instead of the noisy path that the model draws.
-    metadata : mapping, optional
-        Further metadata for the output, besides model, seed, run and version.
-
-    Returns
-    -------
-    Outcome
-        What was moved, the drift, and what is odd.
+    source, target : bags; None is a pipe
+    model : noise and effects
+    seed, run : seed of all draws, and number of the run
+    options : what is moved
+    container : how bags are read and written
+    watch : called with every block written
+    path : corrupted path, instead of the noisy path that the model draws
+    metadata : further metadata for the output, besides model, seed, run and version
 
     Raises
     ------
@@ -253,15 +245,7 @@ def corrupt_bag(
         output = container.target(target, raw)
         reader = output.reader
         transform.odometry.prepare(reader, reader.name)
-        writer = open_writer(
-            target,
-            reader,
-            overwrite=container.overwrite,
-            compression=container.compression,
-            level=container.level,
-            workers=workers,
-            form=output.form,
-        )
+        writer = container.writer(target, output, workers)
         if is_identity and not adds and container.as_it_was and reader is raw and may_stay(source, reader, output.form):
             blocks = transform.blocks(reader, reader.name)
             write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
@@ -281,21 +265,10 @@ def corrupt_bag(
 def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, seed: int, run: int) -> Outcome:
     """Return the result of a transform that has read a bag to its end.
 
-    Parameters
-    ----------
-    transform : Transform
-        After its last block.
-    reader : BagReader
-        The bag that it read, still open.
-    model : MotionModel
-        Model to report.
-    seed, run : int
-        Seed of all draws, and number of the run.
-
-    Returns
-    -------
-    Outcome
-        What was moved, the drift, and what is odd.
+    transform : after its last block
+    reader : the bag that it read, still open
+    model : model to report
+    seed, run : seed of all draws, and number of the run
     """
     drift = transform.drift.result()
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry

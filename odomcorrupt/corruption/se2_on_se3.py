@@ -60,5 +60,4 @@ def _turned(quat_xyzw: Array, vector: Array) -> Array:
     axis, w = quat_xyzw[:, :3], quat_xyzw[:, 3:]
     length2 = (quat_xyzw * quat_xyzw).sum(axis=1, keepdims=True)
     once = np.cross(axis, vector)
-    turned: Array = vector + 2.0 * (w * once + np.cross(axis, once)) / length2
-    return turned
+    return vector + 2.0 * (w * once + np.cross(axis, once)) / length2

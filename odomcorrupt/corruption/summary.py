@@ -42,8 +42,6 @@ LOST_RAD = 1.0
 def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = ()) -> Summary:
     """Return the summary of a run: final drift, model, seed, moved topics, warnings.
 
-    Parameters
-    ----------
     outcome : result of the run
     origin : source of the model's numbers, in words
     target : the output; "-" is a pipe
@@ -251,19 +249,10 @@ def _rate(outcome: Outcome) -> list[str]:
 
 
 def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) -> list[str]:
-    """Return a warning where noise law and robot disagree about sideways motion.
+    """Return a warning, one sentence or none, where noise law and robot disagree about sideways motion.
 
-    Parameters
-    ----------
-    model : MotionModel
-        Its noise law may assume sideways motion.
-    sideways_m, distance_m : float
-        Lateral and total travel of the drive, metres.
-
-    Returns
-    -------
-    list of str
-        One sentence, or none.
+    model : its noise law may assume sideways motion
+    sideways_m, distance_m : lateral and total travel of the drive, metres
     """
     law = model.noise.law
     if law.along_travel and not model.noise.coefficients.noise_free and sideways_m < STRAIGHT * distance_m:
@@ -294,8 +283,6 @@ def oddities(outcome: Outcome) -> list[str]:
 def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -> list[str]:
     """Return warnings about static transforms, losses, and stamps and poses of the odometry that are out of order.
 
-    Parameters
-    ----------
     outcome : result of the run
     follow : what a static transform cannot follow
     restart : what happened where time jumped back

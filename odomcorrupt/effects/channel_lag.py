@@ -116,8 +116,7 @@ class ChannelLag(Effect):
         shifted = np.interp(
             time_s + self.tau, np.append(time_s, time_s[-1] + beyond_s), np.append(path, path[-1] + beyond_s * last)
         )
-        true: Array = np.divide(np.diff(shifted), dt_s, out=speed.copy(), where=dt_s > 0.0)
-        return true
+        return np.divide(np.diff(shifted), dt_s, out=speed.copy(), where=dt_s > 0.0)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
         """Return the increments (n, 3) with late channels filtered or delayed; the inverse is `restored`."""

@@ -58,15 +58,11 @@ def corrected_twist(
     draws of random effects are unknown and contribute nothing, except where the odometry itself shows them; clock
     effects are not corrected.
 
-    Parameters
-    ----------
     effects : any order
     motion : from `motion_of`
-    place_xyt : (n, 3)
-        True poses at the starts of the intervals, where known; otherwise the corrected poses, from the odometry's
-        start.
-    rough
-        Whether the odometry is rough, see `is_rough`.
+    place_xyt : (n, 3) true poses at the starts of the intervals, where known; otherwise the corrected poses, from the
+        odometry's start
+    rough : whether the odometry is rough, see `is_rough`
 
     Raises
     ------
@@ -173,8 +169,7 @@ def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:
             across[:, i] = np.maximum(across[:, i], np.abs(gain))
     each_other = np.sqrt(across * across.transpose(0, 2, 1)) * (1.0 - np.eye(3))
     acting = (each_other.sum(axis=2) - own).max(axis=1, keepdims=True)
-    stiff: Array = 1.0 + acting / np.maximum(motion.dt_s, TRAIL_S)[:, None]
-    return stiff
+    return 1.0 + acting / np.maximum(motion.dt_s, TRAIL_S)[:, None]
 
 
 def _sum_of(effects: Sequence[Effect], motion: Motion) -> Array:

@@ -72,5 +72,4 @@ class CountsLost(Effect):
 
     def _missed(self, u: Array) -> Array:
         """Return the uncounted speed (n,) at reported speeds."""
-        missed: Array = self.part * np.sign(u) * np.maximum(np.abs(u) - self.speed, 0.0)
-        return missed
+        return self.part * np.sign(u) * np.maximum(np.abs(u) - self.speed, 0.0)

@@ -34,7 +34,4 @@ def part_inside(motion: Motion, begin_s: float, end_s: float) -> Array:
     begin_s, end_s : seconds after the first odometry stamp
     """
     inside = np.minimum(motion.t_s, end_s) - np.maximum(motion.t_s - motion.dt_s, begin_s)
-    part: Array = np.divide(
-        np.maximum(inside, 0.0), motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0
-    )
-    return part
+    return np.divide(np.maximum(inside, 0.0), motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0)

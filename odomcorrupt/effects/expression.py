@@ -46,13 +46,11 @@ CONSTANTS = {"pi": np.pi}
 
 
 def _chosen(condition: Array, yes: Array, no: Array) -> Array:
-    chosen: Array = np.where(condition != 0.0, yes, no)
-    return chosen
+    return np.where(condition != 0.0, yes, no)
 
 
 def _sign(x: Array) -> Array:
-    sign: Array = np.where(np.abs(x) <= _ZERO_BELOW, 0.0, np.sign(x))
-    return sign
+    return np.where(np.abs(x) <= _ZERO_BELOW, 0.0, np.sign(x))
 
 
 def _folded(function: Callable[[Array, Array], Array], values: tuple[Array, ...]) -> Array:

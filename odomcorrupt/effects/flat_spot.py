@@ -124,8 +124,7 @@ class FlatSpot(Effect):
 
     def _lost(self, u: Array, way: Array) -> Array:
         """Return f of a wheel (n,) from its rim speeds and its travel (n + 1,)."""
-        lost: Array = -self.depth * u * self._at(0.5 * (way[1:] + way[:-1]))
-        return lost
+        return -self.depth * u * self._at(0.5 * (way[1:] + way[:-1]))
 
     def _at(self, way: Any) -> Any:
         """Return the fraction of `depth` that a wheel loses at its travel, scalar or array."""

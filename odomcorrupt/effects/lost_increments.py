@@ -303,5 +303,4 @@ def _around(way: Array) -> Array:
     """Return the mean (n - 1,) of the increments around each pair of neighbours, excluding the pair."""
     padded = np.concatenate((np.full(_NEIGHBOURS, way[0]), way, np.full(_NEIGHBOURS, way[-1])))
     total = np.convolve(padded, np.ones(2 * _NEIGHBOURS + 2), "valid")
-    around: Array = (total[: len(way) - 1] - way[:-1] - way[1:]) / (2.0 * _NEIGHBOURS)
-    return around
+    return (total[: len(way) - 1] - way[:-1] - way[1:]) / (2.0 * _NEIGHBOURS)

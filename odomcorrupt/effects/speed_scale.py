@@ -49,5 +49,4 @@ class SpeedScale(Effect):
 
     def _scale(self, u: Array) -> Array:
         """Return the relative change (n,) of the radius at rim speeds u (n,)."""
-        scale: Array = self.k * (np.abs(u) if self.power == "linear" else u**2)
-        return scale
+        return self.k * (np.abs(u) if self.power == "linear" else u**2)

@@ -61,8 +61,7 @@ def steepness(v: Array, omega: Array, axles_m: float) -> Array:
     axles_m : distance between the axles
     """
     tangent = np.divide(axles_m * np.abs(omega), np.abs(v), out=np.zeros_like(v), where=np.abs(v) > CREEP_MPS)
-    steep: Array = np.minimum(tangent, 1.0)
-    return steep
+    return np.minimum(tangent, 1.0)
 
 
 def steered(curvature: Array, axles_m: float) -> Array:

@@ -65,5 +65,4 @@ class SteeringScale(Effect):
     def _steep(self, motion: Motion) -> Array:
         """Return the factor (n,) delta (1 + tan^2 delta) / tan delta; 1 at small angles."""
         tangent = np.maximum(steepness(motion.v, motion.omega, self.axles), _SMALL)
-        steep: Array = np.arctan(tangent) * (1.0 + tangent**2) / tangent
-        return steep
+        return np.arctan(tangent) * (1.0 + tangent**2) / tangent

@@ -148,5 +148,4 @@ def _mean_around(speed: Array, dt_s: Array) -> Array:
     travel = np.concatenate(([0.0], np.cumsum(speed * dt_s)))
     middle_s = (ends_s[:-1] + ends_s[1:]) / 2.0
     first, last = (np.clip(middle_s + side * _NEAR_S / 2.0, 0.0, ends_s[-1]) for side in (-1.0, 1.0))
-    mean: Array = (np.interp(last, ends_s, travel) - np.interp(first, ends_s, travel)) / np.maximum(last - first, 1e-9)
-    return mean
+    return (np.interp(last, ends_s, travel) - np.interp(first, ends_s, travel)) / np.maximum(last - first, 1e-9)

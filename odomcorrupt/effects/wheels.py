@@ -106,8 +106,7 @@ def error_of_each_wheel(error: Callable[[Array], Array], motion: Motion, track_m
 def driven_speeds(motions: Sequence[Motion]) -> Array:
     """Return the absolute forward speeds (n,) of recordings while the robot moves, m/s."""
     speeds = np.abs(np.concatenate([m.v for m in motions]))
-    moving: Array = speeds[speeds > _STILL_MPS]
-    return moving
+    return speeds[speeds > _STILL_MPS]
 
 
 def wheel_motions(motion: Motion, track_m: float) -> tuple[Motion, Motion]:

@@ -127,8 +127,6 @@ class LineFits:
     windows, because over an hour they would lose a thousandth of a speed. If a window has fewer than two samples, the
     nearest ones on both sides are used.
 
-    Parameters
-    ----------
     t_s : (n,) times of the samples, seconds
     at_s : (m,) centres of the windows, seconds
     width_s : width of the windows
@@ -190,23 +188,19 @@ class _Block(NamedTuple):
     @property
     def since_s(self) -> Array:
         """Times of the samples since the first one, seconds."""
-        since: Array = self.t_s - self.t_s[0]
-        return since
+        return self.t_s - self.t_s[0]
 
     def sums(self, values: Array) -> Array:
         """Return the sums (c, windows) of values (c, samples) over each window."""
         running = np.empty((len(values), values.shape[1] + 1))
         running[:, 0] = 0.0
         values.cumsum(axis=1, out=running[:, 1:])
-        summed: Array = running.take(self.last, axis=1) - running.take(self.first, axis=1)
-        return summed
+        return running.take(self.last, axis=1) - running.take(self.first, axis=1)
 
 
 class LocalSlopes:
     """Smooth twists and accelerations of paths with the same stamps, from line fits in windows around given times.
 
-    Parameters
-    ----------
     t_s : (n,) stamps of the poses, seconds
     at_s : (m,) centres of the windows, seconds
     width_s : width of the windows

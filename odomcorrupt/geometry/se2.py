@@ -60,12 +60,8 @@ def between(a_xyt: Array, b_xyt: Array) -> Array:
 def interpolate(start_xyt: Array, end_xyt: Array, fraction: Array) -> Array:
     """Return poses (n, 3) on the constant-twist arcs from start to end (interpolation by the SE(2) logarithm).
 
-    Parameters
-    ----------
-    start_xyt, end_xyt : (n, 3)
-        Poses at the ends, metres and radians; the smaller heading difference is used.
-    fraction : (n,)
-        0 at the start, 1 at the end.
+    start_xyt, end_xyt : (n, 3) poses at the ends, metres and radians; the smaller heading difference is used
+    fraction : (n,) 0 at the start, 1 at the end
     """
     step = between(start_xyt, end_xyt)
     turn = wrap(step[..., 2])
@@ -83,5 +79,4 @@ def yaw_from_quaternion(quat_xyzw: Array) -> Array:
     Yaw of the z-y-x Euler angles: direction of the body's x axis in the horizontal plane.
     """
     x, y, z, w = np.moveaxis(quat_xyzw, -1, 0)
-    yaw: Array = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    return yaw
+    return np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

@@ -83,8 +83,7 @@ class FrameTree:
         shared = next((name for name in up_other if name in up_frame), None)
         if shared is None:
             return None
-        whole: Array = np.linalg.inv(up_frame[shared]) @ up_other[shared]
-        return whole
+        return np.linalg.inv(up_frame[shared]) @ up_other[shared]
 
     def _ancestors(self, frame: str) -> dict[str, Array]:
         """Return the ancestors of a frame, the nearest first, with the pose (4, 4) of the frame in each."""

@@ -38,8 +38,7 @@ class FreeSpace:
 
     def free(self, xy: Array) -> NDArray[np.bool_]:
         """Return whether the robot can be at positions (n, 2) in the odom frame."""
-        out: NDArray[np.bool_] = self.grid.look_up(self.blocked, self._in_map(xy), self.outside) == 0
-        return out
+        return self.grid.look_up(self.blocked, self._in_map(xy), self.outside) == 0
 
     def reachable(self, from_xy: Array, to_xy: Array) -> NDArray[np.bool_]:
         """Return whether the straight path to each position (n, 2) is free, both ends included.
@@ -60,8 +59,7 @@ class FreeSpace:
 
     def _in_map(self, xy: Array) -> Array:
         turn = np.full(xy.shape[:-1], self.map_from_odom[2])
-        out: Array = rotate(xy, turn) + self.map_from_odom[:2]
-        return out
+        return rotate(xy, turn) + self.map_from_odom[:2]
 
 
 @dataclass(frozen=True, slots=True)

@@ -143,26 +143,16 @@ def read_condition(
 ) -> MapCondition:
     """Return the condition of a map: its free space for a robot, placed in the odom frame.
 
-    Parameters
-    ----------
-    name : str
-        A map's .yaml file, or a topic of the bag.
-    bag : Path, optional
-        Source of the topic, and of the pose of odom in the map.
-    odom_frame : str
-        Frame of the odometry.
-    map_pose : (3,), optional
-        Pose of the odom frame in the map, metres and radians; by default from TF in the bag, or zero without a bag.
-    radius_m : float
-        Radius of the robot, metres.
-    unknown : {"blocked", "free"}
-        Whether the robot may be in unknown cells.
-    check : {"endpoint", "path"}
-        Whether only the end of a motion must be free, or all of it.
-    tries : int
-        Largest number of draws per motion.
-    recover : bool
-        Whether to read the undamaged part of a damaged bag.
+    name : a map's .yaml file, or a topic of the bag
+    bag : source of the topic, and of the pose of odom in the map
+    odom_frame : frame of the odometry
+    map_pose : (3,) pose of the odom frame in the map, metres and radians; by default from TF in the bag, or zero
+        without a bag
+    radius_m : radius of the robot, metres
+    unknown : "free" if the robot may be in unknown cells, else "blocked"
+    check : whether only the end of a motion must be free, "endpoint", or all of it, "path"
+    tries : largest number of draws per motion
+    recover : whether to read the undamaged part of a damaged bag
 
     Raises
     ------

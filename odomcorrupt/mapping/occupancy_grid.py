@@ -44,8 +44,7 @@ class Grid:
 
     def places(self, xy: Array) -> Array:
         """Return positions (..., 2) in metres as column and row (..., 2) in cells, not rounded."""
-        out: Array = rotate(xy - self.origin_xyt[:2], -np.full(xy.shape[:-1], self.origin_xyt[2])) / self.resolution_m
-        return out
+        return rotate(xy - self.origin_xyt[:2], -np.full(xy.shape[:-1], self.origin_xyt[2])) / self.resolution_m
 
     def states(self, xy: Array) -> NDArray[np.uint8]:
         """Return the state of the cells at positions (n, 2); UNKNOWN outside the map."""

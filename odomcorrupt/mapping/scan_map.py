@@ -145,8 +145,7 @@ _FLAT = 0.1
 
 def added_thickness(clean_m: Array, noisy_m: Array) -> Array:
     """Return the increase of wall thickness by noise (k,), metres, as the root of the difference of the variances."""
-    out: Array = np.sqrt(np.maximum(noisy_m**2 - clean_m**2, 0.0))
-    return out
+    return np.sqrt(np.maximum(noisy_m**2 - clean_m**2, 0.0))
 
 
 def wall_thickness(points_xy: Array, *, cell_m: float = _CELL_M) -> float:
@@ -174,14 +173,12 @@ def distance_to_surface(clean_xy: Array, noisy_xy: Array) -> Array:
     along = 0.5 * np.arctan2(2.0 * xy, xx - yy)
     shift = noisy_xy - clean_xy
     across = np.abs(-np.sin(along) * shift[:, 0] + np.cos(along) * shift[:, 1])
-    out: Array = np.where(smaller < _FLAT * (xx + yy - smaller), across, np.nan)
-    return out
+    return np.where(smaller < _FLAT * (xx + yy - smaller), across, np.nan)
 
 
 def _smaller(xx: Array, xy: Array, yy: Array) -> Array:
     """Return the smaller eigenvalue (n,) of covariances."""
-    out: Array = (xx + yy) / 2.0 - np.sqrt(((xx - yy) / 2.0) ** 2 + xy**2)
-    return out
+    return (xx + yy) / 2.0 - np.sqrt(((xx - yy) / 2.0) ** 2 + xy**2)
 
 
 def _covariances(points_xy: Array, cell_m: float) -> tuple[Array, Array, Array]:
@@ -216,13 +213,12 @@ class _Windows:
         cells = np.bincount(flat, weights, minlength=self._shape[0] * self._shape[1]).reshape(self._shape)
         table = np.zeros((self._shape[0] + 1, self._shape[1] + 1))
         np.cumsum(np.cumsum(cells, axis=0), axis=1, out=table[1:, 1:])
-        out: Array = (
+        return (
             table[self._top, self._right]
             - table[self._bottom, self._right]
             - table[self._top, self._left]
             + table[self._bottom, self._left]
         )
-        return out
 
 
 @dataclass(frozen=True, slots=True)

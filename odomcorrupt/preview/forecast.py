@@ -182,8 +182,6 @@ def _changes_at_half_rate(outlook: Forecast) -> bool:
 def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, following: Sequence[object] = ()) -> Summary:
     """Return a short summary: drift at the end and on the way, model, dependence on the message rate.
 
-    Parameters
-    ----------
     outlook, model : the forecast, and its model
     origin : source of the model's numbers, in words
     seed : seed of the runs

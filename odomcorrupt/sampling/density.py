@@ -204,8 +204,7 @@ def _factors(errors: _Errors, variances: Array) -> Array:
 
 
 def _normal(x: Array, variance: Array) -> Array:
-    out: Array = np.exp(-0.5 * x**2 / variance) / np.sqrt(2.0 * np.pi * variance)
-    return out
+    return np.exp(-0.5 * x**2 / variance) / np.sqrt(2.0 * np.pi * variance)
 
 
 def _checked(variances: Variances) -> Array:

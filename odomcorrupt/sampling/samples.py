@@ -123,8 +123,7 @@ def move_sampled(move: Move, variances: Variances, count: int, rng: np.random.Ge
 def deviations(variances: Variances) -> Array:
     """Return standard deviations (4,) of rot1, trans, across and rot2."""
     v = variances
-    out: Array = np.sqrt(np.concatenate((v.rot1, v.trans, v.across, v.rot2)))
-    return out
+    return np.sqrt(np.concatenate((v.rot1, v.trans, v.across, v.rot2)))
 
 
 def with_noise(move: Move, noise: Array) -> Array:

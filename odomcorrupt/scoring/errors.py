@@ -95,8 +95,7 @@ class PathErrors:
     @property
     def position_m(self) -> Array:
         """Position error (n,), metres."""
-        errors: Array = np.linalg.norm(self.estimate_xyt[:, :2] - self.truth_xyt[:, :2], axis=1)
-        return errors
+        return np.linalg.norm(self.estimate_xyt[:, :2] - self.truth_xyt[:, :2], axis=1)
 
     @property
     def heading_rad(self) -> Array:
@@ -138,8 +137,7 @@ class PathErrors:
         """Return the indices (k,) of estimates that jumped: by at least `jump_m` against the truth, within 1 s."""
         off = self.estimate_xyt[:, :2] - self.truth_xyt[:, :2]
         moved = np.linalg.norm(np.diff(off, axis=0), axis=1)
-        found: NDArray[np.int64] = np.flatnonzero((moved >= limits.jump_m) & (np.diff(self.t_s) <= 1.0)) + 1
-        return found
+        return np.flatnonzero((moved >= limits.jump_m) & (np.diff(self.t_s) <= 1.0)) + 1
 
 
 def path_errors(
@@ -147,15 +145,10 @@ def path_errors(
 ) -> PathErrors:
     """Return the errors of an estimate at its stamps within the truth's period.
 
-    Parameters
-    ----------
-    estimate, truth
-        Headings may be NaN, if only positions were recorded.
-    align
-        "rigid": rotated and translated for the smallest distance of positions; "origin": first poses made equal;
-        "none": as recorded, both in one frame.
-    covariance : (n, 3, 3)
-        Covariance of x, y (metres) and heading (radians) in the estimate's frame.
+    estimate, truth : headings may be NaN, if only positions were recorded
+    align : "rigid": rotated and translated for the smallest distance of positions; "origin": first poses made equal;
+        "none": as recorded, both in one frame
+    covariance : (n, 3, 3) covariance of x, y (metres) and heading (radians) in the estimate's frame
 
     Raises
     ------
@@ -206,8 +199,7 @@ def _windows(true: Array, own: Array, t_s: Array) -> Array:
     ends = np.array(cuts)
     moved = between(true[ends[:-1]], true[ends[1:]])
     error = compose(inverse(moved), between(own[ends[:-1]], own[ends[1:]]))
-    lengths: Array = np.hypot(error[:, 0], error[:, 1])
-    return lengths
+    return np.hypot(error[:, 0], error[:, 1])
 
 
 def _nees(true: Array, own: Array, covariance: Array, turned_rad: float) -> tuple[Array, float]:

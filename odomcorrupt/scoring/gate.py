@@ -134,14 +134,9 @@ def parse_rule(text: str) -> Rule:
 def compare_paired(old: Array, new: Array, *, rise: float = 0.2, statistic: str = "median") -> Comparison:
     """Return the factor by which an error has changed between two versions, and whether that is a forbidden rise.
 
-    Parameters
-    ----------
-    old, new : (n,)
-        Errors of the same runs, above zero.
-    rise
-        Rise to detect: 0.2 is 20 %.
-    statistic
-        "mean", "median", "p90", "p95" or "max" over runs.
+    old, new : (n,) errors of the same runs, above zero
+    rise : rise to detect: 0.2 is 20 %
+    statistic : "mean", "median", "p90", "p95" or "max" over runs
 
     Raises
     ------
@@ -223,12 +218,8 @@ def _swap_test(both: Array, statistic: Callable[[Array], Array], observed: float
 def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str, Any] | None = None) -> list[Verdict]:
     """Return a verdict for each rule.
 
-    Parameters
-    ----------
-    report, baseline
-        Scores as JSON (from `report.json.score.score_json` or `odomcorrupt score --json`).
-    rules
-        In the syntax of `parse_rule`.
+    report, baseline : scores as JSON (from `report.json.score.score_json` or `odomcorrupt score --json`)
+    rules : in the syntax of `parse_rule`
 
     Raises
     ------

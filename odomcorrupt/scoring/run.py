@@ -18,6 +18,7 @@ from odomcorrupt.scoring.statistics import Breakdown, Growth, Section, Summary, 
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from os import PathLike
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
@@ -101,13 +102,6 @@ class ScoreReport:
     clean_xy: Array
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        """Return a one-line description."""
-        lost = sum(self.failed(run) for run in self.runs)
-        return (
-            f"ScoreReport({len(self.runs)} runs, {lost} failed, median ATE {self.summary('ate_m').median.value:.3g} m)"
-        )
-
     def failed(self, run: RunScore) -> bool:
         """Return whether a run counts as a failure: lost, or without a complete output if `count_missing`."""
         return run.lost or (self.count_missing and not run.scored)
@@ -155,51 +149,13 @@ def score(
     estimate: str | None = None,
     *,
     truth: str | None = None,
-    truth_file: Path | str | None = None,
-    outputs: Path | str | None = None,
+    truth_bag: str | PathLike[str] | None = None,
+    outputs: str | PathLike[str] | None = None,
     align: Alignment = "rigid",
     limits: Limits | None = None,
     count_missing: bool = False,
 ) -> ScoreReport:
-    """Return the errors of estimates of a batch's runs.
-
-    Parameters
-    ----------
-    runs
-        Directory of a batch, or of a sweep with several batches, combined in one report.
-    estimate
-        Topic, or edge of TF such as "/tf:map.base_link", in the bags with the estimates; None for text files.
-    truth
-        Topic or edge of TF of the truth: in the batch's input, else in the run or in the bag with the estimate. None:
-        the odometry before corruption (`clean.tum` of the batch), i.e. the truth of a simulation.
-    truth_file
-        Bag, TUM or CSV file with the truth, if it is a separate one.
-    outputs
-        Directory with the estimates, see `estimates.find_estimate`; None: beside the runs. For a sweep, it contains a
-        directory for each point.
-    align
-        See `errors.path_errors`.
-    limits
-        Limits of loss, jumps and coverage.
-    count_missing
-        Whether runs without a complete output are failures.
-
-    Returns
-    -------
-    ScoreReport
-        Errors of each run, and their quantiles over the runs.
-
-    Raises
-    ------
-    ScoreError
-        If there is no batch, or no run has an estimate.
-
-    Examples
-    --------
-    >>> from odomcorrupt.scoring import score
-    >>> report = score("runs", "/amcl_pose", truth="/ground_truth")  # doctest: +SKIP
-    >>> report.summary("ate_m").p90.value  # doctest: +SKIP
-    """
+    """Return the errors of estimates of a batch's runs; parameters and errors are those of `odomcorrupt.score`."""
     limits = limits or Limits()
     roots = [Path(runs)] if isinstance(runs, str | Path) else [Path(one) for one in runs]
     places = [place for root in roots for place in _batches(root)]
@@ -212,7 +168,7 @@ def score(
         records = read_records(directory)
         if not records:
             raise ScoreError(f"{directory}: the batch has no runs yet; make them with odomcorrupt batch")
-        source = _Truth(directory, truth, None if truth_file is None else Path(truth_file))
+        source = _Truth(directory, truth, None if truth_bag is None else Path(truth_bag))
         for number, record in records.items():
             name = f"{label}/run_{number:06d}" if label else f"run_{number:06d}"
             blank = RunScore(name, int(record["seed"]), number, "missing", **_put_in(record))

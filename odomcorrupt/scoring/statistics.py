@@ -160,8 +160,7 @@ def _profile(x: Array, lost: NDArray[np.bool_], grid: Array) -> _Profile:
 def _log_likelihood(x: Array, lost: NDArray[np.bool_], grid: Array, slope: float) -> Array:
     """Return log likelihoods (k,) of runs (n,) for break-down points (k,) and one slope."""
     z = _LOST_LOGIT + slope * (x[None, :] - grid[:, None])
-    total: Array = -np.logaddexp(0.0, np.where(lost, -z, z)).sum(axis=1)
-    return total
+    return -np.logaddexp(0.0, np.where(lost, -z, z)).sum(axis=1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -114,18 +114,11 @@ def write_mcap(
 ) -> None:
     """Write a run as one MCAP file with zstd chunks, in order of the stamps (which are also the log times).
 
-    Parameters
-    ----------
-    run : SimulatedRun
-        The recording; its ground-truth fault is not written.
-    target : str, Path or binary stream
-        The output file.
-    odom_topic, truth_topic : str
-        Topics of the Odometry (odom to base_link) and of the PoseStamped (in world).
-    tf : bool
-        Whether /tf repeats the odometry as odom to base_link.
-    metadata : mapping of str, optional
-        Content of the metadata record ``simulate``.
+    run : the recording; its ground-truth fault is not written
+    target : the output file
+    odom_topic, truth_topic : topics of the Odometry (odom to base_link) and of the PoseStamped (in world)
+    tf : whether /tf repeats the odometry as odom to base_link
+    metadata : content of the metadata record ``simulate``
     """
     if isinstance(target, str | Path):
         with Path(target).open("wb") as file:

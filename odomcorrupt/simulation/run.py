@@ -160,16 +160,10 @@ def simulate(
 
     Every layer has its own random stream, so runs that differ only in `cause` share robot, drive and noise.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the drive and all noise.
-    cause : str, sequence of str, or None
-        Keys of `CAUSES` or `OUTSIDE`; None for a robot without faults.
-    scenario : Scenario, optional
-        Drive, tracker and size of the fault.
-    **changes
-        Fields of the scenario that differ.
+    seed : seed of the drive and all noise
+    cause : keys of `CAUSES` or `OUTSIDE`; None for a robot without faults
+    scenario : drive, tracker and size of the fault
+    **changes : fields of the scenario that differ
     """
     what = replace(scenario or Scenario(), **changes)
     tracker = TRACKERS[what.truth] if isinstance(what.truth, str) else what.truth

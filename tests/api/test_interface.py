@@ -118,7 +118,7 @@ def test_corrupting_again_is_said(tmp_path, capsys):
     assert [one["seed"] for one in json.loads(capsys.readouterr().out)["provenance"]] == ["7", "8"]
 
 
-@pytest.mark.parametrize("module", ["batch", "corruption", "model", "motion", "simulation"])
+@pytest.mark.parametrize("module", ["batch", "corruption", "model", "motion", "score", "simulation"])
 def test_the_examples_of_docstrings_run(module, tmp_path, monkeypatch):
     (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
     monkeypatch.chdir(tmp_path)

@@ -50,13 +50,13 @@ def test_a_retyped_topic_keeps_its_publisher_and_takes_the_bags_own_definition()
     with open_reader(OFFICE_MCAP) as reader:
         topics = {channel.topic: channel for channel in reader.channels.values()}
         like = reader.definition(topics["/tf_static"])
-        made = retyped(reader, "nav_msgs/msg/Odometry", "cdr", like)
+        made = retyped(reader, "nav_msgs/msg/Odometry", topics["/tf_static"])
         odom = reader.definition(topics["/odom"])
         assert made[:3] == odom[:3]
         assert made.metadata["offered_qos_profiles"] == like.metadata["offered_qos_profiles"]
         assert made.metadata["topic_type_hash"] == odom.metadata["topic_type_hash"]
         with pytest.raises(BagError, match="office_msgs/msg/Window"):
-            retyped(reader, "office_msgs/msg/Window", "cdr", like)
+            retyped(reader, "office_msgs/msg/Window", topics["/tf_static"])
 
 
 def test_a_type_that_is_unknown_stays_without_text():

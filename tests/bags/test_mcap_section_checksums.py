@@ -64,7 +64,7 @@ def test_every_byte_of_data_outside_of_chunks_is_covered(bag, piped, tmp_path):
 def test_what_only_the_checksum_of_all_tells_is_reported_with_the_way_out(bag, piped, tmp_path):
     path = None if piped else tmp_path / "in.mcap"
     harmed = flipped(bag, bag.index(b"floor"))
-    with pytest.raises(BagError, match=f"{DATA}: outside of its chunks the bag is damaged; --recover saves"):
+    with pytest.raises(BagError, match=f"{DATA}: outside of its chunks the bag is damaged; recover=True saves"):
         read(harmed, path=path)
     found, losses = read(harmed, recover=True, path=path)
     assert found == read(bag)[0] != []
@@ -80,7 +80,7 @@ def test_the_summary_has_a_checksum_of_its_own(bag, piped, tmp_path):
         with pytest.raises(BagError):
             read(flipped(bag, at), path=path)
     harmed = flipped(bag, bag.rindex(b"office"))
-    with pytest.raises(BagError, match=f"{SUMMARY}: .*--recover saves"):
+    with pytest.raises(BagError, match=f"{SUMMARY}: .*recover=True saves"):
         read(harmed, path=path)
     found, losses = read(harmed, recover=True, path=path)
     assert found == read(bag)[0]

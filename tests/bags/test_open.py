@@ -69,7 +69,7 @@ def test_a_missing_file_is_a_bag_error(tmp_path):
 def test_an_existing_output_is_refused_before_anything_is_read(tmp_path):
     target = tmp_path / "out.mcap"
     target.write_bytes(b"precious")
-    with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="--overwrite"):
+    with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="overwrite=True"):
         open_writer(target, reader)
     assert target.read_bytes() == b"precious"
     copy(OFFICE_MCAP, target, overwrite=True)

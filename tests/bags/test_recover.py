@@ -135,7 +135,7 @@ def test_a_damaged_sqlite3_keeps_the_rows_of_its_whole_pages(directory, harm, le
     else:
         source.write_bytes(data)
     if harm != "nothing":
-        with pytest.raises(BagError, match="--recover saves the intact part"):
+        with pytest.raises(BagError, match="recover=True saves the intact part"):
             copy(source, tmp_path / f"no{source.suffix}")
     out = tmp_path / f"out{source.suffix}"
     losses = recover(source, out)

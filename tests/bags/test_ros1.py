@@ -273,7 +273,7 @@ def test_an_unindexed_bag_is_named_so_with_the_way_out(office, tmp_path):
     fields = dict(changed[0][0], index_pos=bytes(8))
     source = tmp_path / "in.bag"
     source.write_bytes(b"#ROSBAG V2.0\n" + packed(fields, changed[0][2]))
-    with pytest.raises(BagError, match=r"not indexed.*--recover"):
+    with pytest.raises(BagError, match=r"not indexed.*recover=True"):
         open_reader(source)
 
 
@@ -317,5 +317,5 @@ def test_recordings_of_others_go_through(path, tmp_path):
 
 @pytest.mark.recordings
 def test_the_unindexed_recording_is_refused():
-    with pytest.raises(BagError, match=r"not indexed.*--recover"):
+    with pytest.raises(BagError, match=r"not indexed.*recover=True"):
         open_reader(RECORDINGS / "bags" / "malformed" / "unindexed.bag")

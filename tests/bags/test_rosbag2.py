@@ -338,7 +338,7 @@ def test_a_failure_leaves_nothing_and_what_was_there_before(bag, tmp_path, failu
 def test_only_a_bag_is_ever_replaced_by_a_bag(tmp_path):
     out = tmp_path / "out"
     copy(OFFICE, out, shift)
-    with open_reader(OFFICE) as reader, pytest.raises(BagError, match="--overwrite"):
+    with open_reader(OFFICE) as reader, pytest.raises(BagError, match="overwrite=True"):
         open_writer(out, reader)
     copy(OFFICE, out, overwrite=True)
     assert ros2_messages(out) == ros2_messages(OFFICE)

@@ -65,7 +65,7 @@ def test_arrays_are_writable_and_their_own(tmp_path):
 def test_a_claim_beyond_the_end_is_an_error_that_names_it(tmp_path, claim, way):
     for source in sources(tmp_path):
         source.read(4, "begin")
-        with pytest.raises(BagError, match=r"the thing at byte .*--recover"):
+        with pytest.raises(BagError, match=r"the thing at byte .*recover=True"):
             getattr(source, way)(claim, "the thing")
         source.close()
 

@@ -174,7 +174,7 @@ def test_a_bag_of_transforms_alone_drifts_like_its_odometry_would(turned, comple
 
 def test_a_bag_of_transforms_alone_needs_its_frames_and_an_edge_between_them():
     alone = [(TF, int(s), transforms((s, "odom", "base_link", p))) for s, p in zip(*DRIVE, strict=True)]
-    with pytest.raises(TopicError, match="to corrupt TF alone, name its edge with --odom-frame and --base-frame"):
+    with pytest.raises(TopicError, match="to corrupt TF alone, name its edge with odom_frame and base_frame"):
         run(alone, channels={TF.id: TF})
     with pytest.raises(
         TopicError, match=r"TF odom -> wheel has no message with a pose \(TF has odom -> base_link\); name one"

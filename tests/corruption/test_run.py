@@ -195,7 +195,7 @@ def test_where_no_edge_is_moved_the_summary_names_those_there_are(tmp_path):
 
 
 def test_a_frame_that_is_nowhere_is_refused(tmp_path):
-    with pytest.raises(TopicError, match="--odom-frame nope: no odometry message and no transform has this frame"):
+    with pytest.raises(TopicError, match="odom_frame nope: no odometry message and no transform has this frame"):
         corrupt_bag(
             FIXTURES / "office.mcap", tmp_path / "out.mcap", model(), seed=3, run=0,
             options=Options(odom_frame="nope"), container=Container(),

@@ -365,7 +365,7 @@ def test_poses_that_are_not_numbers_are_passed_by_and_counted():
     [
         ({IMU.id: IMU}, {}, r"test.mcap: no nav_msgs/Odometry topic \(found /imu\)"),
         ({}, {}, "found no topic at all"),
-        (MORE, {}, r"3 nav_msgs/Odometry topics \(/filtered, /odom, /truth\).*--odom-topic"),
+        (MORE, {}, r"3 nav_msgs/Odometry topics \(/filtered, /odom, /truth\).*odom_topic"),
         (MORE, {"odom_topic": "/odometry"}, "no topic /odometry .nav_msgs/Odometry is on /filtered, /odom, /truth"),
         (MORE, {"odom_topic": "imu"}, "imu is sensor_msgs/msg/Imu in cdr"),
         (CHANNELS | {9: Channel(9, "/odom2", "nav_msgs/msg/Odometry", "json")}, {"odom_topic": "odom2"}, "in json"),
@@ -378,7 +378,7 @@ def test_what_cannot_drive_the_model_is_said_with_the_way_out(channels, options,
 
 
 def test_a_pipe_needs_to_be_given_the_topic_and_says_so():
-    with pytest.raises(TopicError, match=r"on a pipe.*--odom-topic"):
+    with pytest.raises(TopicError, match=r"on a pipe.*odom_topic"):
         run(robot(*DRIVE), complete=False)
     with pytest.raises(TopicError, match="no topic /elsewhere"):
         run(robot(*DRIVE), complete=False, odom_topic="/elsewhere")
@@ -389,7 +389,7 @@ def test_odometry_outside_an_odom_frame_needs_the_frame_named(frame):
     t, poses = DRIVE
     messages = [(ODOM, int(s), odometry(s, p, frame=frame)) for s, p in zip(t, poses, strict=True)]
     messages += [(TF, int(s), transforms((s, "odom", "base_link", p))) for s, p in zip(t, poses, strict=True)]
-    with pytest.raises(TopicError, match="--odom-frame"):
+    with pytest.raises(TopicError, match="odom_frame"):
         run(by_time(messages))
     out, _ = run(by_time(messages), odom_frame="odom")
     assert_same_poses(poses_of(out, TF, ("odom", "base_link"))[1], poses_of(out)[1], 1e-12)

@@ -1,4 +1,4 @@
-"""The Python reference has every public name, and their docstrings say what goes in and what comes out."""
+"""Docstrings of the public names say what goes in and what comes out."""
 
 import inspect
 import re
@@ -12,7 +12,6 @@ from odomcorrupt.api.bag_options import BagOptions
 from odomcorrupt.api.findings import Findings
 from odomcorrupt.api.result import Result
 
-PAGE = (Path(__file__).parents[2] / "docs/api-reference.md").read_text()
 PUBLIC = [name for name in odomcorrupt.__all__ if name != "__version__"]
 
 
@@ -30,11 +29,6 @@ def functions():
 
 
 FUNCTIONS = dict(functions())
-
-
-@pytest.mark.parametrize("name", PUBLIC)
-def test_every_public_name_is_in_the_reference(name):
-    assert f"::: odomcorrupt.{name}\n" in PAGE
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

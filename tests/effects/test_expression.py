@@ -100,7 +100,7 @@ def both_without_yaw(f):
 
 def test_wheels_need_a_track_and_only_they_have_a_word_for_the_heading():
     bare = motion(np.linspace(-0.5, 0.7, 50), np.linspace(-1.0, 1.0, 50))
-    with pytest.raises(EffectError, match="give it in metres with --track"):
+    with pytest.raises(EffectError, match="give it in metres with track_m"):
         error_of(user_effect("mine", "left += k * v", {"k": 0.1}), bare)
     with pytest.raises(EffectError, match="heading applies to statements that add to left, right, wheels"):
         user_effect("mine", "yaw += k * v", {"k": 0.1}, words={"heading": "gyro"})

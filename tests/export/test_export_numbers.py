@@ -66,7 +66,7 @@ def test_a_controller_with_these_multipliers_computes_the_corrected_path(effects
 
 def test_unequal_wheels_need_a_track_and_the_others_do_not():
     bent = robot(("unequal_wheels", {"curvature": 0.02}), track_m=None)
-    with pytest.raises(ModelError, match="--track"):
+    with pytest.raises(ModelError, match="track_m"):
         wheel_multipliers(bent)
     assert wheel_multipliers(bent, 0.4).right_radius == pytest.approx(1.004)
     assert wheel_multipliers(bent, 0.4).left_radius == pytest.approx(0.996)

@@ -174,7 +174,7 @@ class ReaderFuzz:
             try:
                 saved = _read(harmed, recover=True)
             except OdomCorruptError as error:
-                if "--recover" in str(error):
+                if "--recover" in error.message:
                     raise FoundError(f"advises what was given: {error}") from error
                 saved = None
             # behind the index of a ROS 1 bag recovery may find more; what cannot be decoded is counted, and left out

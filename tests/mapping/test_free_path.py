@@ -110,7 +110,7 @@ def test_odometry_that_is_not_free_itself_is_refused():
     space = free_space(room((2.0, -0.5, 4.0, 0.5)), 0.0)
     share = 1.0 - np.mean(space.free(xyt[:, :2]))
     assert share > 0.25
-    with pytest.raises(MapError, match=f"{share:.0%} of the odometry's own poses are not free; check --map-pose"):
+    with pytest.raises(MapError, match=f"{share:.0%} of the odometry's own poses are not free; check map_pose"):
         whole_path(stamps, xyt, MODEL, Constraint(space), 1)
 
 

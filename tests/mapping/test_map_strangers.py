@@ -39,7 +39,7 @@ def bag(path, *topics):
     [
         ([("/map", GRID, [])], None, r"no sensor_msgs/LaserScan topic \(found /map\)"),
         ([], None, "no topic at all"),
-        ([("/front", SCAN, []), ("/back", SCAN, [])], None, "/back, /front; name one with --scan"),
+        ([("/front", SCAN, []), ("/back", SCAN, [])], None, "/back, /front; name one with scan"),
         ([("/front", SCAN, [])], "/scan", r"no sensor_msgs/LaserScan on /scan \(found /front\)"),
         ([("/map", GRID, [])], "/map", r"\(found none\)"),
     ],

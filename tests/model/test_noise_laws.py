@@ -120,7 +120,7 @@ def test_steps_are_read_written_and_refused_where_they_mean_nothing():
     for bad in ("0.25", "0m,0.2rad", "0.25m,-1rad", "1m,1m"):
         with pytest.raises(ModelError):
             Step.parse(bad)
-    with pytest.raises(ModelError, match="leave --step out"):
+    with pytest.raises(ModelError, match="leave step out"):
         Noise("diffusion", K, Step(0.25, 0.2))
 
 

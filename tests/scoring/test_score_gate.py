@@ -113,7 +113,7 @@ def test_a_rule_that_is_none_is_refused_with_an_example(rule, said):
 
 def test_what_cannot_be_compared_is_said():
     values = np.ones(40)
-    with pytest.raises(ScoreError, match="--baseline"):
+    with pytest.raises(ScoreError, match="name it with baseline"):
         check(result(values), ["ate_p90 +20%"])
     with pytest.raises(ScoreError, match="no run in common"):
         check(result(values), ["ate_p90 +20%"], result(values, seed=8))

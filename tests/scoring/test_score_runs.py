@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import odomcorrupt as oc
 from odomcorrupt.batching.sinks import format_tum, read_tum
 from odomcorrupt.cli import run
-from odomcorrupt.scoring import Limits, score
-from odomcorrupt.scoring.errors import ScoreError
+from odomcorrupt.scoring.errors import Limits, ScoreError
+from odomcorrupt.scoring.run import score
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01")
@@ -52,7 +53,6 @@ def test_a_tenth_of_the_drift_is_a_tenth_of_the_error(batch, estimates):
     for part, full in zip(report.runs[:2], whole.runs[:2], strict=True):
         assert part.metrics["ate_m"] == pytest.approx(0.1 * full.metrics["ate_m"], rel=1e-3)
         assert full.metrics["end_m"] == pytest.approx(full.drift_end_m, rel=1e-3)
-    assert len(repr(report)) < 100
 
 
 def test_the_run_itself_may_hold_the_estimate_as_a_topic_or_in_tf(batch):
@@ -185,3 +185,15 @@ def keys_of(value):
     if isinstance(value, dict):
         return set(value).union(*map(keys_of, value.values()))
     return set().union(*map(keys_of, value)) if isinstance(value, list) else set()
+
+
+def test_a_score_from_python_is_small_to_print_and_has_a_gate(batch, estimates, tmp_path):
+    result = oc.score(batch / "trajectories", outputs=estimates, align="none")
+    assert repr(result).startswith("<Score: HELD ")
+    assert len(repr(result)) < 120
+    assert len(str(result).splitlines()) <= 8
+    assert [row["run"] for row in result.rows()] == list(range(10))
+    assert result.rows()[3]["ate_m"] == result.result.runs[3].metrics["ate_m"]
+    assert not result.check(["ate_p90 +20%"], baseline=result.to_dict()).failed
+    assert result.check(["ate_median > 0"]).failed
+    result.plot(tmp_path / "score.png")

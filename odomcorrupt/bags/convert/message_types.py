@@ -72,14 +72,9 @@ class MessageType(NamedTuple):
 def convert_type(msgtype: str, definition: Definition, ros: Generation) -> MessageType:
     """Return a type of the other generation in terms of `ros`.
 
-    Parameters
-    ----------
-    msgtype : str
-        Name, in ROS 2 notation.
-    definition : Definition
-        That of the bag; where it has none, or no nested ones, common types are known.
-    ros : {1, 2}
-        Generation of the result.
+    msgtype : name, in ROS 2 notation
+    definition : that of the bag; where it has none, or no nested ones, common types are known
+    ros : generation of the result, 1 or 2
 
     Raises
     ------

@@ -15,7 +15,6 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator
     from pathlib import Path
-    from types import TracebackType
 
     from odomcorrupt.bags.block import BagReader, Definition
 
@@ -69,8 +68,7 @@ class RewrittenReader:
     @property
     def part_read(self) -> float | None:
         """Part of the bag read in this pass, 0 to 1; None where unknown."""
-        part: float | None = getattr(self.reader, "part_read", None)
-        return part
+        return getattr(self.reader, "part_read", None)
 
     def definition(self, channel: Channel) -> Definition:
         """Return the definition of a channel's type."""
@@ -129,9 +127,7 @@ class RewrittenReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Do nothing: the other reader is closed by its own context."""
 
 

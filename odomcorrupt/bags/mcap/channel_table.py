@@ -45,10 +45,7 @@ class ChannelTable:
 
     def add(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel with the settings of another one; return it."""
-        definition = self._reader.definition(like)
-        if msgtype != like.msgtype:
-            definition = retyped(self._reader, msgtype, like.encoding, definition)
-        return self.add_defined(topic, msgtype, like.encoding, definition)
+        return self.add_defined(topic, msgtype, like.encoding, retyped(self._reader, msgtype, like))
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
         """Add a channel with a given definition; return it."""

@@ -29,16 +29,10 @@ def require_data_crc(stated: int, crc: int, length: int, header: bytes, what: st
     Writers sum from the first byte of the file; two other readings of the specification, in which the magic or the
     header is no part of the data section, are accepted, too.
 
-    Parameters
-    ----------
-    stated : int
-        What the file says.
-    crc, length : int
-        CRC-32 of the bytes between the header and the DataEnd record, and their number.
-    header : bytes
-        Content of the header record.
-    what : str
-        Name in the error.
+    stated : what the file says
+    crc, length : CRC-32 of the bytes between the header and the DataEnd record, and their number
+    header : content of the header record
+    what : name in the error
     """
     begin = record(HEADER, header)
     before = (crc32(MAGIC + begin), crc32(begin))
@@ -48,21 +42,15 @@ def require_data_crc(stated: int, crc: int, length: int, header: bytes, what: st
 
 def _crc_of_summary(footer: bytes, crc: int) -> int:
     """Return the checksum that a footer's content should state, of CRC-32 `crc` of the section before it."""
-    head: int = crc32(struct.pack("<BQ", FOOTER, len(footer)) + footer[:16], crc)
-    return head
+    return crc32(struct.pack("<BQ", FOOTER, len(footer)) + footer[:16], crc)
 
 
 def require_summary_crc(footer: bytes, crc: int, what: str) -> None:
     """Raise BagError where a footer's content states a checksum that is not that of the section before it.
 
-    Parameters
-    ----------
-    footer : bytes
-        Content of the footer record.
-    crc : int
-        CRC-32 of the bytes from the section's beginning to the footer.
-    what : str
-        Name in the error.
+    footer : content of the footer record
+    crc : CRC-32 of the bytes from the section's beginning to the footer
+    what : name in the error
     """
     stated = int.from_bytes(footer[16:FOOTER_BYTES], "little")
     if stated not in (0, _crc_of_summary(footer, crc)):

@@ -52,10 +52,7 @@ class Connections:
         while identifier in self._made or identifier in self._reader.channels:
             identifier -= 1
         channel = Channel(identifier, topic, msgtype, "ros1")
-        definition = self._reader.definition(like)
-        if msgtype != like.msgtype:
-            definition = retyped(self._reader, msgtype, "ros1", definition)
-        self._make(channel, definition)
+        self._make(channel, retyped(self._reader, msgtype, like))
         return channel
 
     def take_records(self, channels: Iterable[int]) -> bytes:

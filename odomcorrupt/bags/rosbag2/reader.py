@@ -23,7 +23,6 @@ from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping
-    from types import TracebackType
 
     from odomcorrupt.bags.block import Definition
 
@@ -228,9 +227,7 @@ class Rosbag2Reader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._opened.close()
 
 

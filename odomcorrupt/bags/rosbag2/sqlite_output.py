@@ -13,7 +13,6 @@ from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     import sqlite3
-    from types import TracebackType
 
     from odomcorrupt.bags.block import BagReader, Channel, Definition
 
@@ -33,10 +32,7 @@ class SqliteOutput:
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a topic with the encoding and QoS of another one; return it with a new id."""
-        definition = self._reader.definition(like)
-        if msgtype != like.msgtype:
-            definition = retyped(self._reader, msgtype, like.encoding, definition)
-        return self.add_defined(topic, msgtype, like.encoding, definition)
+        return self.add_defined(topic, msgtype, like.encoding, retyped(self._reader, msgtype, like))
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
         """Add a topic with a given definition; return it."""
@@ -60,9 +56,7 @@ class SqliteOutput:
             self._open.close()
         remove(self._partial)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         try:
             if kind is None:
                 with reported(self._path, writing=True):

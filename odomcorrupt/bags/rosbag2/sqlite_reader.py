@@ -30,7 +30,6 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping
     from tempfile import _TemporaryFileWrapper
-    from types import TracebackType
 
     from numpy.typing import NDArray
 
@@ -288,9 +287,7 @@ class SqliteReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         if self._whole is not None:
             self._whole.close()
 

@@ -95,9 +95,7 @@ class Rosbag2Writer:
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a topic with the encoding and QoS of another one; return it with a new id."""
-        definition = self._reader.definition(like)
-        if msgtype != like.msgtype:
-            definition = retyped(self._reader, msgtype, like.encoding, definition)
+        definition = retyped(self._reader, msgtype, like)
         channel = Channel(max([*self._reader.channels, *self._fresh], default=0) + 1, topic, msgtype, like.encoding)
         self._fresh[channel.id] = (channel, definition)
         return channel

@@ -83,13 +83,11 @@ class _Stretch:
     @property
     def times_s(self) -> Array:
         intervals = self.reference.problem.intervals
-        times: Array = intervals.start_s[self.start]
-        return times
+        return intervals.start_s[self.start]
 
     @property
     def truth_xyt(self) -> Array:
-        poses: Array = self.reference.problem.intervals.truth_xyt[self.start]
-        return poses
+        return self.reference.problem.intervals.truth_xyt[self.start]
 
 
 def _content(comparison: Comparison) -> dict[str, Any]:
@@ -139,8 +137,7 @@ def _stretch(stretch: _Stretch, comparison: Comparison) -> dict[str, Any]:
 
 def _in_truth(stretch: _Stretch, poses: Array) -> Array:
     """Return poses (k, 3) of an odometry, aligned with the truth at the first pose."""
-    moved: Array = compose(stretch.truth_xyt[0], between(poses[0], poses))
-    return moved
+    return compose(stretch.truth_xyt[0], between(poses[0], poses))
 
 
 def _model(judgement: Judgement, stretches: list[_Stretch], with_runs: int) -> dict[str, Any]:
@@ -234,5 +231,4 @@ def _poses(xyt: Array) -> dict[str, list[float]]:
 
 
 def _rounded(values: Array, places: int) -> list[float]:
-    rounded: list[float] = np.round(values, places).tolist()
-    return rounded
+    return np.round(values, places).tolist()

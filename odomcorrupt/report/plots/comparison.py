@@ -276,8 +276,7 @@ def _local_ratio(piece: Evaluation, length_m: float) -> Array:
         covered = (at < len(nees)) & (middle >= windows.start_s[0])
         total[covered] += nees[at[covered]]
         count[covered] += 1.0
-    ratio: Array = np.divide(total, count, out=np.ones(len(intervals)), where=count > 0.0)
-    return ratio
+    return np.divide(total, count, out=np.ones(len(intervals)), where=count > 0.0)
 
 
 class Picture(NamedTuple):

@@ -96,8 +96,7 @@ def _rates(pieces: Sequence[Evaluation], regressor: str, channel: int, edges: Ar
     scale = np.degrees(1.0) if channel == 2 else 1e3
     mean = np.divide(total, weight, out=np.full(_BINS, np.nan), where=weight > 0.0)
     chance = np.divide(1.0, np.sqrt(weight), out=np.full(_BINS, np.nan), where=weight > 0.0)
-    both: Array = scale * np.stack((mean, chance))
-    return both
+    return scale * np.stack((mean, chance))
 
 
 def _points(axes: Axes, rates: Array, edges: Array, judgement: Judgement, number: int, shift: float) -> None:

@@ -70,8 +70,7 @@ def _inset(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
 def _corners(moments: Moments) -> Array:
     """Return the corners (4, 2) of the box around an ellipse."""
     half = SIGMAS * np.sqrt(np.diag(moments.covariance)[:2])
-    out: Array = moments.mean_xyt[:2] + half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-    return out
+    return moments.mean_xyt[:2] + half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
 
 
 def _draw_samples(axes: Axes, xyt: Array) -> None:
@@ -97,8 +96,7 @@ def _tips(move: Move) -> Array:
     """Return the tips (2, 2) of the arrows of both headings."""
     length = 0.22 * max(float(np.hypot(*move.shift_xy)), 0.1)
     poses = np.stack((move.start_xyt, move.end_xyt))
-    out: Array = poses[:, :2] + length * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
-    return out
+    return poses[:, :2] + length * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
 
 
 def _frame_samples(axes: Axes, move: Move, xy: Array) -> None:

@@ -24,7 +24,6 @@ METRIC_WORDS = {
 }  # fmt: skip
 """Rows of the table over runs."""
 
-_WORST = 10
 _STATUSES: tuple[Status, ...] = ("lost", "diverged", "partial", "missing", "unreadable")
 
 
@@ -41,8 +40,8 @@ def metric_text(metric: str, value: float) -> str:
     return _percent(value) if metric == "inside_95" else f"{value:.3g}"
 
 
-def score_text(report: ScoreReport, *, every: bool = False) -> str:
-    """Return sentences, the table over runs, and a line for each run that failed (`every`: for each run)."""
+def score_text(report: ScoreReport) -> str:
+    """Return sentences, the table over runs, and a line for each run."""
     lines = [*sentences(report), ""]
     lines.append(
         f"{'over runs':<32}{'n':>5}{'median':>11}{'95 % interval':>22}{'p90':>11}{'95 % interval':>22}{'max':>11}"
@@ -56,12 +55,7 @@ def score_text(report: ScoreReport, *, every: bool = False) -> str:
                 f"{words:<32}{s.n:>5}{median:>11}{_interval(name, s.median):>22}{p90:>11}"
                 f"{_interval(name, s.p90):>22}{largest:>11}"
             )
-    shown = [run for run in report.runs if every or run.status != "ok"]
-    if shown:
-        lines += ["", _row(run_heads())]
-        lines += [_row(run_cells(run)) for run in (shown if every else shown[:_WORST])]
-        if len(shown) > _WORST and not every:
-            lines.append(f"and {len(shown) - _WORST} more; --each and --json have them all")
+    lines += ["", _row(run_heads()), *(_row(run_cells(run)) for run in report.runs)]
     lines += [f"Note: {note}." for note in report.notes]
     return "\n".join(lines)
 

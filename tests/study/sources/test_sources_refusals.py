@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from sourcebags import edges, topic, write
@@ -12,7 +13,7 @@ from sourcedrive import START_NS, Rows, odometry, truth
 
 from odomcorrupt.cli import run
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._recordings import Reading
+from odomcorrupt.commands._recordings import recording_options
 from odomcorrupt.commands._standard import Console
 from odomcorrupt.study.io import Source, read_runs
 
@@ -265,6 +266,12 @@ def test_a_missing_file_and_a_bag_without_either(tmp_path, capsys):
     assert "an edge of TF as --odom /tf:odom.base_link" in line
 
 
+@click.command()
+@recording_options()
+def reading_command(reading):
+    return reading
+
+
 def test_truth_files_are_one_for_all_or_one_for_each(tmp_path, capsys):
     table = str(csv_file(tmp_path / "a.csv", odometry()))
     assert run(["fit", table, table, table, "--truth-bag", table, "--truth-bag", table]) == 2
@@ -275,16 +282,18 @@ def test_each_recording_and_each_held_out_one_has_the_truth_file_of_its_place(tm
     """Of three truth files, two are those of the recordings and the last that of the held-out one."""
     moved = csv_file(tmp_path / "odom.csv", odometry())
     truths = [csv_file(tmp_path / f"{name}.csv", truth()) for name in "abc"]
-    reading = Reading(truth_bags=tuple(truths))
+    words = [word for path in truths for word in ("--truth-bag", str(path))]
+    reading = reading_command.main(words, standalone_mode=False)
     runs, held_out = reading.read_with_held_out([moved, moved], [moved], Console(quiet=True), Stages(quiet=True))
     assert [source.truth_path for source in runs.sources] == truths[:2]
     assert [source.truth_path for source in held_out.sources] == truths[2:]
 
 
 def test_the_next_command_reads_the_same_recordings_again():
-    reading = Reading(odom="/odom", truth_bags=(Path("a.csv"),), truth_shift_s=2.5, track=0.3)
-    words = ["--odom", "/odom", "--truth-bag", "a.csv", "--truth-shift", "2.5", "--track", "0.3"]
-    assert reading.words() == words
+    words = "--track 0.3 --odom /odom --truth-bag a.csv --truth-bag b.csv --truth-shift 2.5 --gyro-scale-accuracy 0.02"
+    words = [*words.split(), "--joints", "left", "right", "--drive-type", "skid"]
+    assert reading_command.main(words, standalone_mode=False).words == tuple(words)
+    assert reading_command.main([], standalone_mode=False).words == ()
 
 
 def test_a_model_is_fitted_to_two_text_files(tmp_path, capsys):

@@ -95,7 +95,7 @@ def test_a_topic_with_the_transforms_of_several_bodies_asks_for_one(tmp_path):
         ("/tf:map.island", TopicError, "two separate trees"),
         ("/tf:map.map", TopicError, "twice"),
         ("/tf:base_link.mast", RecordingError, "no edge on the way .* moves"),
-        ("/tf", TopicError, r"is TF; name one of its edges, as in --truth /tf:map.base_link"),
+        ("/tf", TopicError, r"is TF; name one of its edges, as in truth /tf:map.base_link"),
         ("/tf:map.base_link:/fixed", TopicError, "no topic /fixed with transforms"),
         ("/odom:map.base_link", TopicError, "/odom is a nav_msgs/msg/Odometry"),
     ],

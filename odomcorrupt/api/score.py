@@ -1,0 +1,162 @@
+"""Errors of a localisation over the runs of a batch, and a gate on their rise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.api.recordings import PathLikes, as_paths
+from odomcorrupt.api.result import Result
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from os import PathLike
+
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.scoring.errors import Alignment, Limits
+    from odomcorrupt.scoring.gate import Verdict
+    from odomcorrupt.scoring.run import ScoreReport
+    from odomcorrupt.summary import Summary
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Score(Result):
+    """Errors of a localisation in each run of a batch, against the drift of its odometry.
+
+    result : complete numerical result: statistics over the runs, break-down point, errors along the path
+    following : words of the suggested next command
+    verdicts : verdicts of the rules of `check`
+    """
+
+    result: ScoreReport
+    following: tuple[object, ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
+
+    @property
+    def failed(self) -> bool:
+        """Whether a rule of `check` has failed."""
+        return any(verdict.failed for verdict in self.verdicts)
+
+    def check(self, rules: Sequence[str], baseline: Mapping[str, Any] | None = None) -> Score:
+        """Return the same score with the verdicts of a gate.
+
+        Parameters
+        ----------
+        rules : sequence of str
+            Such as "ate_p90 +20%" (relative to the baseline), "lost +5%" or "ate_median > 0.3".
+        baseline : mapping, optional
+            `to_dict()` of an earlier score, or the content of a file of `odomcorrupt score --save`.
+
+        Returns
+        -------
+        Score
+            `verdicts` has one verdict per rule.
+
+        Raises
+        ------
+        ScoreError
+            If a rule is invalid, a rise has no baseline, or the two have too few runs with equal seeds.
+        """
+        from odomcorrupt.scoring.gate import check
+
+        return replace(self, verdicts=tuple(check(self.to_dict(), rules, baseline)))
+
+    def summary(self) -> Summary:
+        """Return the number of failed runs, the gate's verdicts, the errors and the break-down point."""
+        from odomcorrupt.report.text.score import score_brief
+
+        return score_brief(self.result, self.verdicts, following=self.following)
+
+    def details(self) -> str:
+        """Return sentences, the table over runs, a line for each run, and the gate's verdicts."""
+        from odomcorrupt.report.text.score import score_text
+
+        return "\n".join([score_text(self.result), *(f"{verdict.sentence}." for verdict in self.verdicts)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the score as docs/json.md describes it: metres, radians, seconds."""
+        from odomcorrupt.report.json.score import score_json
+
+        return score_json(self.result, self.verdicts)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one row per run: its state, the drift of its odometry, and the errors."""
+        shown = ("name", "seed", "run", "status", "drift", "drift_end_m")
+        return [{name: run[name] for name in shown} | run["metrics"] for run in self.to_dict()["runs"]]
+
+    def report(self) -> str:
+        """Return the score as a self-contained HTML page with tables and figures, usable offline."""
+        from odomcorrupt import __version__
+        from odomcorrupt.report.html.score import score_html
+
+        return score_html(self.result, self.verdicts, version=__version__)
+
+    def _figure(self) -> Figure:
+        """Return a figure of the errors against the drift and along the path."""
+        from odomcorrupt.report.plots.score import draw_score
+
+        return draw_score(self.result)
+
+
+def score(
+    runs: PathLikes,
+    estimate: str | None = None,
+    *,
+    truth: str | None = None,
+    truth_bag: str | PathLike[str] | None = None,
+    outputs: str | PathLike[str] | None = None,
+    align: Alignment = "rigid",
+    limits: Limits | None = None,
+    count_missing: bool = False,
+) -> Score:
+    """Return the errors of a localisation that was run on each bag of a batch.
+
+    Parameters
+    ----------
+    runs : path or several
+        Directory of a batch, or of a sweep with several batches, combined in one score.
+    estimate : str, optional
+        Topic, or edge of TF such as "/tf:map.base_link", in the bags with the estimates; None for text files.
+    truth : str, optional
+        Topic or edge of TF of the truth: in the batch's input, else in the run or in the bag with the estimate. None:
+        the odometry before corruption (`clean.tum` of the batch), i.e. the truth of a simulation.
+    truth_bag : path, optional
+        Bag, TUM or CSV file with the truth, if it is a separate one.
+    outputs : path, optional
+        Directory with the estimates: files or bags that begin like the runs (`run_000012.tum`); by default beside the
+        runs. For a sweep, it contains a directory for each point.
+    align : {"rigid", "origin", "none"}
+        Alignment of estimate and truth: best fit of positions, equal first poses, or none.
+    limits : odomcorrupt.scoring.errors.Limits, optional
+        Limits of loss, jumps and coverage.
+    count_missing : bool
+        Whether runs without a complete output are failures.
+
+    Returns
+    -------
+    Score
+        `result` has the statistics over the runs, `to_pandas()` one row per run.
+
+    Raises
+    ------
+    ScoreError
+        If there is no batch, or no run has an estimate.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> oc.batch("fixtures/office.mcap", "scored", model="typical", runs=2, seed=1, output="overlay")
+    <Batch: MADE 2 runs made now, 2 in scored>
+    >>> oc.score("scored", "/odom", align="origin").result.runs[0].status
+    'lost'
+    """
+    from odomcorrupt.scoring.run import score as score_runs
+
+    roots = as_paths(runs)
+    found = score_runs(
+        roots, estimate, truth=truth, truth_bag=truth_bag, outputs=outputs, align=align, limits=limits,
+        count_missing=count_missing,
+    )  # fmt: skip
+    named = ("--estimate", estimate) if estimate else ()
+    return Score(found, ("odomcorrupt", "score", *roots, *named, "--report", "page.html"))
