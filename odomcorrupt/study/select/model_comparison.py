@@ -50,8 +50,7 @@ if TYPE_CHECKING:
 
 
 _VARIED_S = 5.0
-"""Time between independent changes of the speeds at which copies are recognised, s: several a minute, and slower than
-accelerations."""
+"""Time between changes of the speeds at which copies are recognised, s: slower than accelerations."""
 _MOST_SPARED = 15.0
 """Largest additional penalty, nats, of an effect that is the same function as a basis function: four parameters."""
 _NEAR_FORM = 0.05
@@ -340,9 +339,8 @@ def best_dependence(
         candidate = tried(fit, with_it, score, decisions, gain=gain, least=more)
         if not candidate.refused:
             best, largest = Proposal(_reshaped(one, score), candidate), max(largest, one.nats)
-    if best is None or best.candidate.fit is None:
-        return best
-    return replace(best, candidate=replace(best.candidate, fit=best.candidate.fit.refit()))
+    final = best and best.candidate.fit
+    return replace(best, candidate=replace(best.candidate, fit=final.refit())) if best and final else best
 
 
 def _where_known(score: Score, with_it: Fit, others: Sequence[Effect], decisions: Decisions) -> Score:
