@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from enum import IntEnum
 from math import degrees, isfinite, radians
 from typing import TYPE_CHECKING
@@ -23,8 +22,15 @@ from odomcorrupt.report.text.comparison import (
     reproduction_sentence,
     size,
 )
-from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
+from odomcorrupt.report.text.limits import (
+    drive_lines,
+    hidden_noise,
+    limit_lines,
+    open_lines,
+    track_lines,
+    untested_lines,
+)
 from odomcorrupt.report.text.numbers import clock_text, confidence_words, noise_text, numbers_text
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.select.confidence import EVEN_ODDS
@@ -45,11 +51,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison, JudgedOn, Judgement
     from odomcorrupt.study.validate.predictive_check import Reproduction
 
-_LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
-"""Effects that resemble errors of single wheels: a larger wheel shifts turns as the y of a lever arm does."""
 _LEAST_TURNED_RAD, _LEAST_APART_M = radians(0.1), 0.005
 """Least yaw and displacement of the truth's tracked point that are reported; mountings are rarely measured better."""
-_PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
 _PERHAPS = "perhaps"
 """Label of names below even odds."""
 _OF_ONE_DRIVE = ("time", "distance")
@@ -114,12 +117,13 @@ def findings_brief(
         *_rejected_lines(last),
         *_written_lines(search, written),
         # the identity of an effect is more important than its gain
-        *_open_lines(search, advice),
-        *_limit_lines(advice),
-        *_drive_lines(search),
+        *open_lines(search, advice),
+        *limit_lines(advice),
+        *([] if named else untested_lines(search, advice)),
+        *drive_lines(search),
         *_error_lines(comparison),
     ]
-    lines += [*_hidden_noise(robot), *_track_lines(search, failed=last.verdict.fails), *negligible]
+    lines += [*hidden_noise(robot), *track_lines(search, failed=last.verdict.fails), *negligible]
     if reproduction is not None and reproduction_sentence(reproduction) and _bursts(search):
         # noise that causes most of the error is more important than effects that cause less
         lines = [line._replace(weight=FIRST) if line.label == "noise" else line for line in lines]
@@ -317,60 +321,11 @@ def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
     return [Line("clock", f"{one.name} {clock_text(one)} in {names[one.recording]}") for one in found]
 
 
-def _drive_lines(search: Learned) -> list[Line]:
-    """Return the drive type, if the names depend on an inferred one."""
-    drive = search.drive_type
-    return [Line("drive type", f"{drive.sentence}; --drive-type overrules it")] if drive.reason else []
-
-
 def _contact_words(effect: Effect, search: Learned) -> str:
     """Return that an unknown track left wheels untried that slip one by one at the edge of a patch; or ""."""
     if getattr(effect, "contact", "") != "body" or any(r.track_m is not None for r in search.fit.problem.recordings):
         return ""
     return "; give --track: the wheels may cross it separately" if search.drive_type.name == "differential" else ""
-
-
-def _track_lines(search: Learned, *, failed: bool) -> list[Line]:
-    """Return the approximations due to an unknown track, if a finding may depend on them."""
-    recordings = search.fit.problem.recordings
-    if search.drive_type.name != "differential" or any(r.track_m is not None for r in recordings):
-        return []
-    named = (*search.added, *(one.name for one in search.unknown))
-    if not (named or failed or any(clocks_found(search.clocks))):
-        return []
-    fitted = [e.name for e in search.fit.effects if getattr(e, "track", 0.0)]
-    ghosts = [name for name in search.added if name in _LIKE_SINGLE_WHEELS]
-    said = f"that of {', '.join(fitted)} was fitted" if fitted else "errors of single wheels are approximated"
-    said += f", {', '.join(ghosts)} may come from them" if ghosts else ""
-    return [Line("track", f"not given: {said}; measure it (--track)", "warning")]
-
-
-def _open_lines(search: Learned, advice: Advice) -> list[Line]:
-    """Return the alternatives that the data cannot separate and the drive to do so, if there are any that matter."""
-    matters = tuple(choice for choice in advice.choices if not search.is_negligible(choice.names[0]))
-    said = inseparable_sentence(replace(advice, choices=matters), lambda name: readings_of(name, search.drive_type))
-    return [Line("open", said, "warning", SPARE)] if said else []
-
-
-def _limit_lines(advice: Advice) -> list[Line]:
-    """Return the effects hidden by the scale error of a gyro or laser that serves as truth, and the remedy."""
-    hidden = [one for one in advice.untestable if one.limited_by_truth]
-    return [Line("not testable", f"{one.effect}: {one.why}; {one.hint}", "warning") for one in hidden]
-
-
-def _hidden_noise(result: RobotFit | None) -> list[Line]:
-    """Return a line on noise for which a localisation gives only an upper bound."""
-    hidden = [] if result is None else [i for i in result.noise_at_most if i.name in _PER_METRE]
-    if not hidden:
-        return []
-    bounds = [f"{degrees(i.high):.2g} deg" if i.name == "rot_trans" else f"{i.high * 1e3:.2g} mm" for i in hidden]
-    most = ", ".join(f"{bound} {_PER_METRE[i.name]}" for bound, i in zip(bounds, hidden, strict=True))
-    return [
-        Line(
-            "noise",
-            f"at most {most} after a metre (95 %): the localisation's own errors mask it; the model has the estimate",
-        )
-    ]
 
 
 def fit_brief(result: RobotFit, following: str = "") -> Summary:
@@ -383,7 +338,7 @@ def fit_brief(result: RobotFit, following: str = "") -> Summary:
     k = fit.noise.coefficients
     numbers = [f"{i.name} {getattr(k, i.name):.3g}" for i in result.intervals if i.identifiable]
     lines.append(Line("noise", f"law {law}: {', '.join(numbers) or 'nothing identifiable'}"))
-    lines += _hidden_noise(result)
+    lines += hidden_noise(result)
     hidden = [i.name for i in result.intervals if not i.identifiable]
     if hidden:
         lines.append(Line("", f"not identifiable from this drive: {', '.join(hidden)}", "warning"))

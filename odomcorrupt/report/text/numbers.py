@@ -89,5 +89,5 @@ def words_text(effect: Effect) -> str:
 
 
 def confidence_words(probability: float) -> str:
-    """Return "confidence 0.99", rounded down: 0.999 is not certain."""
-    return f"confidence {int(100.0 * probability) / 100.0:.2f}"
+    """Return "confidence 0.99", rounded down, as 0.999 is not certain; or "confidence below 0.01"."""
+    return "confidence below 0.01" if probability < 0.01 else f"confidence {int(100.0 * probability) / 100.0:.2f}"

@@ -76,6 +76,7 @@ class DriveType:
     heading_source : source of the heading as shown by a gyro in the bag: "wheels", "gyro", or "" if unknown
     travel : whether any truth measured travel, and not headings alone
     antenna : whether truths are positions alone, of a point that may be anywhere on the robot
+    least_radius_m : smallest turning radius of a robot that may be steered, as it never turned on the spot; else 0
     """
 
     name: str
@@ -85,6 +86,7 @@ class DriveType:
     heading_source: str = ""
     travel: bool = True
     antenna: bool = False
+    least_radius_m: float = 0.0
 
     @property
     def known(self) -> bool:
@@ -133,10 +135,10 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
     turns_wide = total("turned") >= _TURNED_RAD and radius_m >= _LEAST_RADIUS_M
     enough = total("seconds") >= _SLOW_S and total("spells") >= _SPELLS
     sharper = total("beyond") > _SPOT_RAD * total("spells")
-    if any(r.track_m is not None for r in recordings) or not (turns_wide and enough) or sharper:
+    if any(r.track_m is not None for r in recordings) or not turns_wide or sharper:
         return DriveType("differential")
-    if not _has_stop(np.concatenate([s.slow for s in slow], axis=1)):
-        return DriveType("differential")
+    if not enough or not _has_stop(np.concatenate([s.slow for s in slow], axis=1)):
+        return DriveType("differential", least_radius_m=radius_m)
     gyro = turns_at_rest or total("rest_s") < _REST_S
     return DriveType(
         "car", f"steers up to a stop, never turned on the spot; smallest radius {radius_m:.1f} m", gyro=gyro
