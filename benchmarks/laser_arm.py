@@ -21,7 +21,6 @@ sys.path[:0] = [str(HERE.parent / "tests" / "study"), str(HERE.parent / "tests")
 from laboratory.run import read_results, run  # noqa: E402 - after the path
 from laser.ask import ask  # noqa: E402
 from laser.cases import LENGTHS, laser_cases  # noqa: E402
-from laser.gyro import WALK_RADPS_PER_SQRT_S  # noqa: E402
 from laser.gyro_tables import gyro_tables  # noqa: E402
 from laser.tables import tables  # noqa: E402
 
@@ -36,7 +35,7 @@ def main() -> None:
     runner.add_argument("--jobs", type=int, default=1)
     runner.add_argument("--minutes", type=float, default=1e9, help="start no case after so long")
     runner.add_argument("--pilot", action="store_true", help="other seeds, to try the script on")
-    runner.add_argument("--gyro-walk", type=float, default=WALK_RADPS_PER_SQRT_S, help="of its bias, rad/s/sqrt(s)")
+    runner.add_argument("--gyro-walk", type=float, help="of its bias, rad/s/sqrt(s); default: drawn")
     commands.add_parser("summary").add_argument("results", type=Path)
     chosen = parser.parse_args()
     if chosen.command == "summary":

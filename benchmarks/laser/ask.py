@@ -13,7 +13,7 @@ from laboratory.information import expected_information
 
 from laser.cases import world_of
 from laser.drives import EXACT, drive, laser_recordings, mocap_recording
-from laser.gyro import WALK_RADPS_PER_SQRT_S, ask_gyro
+from laser.gyro import ask_gyro
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
 from odomcorrupt.simulation import simulate
@@ -37,10 +37,10 @@ __all__ = ["ask"]
 JUDGE_SEED, JUDGED_S = 400_000, 240.0
 
 
-def ask(case: Case, *, gyro_walk: float = WALK_RADPS_PER_SQRT_S) -> dict[str, Any]:
+def ask(case: Case, *, gyro_walk: float | None = None) -> dict[str, Any]:
     """Return the results of a case.
 
-    gyro_walk : random walk of the bias in the arm of the gyro, rad/s/sqrt(s)
+    gyro_walk : random walk of the bias in the arm of the gyro, rad/s/sqrt(s); default: drawn
     """
     if case.arm == "gyro":
         return ask_gyro(case, gyro_walk)

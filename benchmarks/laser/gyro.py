@@ -25,10 +25,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["WALK_RADPS_PER_SQRT_S", "ask_gyro"]
+__all__ = ["ask_gyro"]
 
 GAIN = 0.01  # one standard deviation, as the program assumes
-BIAS_RADPS, WALK_RADPS_PER_SQRT_S, NOISE_RADPS = 0.01, 1e-4, 0.003
+BIAS_RADPS, NOISE_RADPS = 0.01, 0.003
+WALKS = (1e-5, 5e-4)
+"""Bounds of the random walk of the bias, rad/s/sqrt(s), whose logarithm is uniform."""
 MOST_LAG_S = 0.02
 RATE_HZ = 100.0
 REST_BIAS_RADPS = 3e-4  # error of a bias measured in the rests of a drive
@@ -62,8 +64,11 @@ class Gyro:
         return run.truth_stamps_ns + round(self.lag_s * 1e9), rates
 
 
-def ask_gyro(case: Case, walk: float = WALK_RADPS_PER_SQRT_S) -> dict[str, Any]:
-    """Return the results of a case with wheels and a gyro alone, whose bias walks (rad/s/sqrt(s))."""
+def ask_gyro(case: Case, walk: float | None = None) -> dict[str, Any]:
+    """Return the results of a case with wheels and a gyro alone.
+
+    walk : random walk of the bias, rad/s/sqrt(s); default: drawn
+    """
     options: dict[str, Any] = {
         "size": SIZES.get(case.size, 1.0),
         "route": case.route,
@@ -73,6 +78,7 @@ def ask_gyro(case: Case, walk: float = WALK_RADPS_PER_SQRT_S) -> dict[str, Any]:
     }
     run = simulate(case.seed, list(case.causes) or None, **options)
     rng = np.random.default_rng([case.seed, 8])
+    walk = float(np.exp(rng.uniform(*np.log(WALKS)))) if walk is None else walk
     gyro = Gyro(
         float(GAIN * rng.normal()), BIAS_RADPS * rng.normal(size=3), walk, float(rng.uniform(-MOST_LAG_S, MOST_LAG_S)),
         int(rng.integers(3)), float(rng.choice((-1.0, 1.0))),
