@@ -48,8 +48,6 @@ def wheels_and_filter(rate_hz=25.0, lag_ns=4_000_000):
     own = (fine.stamps_ns - START_NS) * 1e-9
     stamps_ns = START_NS + (t * 1e9).astype(np.int64) + lag_ns
     shape = Rows(stamps_ns, np.zeros((len(t), 3)), 0.96 * np.interp(t, own, fine.yaw))
-        START_NS + (t * 1e9).astype(np.int64) + lag_ns, np.zeros((len(t), 3)), 0.96 * np.interp(t, own, fine.yaw)
-    )
     return moved, along(shape, np.interp(t, own, gone), shape.yaw)
 
 
