@@ -178,7 +178,7 @@ def _make(
             data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
             if one.sink is not None:
                 one.sink.write(portion, data, _edges(one, portion, shared))
-    shared.require_frame()
+    shared.require_source()
     for one in runs:
         _put_beside(job, home, one)
     return [(_record(job, one.strand, part.losses), one.sink) for one in runs]

@@ -248,7 +248,7 @@ def correct_bag(
             for block in transform.blocks(reader, reader.name, writer):
                 writer.write(block)
                 watch(block)
-            transform.require_frame()
+            transform.require_source()
             writer.provenance("odomcorrupt_correct", provenance(model))
         outcome = outcome_of(transform, reader, model, seed=0, run=0)
     # learned models either have a start pose or were declared not to need one

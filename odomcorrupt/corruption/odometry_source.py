@@ -30,6 +30,7 @@ GLOBAL_FRAMES = frozenset({"map", "world", "earth", "utm"})
 """Frames above odom, whatever namespace they carry: an edge between odom and one of them is localisation."""
 
 Side = Literal["left", "right"]
+_PLANAR = np.array([0, 1, 5])  # x, y and yaw of a twist
 
 
 class Frames(NamedTuple):
@@ -272,7 +273,10 @@ class OdometrySource:
         self.faults.take(poses.position, poses.quat_xyzw)
         stamps_ns = gather_stamps_ns(block, layout, item)
         self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(stamps_ns))
-        return Arrivals(_or_log_ns(stamps_ns, block, layout), time_ns[layout.rows], xyt)
+        stamps_ns = _or_log_ns(stamps_ns, block, layout)
+        if "twist" in item.fields:
+            self.faults.twists.take(stamps_ns, xyt, gather(block, layout, item, "twist")[:, _PLANAR])
+        return Arrivals(stamps_ns, time_ns[layout.rows], xyt)
 
 
 def stamps_or_log_ns(block: Block, layout: Layout, number: int) -> NDArray[np.int64]:

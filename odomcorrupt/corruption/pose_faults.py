@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from odomcorrupt.geometry.se2 import wrap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -21,6 +23,131 @@ _STEEP = float(np.sin(np.deg2rad(85.0)))
 """Sine of a pitch at which the body's x axis points up or down, and the heading is an accident."""
 
 
+_FLAT2 = 0.02  # (sine of half the tilt)^2 up to which a rotation is about the x axis alone: a tilt of 16 deg
+_SECTORS, _MIN_SECTORS = 24, 8
+"""Sectors of roll, and how many of them a robot that rolls must visit, here 120 deg."""
+_MIN_PART, _NEARLY_ALL = 0.002, 0.98  # parts of the poses in a visited sector, and of those about the x axis alone
+
+
+@dataclass(slots=True)
+class ComponentOrder:
+    """Test of quaternions for components in the order w, x, y, z instead of x, y, z, w.
+
+    A planar robot then rolls by the angle that it turns, from 180 deg, and never turns. A constant roll is the mounting
+    of a sensor. Positions must be planar, too: where x points up, turning is rolling.
+    """
+
+    count: int = 0
+    flat: int = 0
+    rolls: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_SECTORS, dtype=np.int64))
+    low: Array = field(default_factory=lambda: np.full(3, np.inf))
+    high: Array = field(default_factory=lambda: np.full(3, -np.inf))
+
+    def take(self, position: Array, quat_xyzw: Array) -> None:
+        """Count poses of position (n, 3), metres, and quat_xyzw (n, 4) of any length."""
+        good = np.asarray(np.isfinite(quat_xyzw).all(axis=1) & (np.abs(position) < FAR_M).all(axis=1))
+        if not good.any():
+            return
+        position, (x, y, z, w) = position[good], quat_xyzw[good].T
+        with np.errstate(over="ignore", under="ignore"):
+            flat = (y * y + z * z < _FLAT2 * (x * x + w * w)) & (x * x + w * w > 0.0)
+        self.count += len(flat)
+        self.flat += _count(flat)
+        roll = np.mod(2.0 * np.arctan2(x[flat], w[flat]), 2.0 * np.pi)
+        sectors = np.minimum((roll * (_SECTORS / (2.0 * np.pi))).astype(np.int64), _SECTORS - 1)
+        self.rolls += np.bincount(sectors, minlength=_SECTORS)
+        self.low = np.minimum(self.low, position.min(axis=0))
+        self.high = np.maximum(self.high, position.max(axis=0))
+
+    @property
+    def w_first(self) -> bool:
+        """Whether the components are in the order w, x, y, z."""
+        if self.flat < max(_NEARLY_ALL * self.count, 1.0):
+            return False
+        extent = self.high - self.low
+        visited = _count(self.rolls > _MIN_PART * self.flat)
+        return visited >= _MIN_SECTORS and bool(extent[2] <= 0.25 * extent[:2].max())
+
+
+W_FIRST = (
+    "its quaternions roll while they never turn: their components are w, x, y, z in the place of x, y, z, w. Write "
+    "x, y, z, w and record again"
+)
+"""What is wrong with quaternions in the other order, and the way out."""
+
+
+_STILL, _LEAST_M, _LEAST_RAD = 0.01, 0.5, 1.0
+"""Part of the travel by twists below which poses stand still; least travel and turn by twists that are compared."""
+_LONGEST_S = 1.0  # longer intervals are gaps
+_FAST_MPS = 60.0
+_PER_METRE = {"millimetres": 1000.0, "inches": 1.0 / 0.0254, "centimetres": 100.0, "feet": 1.0 / 0.3048}
+_OF_A_UNIT = 1.06
+
+
+@dataclass(slots=True)
+class TwistTravel:
+    """Travel and turn of an odometry topic by its poses and by its twists, m and rad, in the order of arrival.
+
+    moving, fast : number of intervals in which the poses move, and move faster than any robot
+    """
+
+    by_poses: Array = field(default_factory=lambda: np.zeros(2))
+    by_twists: Array = field(default_factory=lambda: np.zeros(2))
+    moving: int = 0
+    fast: int = 0
+    _last: tuple[int, Array] | None = None
+
+    def take(self, stamps_ns: NDArray[np.int64], xyt: Array, twist: Array) -> None:
+        """Add poses xyt (n, 3) and twists (n, 3), forwards, to the left and counter-clockwise, at stamps (n,)."""
+        good = (np.abs(xyt) < FAR_M).all(axis=1) & (np.abs(twist) < FAR_M).all(axis=1)
+        stamps_ns, xyt, twist = stamps_ns[good], xyt[good], twist[good]
+        if not len(stamps_ns):
+            return
+        if self._last is None:
+            self._last = int(stamps_ns[0]), xyt[0]
+        step = np.diff(np.concatenate((self._last[1][None], xyt)), axis=0)
+        dt_s = np.diff(np.concatenate(([self._last[0]], stamps_ns))) * 1e-9
+        counted = (dt_s > 0.0) & (dt_s < _LONGEST_S)
+        lengths = np.stack((np.hypot(step[:, 0], step[:, 1]), np.abs(wrap(step[:, 2]))))
+        speeds = np.stack((np.hypot(twist[:, 0], twist[:, 1]), np.abs(twist[:, 2])))
+        self.by_poses += lengths[:, counted].sum(axis=1)
+        self.moving += _count(lengths[0, counted] > 0.0)
+        self.fast += _count(lengths[0, counted] > _FAST_MPS * dt_s[counted])
+        self.by_twists += (speeds * dt_s)[:, counted].sum(axis=1)
+        self._last = int(stamps_ns[-1]), xyt[-1]
+
+    @property
+    def poses_stand_still(self) -> bool:
+        """Whether the poses stand still while the twists move."""
+        moves = self.by_twists > (_LEAST_M, _LEAST_RAD)
+        return bool(moves.any() and (self.by_poses <= _STILL * self.by_twists).all())
+
+    def sentences(self) -> list[str]:
+        """Return a warning where poses and twists are of different motions, without a full stop."""
+        poses_m, twists_m = self.by_poses[0], self.by_twists[0]
+        if self.poses_stand_still:
+            return [self.still()]
+        if self.fast > self.moving / 2:
+            return [f"it usually moves faster than {_FAST_MPS:g} m/s: millimetres for metres? Poses must be in metres"]
+        if min(poses_m, twists_m) < _STILL * _LEAST_M or max(poses_m, twists_m) < _LEAST_M:
+            return []
+        factor = max(poses_m / twists_m, twists_m / poses_m)
+        large, small = ("poses", "twists") if poses_m > twists_m else ("twists", "poses")
+        return [
+            f"the {large} move {factor:.3g} times as far as the {small}: {unit} for metres? Both must be in metres"
+            for unit, per_m in _PER_METRE.items()
+            if 1.0 / _OF_A_UNIT < factor / per_m < _OF_A_UNIT
+        ]
+
+    def still(self) -> str:
+        """Return what is wrong with poses that stand still, and the way out."""
+        return (
+            f"the poses stand still while the twists move by {self.by_twists[0]:.3g} m and "
+            f"{np.degrees(self.by_twists[1]):.3g} deg: the driver fills twists alone; `odomcorrupt integrate IN OUT` "
+            "makes poses of them"
+        )
+
+
 @dataclass(slots=True)
 class PoseFaults:
     """Counts of unusable poses of an odometry topic.
@@ -28,14 +155,19 @@ class PoseFaults:
     no_orientation : quaternions that are zero
     upright : pitches beyond 85 deg
     far : positions beyond `FAR_M`
+    order : test of the order of the quaternions' components
+    twists : comparison of the poses with the twists
     """
 
     no_orientation: int = 0
     upright: int = 0
     far: int = 0
+    order: ComponentOrder = field(default_factory=ComponentOrder)
+    twists: TwistTravel = field(default_factory=TwistTravel)
 
     def take(self, position: Array, quat_xyzw: Array) -> None:
         """Count the unusable poses of position (n, 3), metres, and quat_xyzw (n, 4)."""
+        self.order.take(position, quat_xyzw)
         with np.errstate(all="ignore"):
             x, y, z, w = quat_xyzw.T
             length2 = x * x + y * y + z * z + w * w
@@ -48,7 +180,8 @@ class PoseFaults:
 
     def sentences(self) -> list[str]:
         """Return one warning for each kind of fault found, without a full stop."""
-        said = []
+        said = [W_FIRST] if self.order.w_first else []
+        said += self.twists.sentences()
         if self.no_orientation:
             said.append(f"{self.no_orientation} orientations are zero: their heading is taken as 0")
         if self.upright:

@@ -256,7 +256,7 @@ def corrupt_bag(
                 for block in transform.blocks(reader, reader.name, writer):
                     writer.write(block)
                     watch(block)
-                transform.require_frame()
+                transform.require_source()
                 if not is_identity:
                     writer.provenance("odomcorrupt", provenance(model, seed=seed, run=run) | dict(metadata or {}))
         return outcome_of(transform, reader, model, seed=seed, run=run)

@@ -277,7 +277,23 @@ def oddities(outcome: Outcome) -> list[str]:
     edges = [tuple(edge.split(" -> ", 1)) for edge in (*outcome.changes.edges, *outcome.stayed) if " -> " in edge]
     tree = frame_faults([(above, below) for above, below in edges], outcome.frames.odom, outcome.frames.base)
     said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in tree]
-    return said
+    return said + _same_edge(outcome)
+
+
+def _same_edge(outcome: Outcome) -> list[str]:
+    """Return a warning where TF has the odometry's edge under other prefixes, and was not moved."""
+    ends = outcome.frames
+    if ends.base is None or outcome.changes.edges:
+        return []
+    last = tuple(frame.rsplit("/", 1)[-1] for frame in (ends.odom, ends.base))
+    for edge in sorted(outcome.stayed):
+        odom, base = edge.split(" -> ", 1)
+        if (odom.rsplit("/", 1)[-1], base.rsplit("/", 1)[-1]) == last:
+            way_out = f"--odom-frame {odom} --base-frame {base} moves both"
+            return [
+                f"TF {edge} still holds the true motion: the odometry is from {ends.odom} to {ends.base}; {way_out}."
+            ]
+    return []
 
 
 def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -> list[str]:

@@ -31,7 +31,7 @@ from odomcorrupt.corruption.odometry_source import (
 )  # fmt: skip
 from odomcorrupt.corruption.patch import Patcher, Target
 from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.corruption.pose_faults import FAR_M
+from odomcorrupt.corruption.pose_faults import FAR_M, W_FIRST
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.corruption.unmodified_topics import frame_of, may_be_placed
 from odomcorrupt.errors import TopicError
@@ -130,8 +130,13 @@ class Transform:
         self._first_ns: int | None = None
         self._patcher = Patcher(model, keep_twist=self.options.keep_twist, keep_covariance=self.options.keep_covariance)
 
-    def require_frame(self) -> None:
-        """Raise TopicError where the requested frame is in no odometry message and no transform."""
+    def require_source(self) -> None:
+        """Raise TopicError where the requested frame is nowhere, or the poses read are not those of a planar robot."""
+        faults = self.odometry.faults
+        if faults.order.w_first:
+            raise TopicError(f"{self.odometry.name}: {W_FIRST}{self.odometry.elsewhere}")
+        if faults.twists.poses_stand_still:
+            raise TopicError(f"{self.odometry.name}: {faults.twists.still()}")
         asked = self.options.odom_frame
         if asked is not None and not self.frame_met:
             found = ", ".join(sorted(self.stayed)[:_NAMED]) or "no edge"

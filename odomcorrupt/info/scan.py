@@ -172,11 +172,14 @@ def _take_odometry(taken: _Odometry, block: Block, layout: Layout) -> None:
     if not taken.columns:
         taken.frame, taken.child = item.frame_id, item.child_frame_id
     columns = taken.columns
-    columns["stamps"].append(stamps_or_log_ns(block, layout, 0))
+    stamps_ns, xyt = stamps_or_log_ns(block, layout, 0), _xyt(block, layout, 0)
+    twist = gather(block, layout, item, "twist")[:, PLANAR]
+    columns["stamps"].append(stamps_ns)
     columns["zero"].append(gather_stamps_ns(block, layout, item) == 0)
-    columns["xyt"].append(_xyt(block, layout, 0))
+    columns["xyt"].append(xyt)
+    columns["twist"].append(twist)
     taken.faults.take(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
-    columns["twist"].append(gather(block, layout, item, "twist")[:, PLANAR])
+    taken.faults.twists.take(stamps_ns, xyt, twist)
     taken.pose_covariance.take(gather(block, layout, item, "pose_covariance"))
     taken.twist_covariance.take(gather(block, layout, item, "twist_covariance"))
 

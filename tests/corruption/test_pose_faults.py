@@ -118,3 +118,22 @@ def test_a_log_time_before_1970_is_no_time_of_an_mcap(tmp_path, capsys):
     assert "log time -5 ns: is before 1970" in capsys.readouterr().err
     assert not (tmp_path / "out.mcap").exists()
     assert run([str(path), str(tmp_path / "out.db3"), *NOISE]) == 0
+
+
+def test_quaternions_in_the_order_w_x_y_z_are_said_and_a_constant_roll_is_not():
+    yaw = np.linspace(0.0, 6.0, 200)
+    place = np.column_stack((np.cos(yaw), np.sin(yaw), 0 * yaw))
+    first, upside_down = PoseFaults(), PoseFaults()
+    first.take(place, np.array([np.roll(quaternion(a), 1) for a in yaw]))
+    upside_down.take(place, np.array([quaternion(a, np.pi) for a in yaw]))
+    assert ["w, x, y, z" in said for said in first.sentences()] == [True]
+    assert upside_down.sentences() == []
+
+
+def test_poses_that_stand_still_or_leap_while_twists_move_are_said():
+    stamps, twist = np.arange(200) * 10**8, np.tile([0.5, 0.0, 0.1], (200, 1))
+    still, millimetres = PoseFaults(), PoseFaults()
+    still.twists.take(stamps, np.zeros((200, 3)), twist)
+    millimetres.twists.take(stamps, np.column_stack((stamps * 5e-7, stamps * 0, stamps * 1e-10)), twist)
+    assert ["odomcorrupt integrate" in said for said in still.sentences()] == [True]
+    assert ["millimetres for metres" in said for said in millimetres.sentences()] == [True]

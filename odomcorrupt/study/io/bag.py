@@ -8,7 +8,8 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, gather_status, locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.errors import TopicError
+from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder
+from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io.fixes import Fixes, resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import headings
@@ -89,6 +90,7 @@ class _PoseReader:
         self.channels = channels
         self.frames: dict[tuple[str, str], int] = {}
         self.parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]] = []
+        self.order = ComponentOrder()
 
     def take(self, block: Block) -> None:
         """Append the topic's poses in a block."""
@@ -102,7 +104,9 @@ class _PoseReader:
                 where = "lla" if "lla" in item.fields else "position"
                 values[:, :3] = gather(block, layout, item, where)
                 if "orientation" in item.fields:
-                    values[:, 3] = headings(gather(block, layout, item, "orientation"))
+                    quat_xyzw = gather(block, layout, item, "orientation")
+                    self.order.take(values[:, :3], quat_xyzw)
+                    values[:, 3] = headings(quat_xyzw)
                 if "pose_covariance" in item.fields:
                     covariance = gather(block, layout, item, "pose_covariance")
                     values[:, 4] = covariance[:, [0, 7]].clip(-_MAX_M2, _MAX_M2).sum(axis=1)
@@ -121,6 +125,8 @@ class _PoseReader:
         if len(children) > 1 and self.channels[0].msgtype == TRANSFORM:
             edges = ", ".join(f"{topic}:{plain(f)}.{plain(c)}" for f, c in sorted(self.frames))
             raise TopicError(f"{self.place} holds transforms of {len(children)} frames; name one of {edges}")
+        if self.order.w_first:
+            raise RecordingError(f"{self.place}: {W_FIRST}")
         empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)))
         stamps, logs, values = (np.concatenate(part) for part in zip(empty, *self.parts, strict=True))
         # A block's layouts are read one after the other: restore the order of arrival.

@@ -24,7 +24,7 @@ _ROS = ("field", "header", "msg", "pose", "position", "pos", "p", "translation")
 _WHOSE = ("odom", "odometry", "truth", "gt", "rs", "r")
 _FILLERS = frozenset((*_ROS, *_WHOSE))
 """Words of a column name that are ignored."""
-_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "metres": 1.0, "meters": 1.0}
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "metres": 1.0, "meters": 1.0} | dict.fromkeys(("ft", "feet"), 0.3048)
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "radians": 1.0, "degrees": np.pi / 180.0}
 _TICKS = {"s": 10**9, "sec": 10**9, "secs": 10**9, "seconds": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 _TIMES = ("stamp", "timestamp", "time", "t")

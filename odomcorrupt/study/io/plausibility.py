@@ -15,6 +15,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.axes import check_plane, check_shape, check_turning
 from odomcorrupt.study.io.cross_correlation import cross_correlation
+from odomcorrupt.study.io.units import check_lengths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,14 +27,15 @@ SHORTEST_S = 10.0
 _MIN_POSES = 20
 _STILL_M, _STILL_RAD = 0.05, 0.1
 _MOVES_M = 1.0
-_MAX_RATIO = 20.0  # ratio of extents that suggests different units
 _CLEAR = 0.7  # correlation at which a time shift is suggested
 _DAY_S = 86_400.0
 _YEAR_S = 365.25 * _DAY_S
 
 
-def check_pair(odometry: Samples, truth: Samples) -> None:
+def check_pair(odometry: Samples, truth: Samples) -> list[str]:
     """Refuse odometry and truth that cannot be one run: disjoint times, no motion, other units, axes or clocks.
+
+    Returns alerts about travels that differ more than is usual.
 
     Raises
     ------
@@ -51,10 +53,12 @@ def check_pair(odometry: Samples, truth: Samples) -> None:
                 f"truth; {_MIN_POSES} and more are needed: record longer"
             )
     _check_motion(here, there)
+    alerts = check_lengths(here, there)
     check_plane(here, there)
     check_turning(here, there)
     check_shape(here, there)
     check_together(here, there)
+    return alerts
 
 
 def _check_time(odometry: Samples, truth: Samples) -> None:
@@ -103,7 +107,7 @@ def _check_motion(here: Samples, there: Samples) -> None:
         if extents[1] > _MOVES_M:
             raise RecordingError(
                 f"{here.place}: stands still while the truth moves over {extents[1]:.1f} m; name the odometry of this "
-                "robot"
+                "robot; `odomcorrupt integrate` makes poses of twists"
             )
         raise RecordingError(
             f"{here.place}: no motion: {extents[0] * 1000:.0f} mm and {np.degrees(turns[0]):.1f} deg in "
@@ -113,15 +117,6 @@ def _check_motion(here: Samples, there: Samples) -> None:
         raise RecordingError(
             f"{there.place}: stands still while the odometry moves over {extents[0]:.1f} m; name the truth of this "
             "robot"
-        )
-    ratio = extents[1] / max(extents[0], 1e-9)
-    if max(extents) > _MOVES_M and min(extents) > 1e-3 and not 1.0 / _MAX_RATIO < ratio < _MAX_RATIO:
-        small, large = (here, there) if ratio > 1.0 else (there, here)
-        factor = max(ratio, 1.0 / ratio)
-        unit = "millimetres" if 300.0 < factor < 3000.0 else "centimetres" if 30.0 < factor < 300.0 else "another unit"
-        raise RecordingError(
-            f"{large.place}: covers {factor:.0f} times as much ground as {small.place}: {unit} for metres? Give "
-            "metres, or name a CSV file's columns x_mm, y_mm"
         )
 
 

@@ -27,6 +27,7 @@ from odomcorrupt.study.io.self_consistency import check_itself
 from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
+from odomcorrupt.study.io.units import check_degrees
 from odomcorrupt.study.io.warnings import (
     check_identity,
     dead_band_warnings,
@@ -118,7 +119,7 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
     runs = [replace(r, frame=source.title) for r in runs]
     (opening, *others), chosen = runs[0].notes, f"no truth: the laser on {scan} is used instead (as with --scan {scan})"
     notes = (opening, *(() if source.scan else (chosen,)), *others)
-    runs[0] = replace(runs[0], alerts=tuple(alerts_of(run)), notes=notes)
+    runs[0] = replace(runs[0], alerts=(*runs[0].alerts, *alerts_of(run)), notes=notes)
     error = source.truth_scale_error
     said = f"the laser's scale is accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
     return _with_heading_source(source, _imu_of(source), wheels.odometry, wheels.noted(_noted(runs, said)))
@@ -283,13 +284,14 @@ def recordings_of(
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
+    check_degrees(odometry, truth)
     truth = without_float_episodes(without_course(odometry, without_constant_heading(odometry, truth)))
     if not truth.relative:
         truth = without_excursions(odometry, corrections_alone(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
     for path in (calm, real):
         check_itself(path)
-    check_pair(calm, real)
+    alerts = check_pair(calm, real)
     said = check_identity(calm, real) or heading_warnings(calm, real)
     feedback = feedback_of(odometry, calm, real)
     # The reader of laser scans has checked their stamps already.
@@ -306,6 +308,7 @@ def recordings_of(
         replace(
             r,
             notes=(opening, *r.notes, *said),
+            alerts=tuple(alerts),
             stamp_error_s=rounded_s / math.sqrt(12.0),
             stamp_jitter_s=max(jitter_s),
             localised=truth.localised,

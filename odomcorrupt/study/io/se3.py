@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder
+from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 
 if TYPE_CHECKING:
@@ -35,6 +37,14 @@ def unit(quat_xyzw: Array) -> Array:
 def headings(quat_xyzw: Array) -> Array:
     """Return the headings (n,) of quaternions (n, 4) of any norm, NaN for invalid ones."""
     return np.asarray(yaw_from_quaternion(unit(quat_xyzw)))
+
+
+def check_order(place: str, xyz: Array, quat_xyzw: Array) -> None:
+    """Refuse quaternions (n, 4) at positions (n, 3) whose components are in the order w, x, y, z."""
+    order = ComponentOrder()
+    order.take(xyz, quat_xyzw)
+    if order.w_first:
+        raise RecordingError(f"{place}: {W_FIRST}")
 
 
 def composed(a: Transforms, b: Transforms) -> Transforms:

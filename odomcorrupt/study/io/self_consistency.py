@@ -8,6 +8,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.trajectory import distance_along
+from odomcorrupt.study.io.units import GIVE_METRES
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -48,8 +49,7 @@ def check_itself(path: Samples) -> None:
     usual = float(np.median(speed[speed > 0.0])) if np.any(speed > 0.0) else 0.0
     if usual > _MAX_MPS:
         raise RecordingError(
-            f"{path.place}: it usually moves at {usual:.0f} m/s: millimetres for metres? Give metres, or name a CSV "
-            "file's columns x_mm, y_mm"
+            f"{path.place}: it usually moves at {usual:.0f} m/s: millimetres for metres? {GIVE_METRES}"
         )
     if not path.headed:
         return

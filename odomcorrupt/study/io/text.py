@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.input_files import open_input
 from odomcorrupt.study.io.columns import TUM, Columns, find_columns, guess_tick
@@ -69,13 +70,15 @@ def read_text(path: Path, place: str) -> Samples:
         ahead = list(itertools.islice(rows, _AHEAD))
         tick = columns.tick_ns or guess_tick([row.number(columns.time) for row in ahead])
         rows = itertools.chain(ahead, rows)
-        parts = []
+        parts, order = [], ComponentOrder()
         while batch := list(itertools.islice(rows, _BATCH)):
-            parts.append(_part(batch, columns, tick))
+            parts.append(_part(batch, columns, tick, order))
             if len(parts) * _BATCH > _MAX_LINES:
                 raise RecordingError(f"{place}: more than {_MAX_LINES} lines; thin it out")
     if not parts:
         raise RecordingError(f"{place}: holds no line of numbers; nothing was recorded")
+    if order.w_first:
+        raise RecordingError(f"{place}: {W_FIRST}")
     if not columns.tick_ns and tick != 10**9:
         notes.append(f"stamps read as {_UNITS[tick]}")
     none = np.zeros(0)
@@ -116,7 +119,7 @@ def _begin(lines: Iterator[Row], place: str) -> tuple[Columns, list[Row]]:
     raise RecordingError(f"{place}: is neither a bag nor a TUM or CSV file; TUM has 8 numbers a line, CSV a header")
 
 
-def _part(rows: list[Row], columns: Columns, tick_ns: int) -> _Part:
+def _part(rows: list[Row], columns: Columns, tick_ns: int, order: ComponentOrder) -> _Part:
     stamps = np.array([row.nanoseconds(columns.time, tick_ns) for row in rows])
     if columns.nanoseconds is not None:
         stamps += np.array([row.nanoseconds(columns.nanoseconds, 1) for row in rows])
@@ -128,7 +131,9 @@ def _part(rows: list[Row], columns: Columns, tick_ns: int) -> _Part:
     if columns.yaw is not None:
         yaw = numbers([columns.yaw])[:, 0] * columns.radian
     elif columns.quat is not None:
-        yaw = headings(numbers(columns.quat))
+        quat_xyzw = numbers(columns.quat)
+        order.take(xyz, quat_xyzw)
+        yaw = headings(quat_xyzw)
     else:
         yaw = np.full(len(rows), np.nan)
     return _Part(stamps, xyz, yaw)

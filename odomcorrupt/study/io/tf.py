@@ -20,7 +20,7 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, SPARSE_HZ, ahead_s
 from odomcorrupt.study.io.raw_trajectory import Samples, order_of
-from odomcorrupt.study.io.se3 import Transforms, composed, headings, interpolated, inverted, unit
+from odomcorrupt.study.io.se3 import Transforms, check_order, composed, headings, interpolated, inverted, unit
 from odomcorrupt.study.io.topic_selection import near, plain
 
 if TYPE_CHECKING:
@@ -222,6 +222,7 @@ class EdgeReader:
         good = np.asarray((np.abs(values) < _FAR_M).all(axis=1))
         if not good.any():
             raise RecordingError(f"{self.place}: none of {len(good)} transforms {edge.parent}.{edge.child} is a number")
+        check_order(f"{self.place}: {edge.parent}.{edge.child}", values[good][:, :3], values[good][:, 3:])
         stamps, logs = np.concatenate(here.stamps)[good], np.concatenate(here.logs)[good]
         # Static edges are repeated with arbitrary stamps.
         order = order_of(stamps, logs if edge in self.tree.moving else logs[:0])

@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.study.io.copied_travel import check_travel
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -37,7 +38,7 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     Raises
     ------
     RecordingError
-        If the truth is a copy of the odometry.
+        If the truth is a copy of the odometry, or of its travel.
     """
     if not truth.headed:
         return []
@@ -59,6 +60,7 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     if share > 0.5:
         what = "localisation on top of it, or a simulation without noise"
         return [f"{truth.name}: {share:.0%} of its steps are those of the odometry: {what}"]
+    check_travel(odometry, truth)
     if _FUSED.search(truth.name.lower()):
         return [
             f"{truth.name}: it is a localisation by its name, which may have used this odometry and repeat its errors"
