@@ -15,7 +15,7 @@ from odomcorrupt.study.estimate.drive_type import DriveType
 def learned(*effects, track_m=None):
     problem = SimpleNamespace(recordings=(SimpleNamespace(track_m=track_m),))
     return SimpleNamespace(
-        fit=SimpleNamespace(effects=effects, problem=problem),
+        fit=SimpleNamespace(effects=effects, by_name={e.name: e for e in effects}, problem=problem),
         rounds=(SimpleNamespace(candidates=()),),
         drive_type=DriveType("differential"),
         may_be_losses=lambda _: False,

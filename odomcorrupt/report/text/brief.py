@@ -31,7 +31,7 @@ from odomcorrupt.report.text.limits import (
     track_lines,
     untested_lines,
 )
-from odomcorrupt.report.text.numbers import clock_text, confidence_words, noise_text, numbers_text
+from odomcorrupt.report.text.numbers import clock_text, confidence_words, noise_text, numbers_text, plainly
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.select.confidence import EVEN_ODDS
 from odomcorrupt.study.validate.compare import agreement_of
@@ -165,7 +165,7 @@ def _rejected_lines(last: Judgement) -> list[Line]:
     """Return that the last model is still rejected, and by how much."""
     misfit = last.verdict.misfit
     why = "the model's noise is too large" if misfit < 1.0 else "the model is still rejected"
-    said = f"{why}: errors are {misfit:.2g} times the predicted ones"
+    said = f"{why}: errors are {plainly(misfit)} times the predicted ones"
     return [Line("rejected", said, "warning", FIRST)] if last.verdict.fails else []
 
 

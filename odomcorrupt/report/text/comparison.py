@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
+from odomcorrupt.report.text.numbers import plainly
 from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR, size_question
 from odomcorrupt.summary import Line, Summary, Tone, command_line
@@ -357,7 +358,7 @@ def reproduction_sentence(one: Reproduction) -> str:
 
 
 def _times(h: Horizon, more: str = "") -> str:
-    said = f"errors over {h.distance_m:g} m of path are {h.nees**0.5:.2g} times the predicted ones"
+    said = f"errors over {h.distance_m:g} m of path are {plainly(h.nees**0.5)} times the predicted ones"
     return f"{said} (NEES {h.nees:.2g}{more})"
 
 

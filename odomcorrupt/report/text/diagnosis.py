@@ -196,7 +196,7 @@ _MOST_CANDIDATES = 8
 
 def candidates_table(step: Step) -> str:
     """Return the candidates of one step, those with most evidence first."""
-    head = f"{'effect':<16}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"
+    head = f"{'effect':<21}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"
     return "\n".join([head, *map(_candidate_line, step.candidates[:_MOST_CANDIDATES])])
 
 
@@ -211,7 +211,7 @@ def _candidate_line(candidate: Candidate) -> str:
     before, after = candidate.rmse
     drift = f"{before * 1e3:.1f} -> {after * 1e3:.1f} mm" if candidate.fit is not None else ""
     refused = f"  ({candidate.refused})" if candidate.refused else ""
-    return f"{score.effect.name:<16}{values:<44}{evidence:>10}{held:>16}{drift:>20}{refused}"
+    return f"{score.effect.name:<21}{values:<44}{evidence:>10}{held:>16}{drift:>20}{refused}"
 
 
 def _sequence_text(learned: Learned) -> str:
@@ -223,7 +223,7 @@ def _sequence_text(learned: Learned) -> str:
         rivals += f" (or {', '.join(one.rivals)}: these data do not separate them)" if one.rivals else ""
         name = one.effect.name + words_text(one.effect)
         lines.append(
-            f"  + {name:<16}{one.gain_nats:+8.1f} nats   "
+            f"  + {name:<21}{one.gain_nats:+8.1f} nats   "
             f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {confidence_words(one.confidence)}{rivals}"
         )
     return "\n".join(lines)

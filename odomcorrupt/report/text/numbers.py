@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 _COMMON = {"m": (1e3, "mm"), "s": (1e3, "ms"), "": (1e2, "%")}
 
 
+def plainly(value: float) -> str:
+    """Return a number to two digits, without an exponent: "170"."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def value_text(value: float, error: float | None, unit: str) -> str:
     """Return a value with its error in common units."""
     scale, shown = _COMMON.get(unit, (1.0, unit))

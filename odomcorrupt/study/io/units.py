@@ -36,7 +36,7 @@ _DEGREES = (
     "its headings are degrees, not radians; in a CSV file, name the column yaw_deg; for a bag, convert them before "
     "making quaternions, and record again"
 )
-_57 = "they turn 57 times as far as"
+_SO_FAR = "they turn 57 times as far as"
 _TURN_RAD, _LARGE_RAD = 0.03, 0.12  # least and largest turns compared: 57 times the least is about a quarter turn
 _MIN_TURNS = 30
 _STEP_S, _LEAST_STEP_M = 0.04, 0.002  # steps whose directions are compared with headings
@@ -113,7 +113,7 @@ def check_degrees(odometry: Samples, truth: Samples) -> None:
     heading = np.interp(at[inside], odometry.t_s, np.unwrap(odometry.yaw_rad))
     picked = _turning_points(heading)
     if _in_degrees(np.diff(truth.yaw_rad[inside][picked]), np.diff(heading[picked])):
-        raise RecordingError(f"{truth.place}: {_DEGREES} ({_57} those of {odometry.name})")
+        raise RecordingError(f"{truth.place}: {_DEGREES} ({_SO_FAR} those of {odometry.name})")
 
 
 def _check_own_degrees(odometry: Samples) -> None:
@@ -126,7 +126,7 @@ def _check_own_degrees(odometry: Samples) -> None:
     moves = np.linalg.norm(steps, axis=1) > _LEAST_STEP_M
     sure = moves[2:] & moves[1:-1] & moves[:-2] & (np.abs(around) > _TURN_RAD / 2.0)
     if _in_degrees(np.diff(path.yaw_rad)[1:-1][sure], around[sure]):
-        raise RecordingError(f"{odometry.place}: {_DEGREES} ({_57} its path does)")
+        raise RecordingError(f"{odometry.place}: {_DEGREES} ({_SO_FAR} its path does)")
 
 
 def _turning_points(heading: Array) -> list[int]:
