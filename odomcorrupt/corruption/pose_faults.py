@@ -83,7 +83,8 @@ _STILL, _LEAST_M, _LEAST_RAD = 0.01, 0.5, 1.0
 """Part of the travel by twists below which poses stand still; least travel and turn by twists that are compared."""
 _LONGEST_S = 1.0  # longer intervals are gaps
 _FAST_MPS = 60.0
-_PER_METRE = {"millimetres": 1000.0, "inches": 1.0 / 0.0254, "centimetres": 100.0, "feet": 1.0 / 0.3048}
+PER_METRE = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
+"""Units of length that publishers confuse with metres; yards cannot be told from large wheels."""
 _OF_A_UNIT = 1.06
 
 
@@ -143,7 +144,7 @@ class TwistTravel:
         large, small = ("poses", "twists") if poses_m > twists_m else ("twists", "poses")
         return [
             f"the {large} move {factor:.3g} times as far as the {small}: {unit} for metres? Both must be in metres"
-            for unit, per_m in _PER_METRE.items()
+            for unit, per_m in PER_METRE.items()
             if 1.0 / _OF_A_UNIT < factor / per_m < _OF_A_UNIT
         ]
 

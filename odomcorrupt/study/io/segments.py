@@ -15,10 +15,18 @@ from odomcorrupt.study.io.plausibility import SHORTEST_S
 from odomcorrupt.study.io.recording import Recording
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
     from odomcorrupt.study.io.raw_trajectory import Samples
 
 GAP_S = 0.5  # s; shortest gap of the odometry
 GAP_STEPS = 5.0  # shortest gap in median intervals; both have to be exceeded
+_RESTART_S = 2.0  # s; shortest gap across which the motions of odometry and truth are compared
+_APART_M, _APART, _APART_RAD = 0.5, 0.2, 0.5
+"""Difference of the displacements across a gap, m and as a part of the larger one, or of the turns, rad, that shows
+that the odometry was not integrated there: more than wrong wheels and late stamps cause."""
 _MIN_SPEED = np.array([0.02, 0.05])  # m/s and rad/s; a faster robot should change the truth
 _CLOCKS_S = 3.0
 """Largest clock offset that the study can find: truth and odometry are kept this long beyond a stretch."""
@@ -77,7 +85,11 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
         if len(cut.rows) > 1:
             where = ", ".join(_jump(odometry, path, a[-1], b[0]) for a, b in pairwise(cut.rows[:7]))
             notes.append(f"{path.name}: {len(cut.rows) - 1} {what[len(cut.rows) > 2]} ({where})")
-        pieces.append([path.only(rows) for rows in cut.rows])
+        rows = list(cut.rows)
+        if path is odometry:
+            rows, restarts = _without_restarts(odometry, truth, rows)
+            notes += restarts
+        pieces.append([path.only(own) for own in rows])
     both = [(one, other) for one in pieces[0] for other in pieces[1]]
     moved = _long_pairs([pair for pair in both if _shared_s(*pair) >= SHORTEST_S and _moves(pair[0])])
     if not moved:
@@ -105,6 +117,39 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
         )
         for i, (one, other) in enumerate(moved)
     ]
+
+
+def _without_restarts(
+    odometry: Samples, truth: Samples, rows: Sequence[NDArray[np.int64]]
+) -> tuple[list[NDArray[np.int64]], list[str]]:
+    """Return stretches of the odometry, cut at gaps in which it missed the robot's motion, and a note on each gap.
+
+    A driver that restarts continues from its last pose, wherever the robot is by then.
+    """
+    parts, notes = [], []
+    at_s = truth.seconds_since(int(odometry.stamps_ns[0]))
+    for own in rows:
+        t_s = odometry.t_s[own]
+        cuts = []
+        for i in np.flatnonzero(np.diff(t_s) > _RESTART_S):
+            before, after = np.searchsorted(at_s, t_s[i], side="right") - 1, np.searchsorted(at_s, t_s[i + 1])
+            if before < 0 or after == len(at_s) or at_s[after] - at_s[before] > t_s[i + 1] - t_s[i] + _RESTART_S:
+                continue
+            moved = [
+                (float(np.linalg.norm(np.diff(p.xyz[[a, b], :2], axis=0))), np.diff(p.yaw_rad[[a, b]])[0])
+                for p, a, b in ((odometry, own[i], own[i + 1]), (truth, before, after))
+            ]
+            (own_m, own_rad), (real_m, real_rad) = moved
+            turned = abs(float(wrap(np.asarray(np.nan_to_num(real_rad - own_rad)))))
+            if abs(own_m - real_m) < _APART_M + _APART * max(own_m, real_m) and turned < _APART_RAD:
+                continue
+            cuts.append(i + 1)
+            notes.append(
+                f"{odometry.name}: restarted after a gap of {t_s[i + 1] - t_s[i]:.1f} s at {t_s[i]:.1f} s, in which it "
+                f"moved {own_m:.2f} m and the truth {real_m:.2f} m"
+            )
+        parts += np.split(own, cuts)
+    return parts, notes
 
 
 def _long_pairs(pairs: list[tuple[Samples, Samples]]) -> list[tuple[Samples, Samples]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.corruption.pose_faults import PER_METRE
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import wrap
 
@@ -22,8 +23,6 @@ GIVE_METRES = (
 )
 """What to do about lengths in another unit."""
 
-_UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
-"""Units per metre. Yards cannot be told from large wheels."""
 _OF_A_UNIT = 1.1  # factor from a unit within which a ratio of travels is that unit
 _MAX_RATIO = 20.0  # ratio of travels that no robot has
 _USUAL = 1.3  # ratio of travels up to which wheels may be wrong
@@ -56,7 +55,7 @@ def check_lengths(odometry: Samples, truth: Samples) -> list[str]:
         return []
     small, large = (odometry, truth) if ratio > 1.0 else (truth, odometry)
     factor = max(ratio, 1.0 / ratio)
-    unit = next((name for name, per_m in _UNITS.items() if 1.0 / _OF_A_UNIT < factor / per_m < _OF_A_UNIT), None)
+    unit = next((name for name, per_m in PER_METRE.items() if 1.0 / _OF_A_UNIT < factor / per_m < _OF_A_UNIT), None)
     if unit is not None or factor > _MAX_RATIO:
         raise RecordingError(
             f"{large.place}: covers {factor:.3g} times as much ground as {small.place}: {unit or 'another unit'} for "

@@ -193,6 +193,18 @@ def test_truth_inside_a_gap_of_the_odometry_is_left_out(read):
     noted(recordings, f"/odom: a gap of 2.0 s; {inside.sum()} poses of the truth inside left out")
 
 
+def test_odometry_that_restarts_from_its_last_pose_is_cut_there(read):
+    moved, real = odometry(60.0), truth(60.0)
+    gap = (moved.stamps_ns > START_NS + 28_000_000_000) & (moved.stamps_ns < START_NS + 31_000_000_000)
+    assert len(read(moved.only(~gap), real)) == 1
+    before, after = np.flatnonzero(gap)[[0, -1]] + [-1, 1]
+    xyz = moved.xyz.copy()
+    xyz[after:] += xyz[before] - xyz[after]
+    recordings = read(moved.having(xyz=xyz).only(~gap), real)
+    assert len(recordings) == 2
+    noted(recordings, "restarted after a gap of 3.0 s")
+
+
 def test_a_tracker_that_repeats_its_last_pose_while_the_robot_moves_is_rejected(read):
     real = truth()
     xyz, yaw = real.xyz.copy(), real.yaw.copy()
