@@ -108,7 +108,7 @@ def test_scan_time_without_increment_counts_where_sweeps_fit_better_by_it(tmp_pa
     ("faults", "words"),
     [
         ({"corridor": True, "stated": (0.1, 0.0, 0.0)}, "a corridor hides travel"),
-        ({"blind": True, "stated": (0.1, 0.0, 0.0)}, "--scan"),
+        ({"blind": True, "stated": (0.1, 0.0, 0.0)}, "180 of 180 bearings see the robot itself"),
     ],
 )
 def test_scans_that_show_no_motion_are_refused_in_one_line(tmp_path, faults, words):
