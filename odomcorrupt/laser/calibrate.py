@@ -302,8 +302,7 @@ def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:
 
 def _turned(pairs: _Pairs, motion: Motion) -> Array:
     """Return the odometry's turn between the sweeps of each pair (n,), rad."""
-    turned: Array = motion.robot(pairs.second_s)[:, 2] - motion.robot(pairs.first_s)[:, 2]
-    return turned
+    return motion.robot(pairs.second_s)[:, 2] - motion.robot(pairs.first_s)[:, 2]
 
 
 def _lag(pairs: _Pairs, motion: Motion) -> float:

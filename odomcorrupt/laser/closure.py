@@ -133,13 +133,11 @@ def lifted(run: LaserRun, before: int, after: int) -> Lift | None:
 
 def _near(away: Array) -> NDArray[np.bool_]:
     """Return a mask (n,) of the matches that hardly differ, from the differences (n, 3) of poses."""
-    near: NDArray[np.bool_] = (np.hypot(away[:, 0], away[:, 1]) < _NEAR_M) & (np.abs(wrap(away[:, 2])) < _NEAR_RAD)
-    return near
+    return (np.hypot(away[:, 0], away[:, 1]) < _NEAR_M) & (np.abs(wrap(away[:, 2])) < _NEAR_RAD)
 
 
 def _everywhere() -> Array:
     """Return guesses (g, 3) on a grid of positions near the start and of all headings."""
     steps = np.arange(-_REACH_M, _REACH_M + 0.5 * _STEP_M, _STEP_M)
     turns = np.arange(-np.pi, np.pi, _STEP_RAD)
-    grid: Array = np.stack(np.meshgrid(steps, steps, turns, indexing="ij"), axis=-1).reshape(-1, 3)
-    return grid
+    return np.stack(np.meshgrid(steps, steps, turns, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -99,8 +99,7 @@ class Deskewing:
             return after_s
         bearing = np.unwrap(np.arctan2(sweep.xy[:, 1].astype(np.float64), sweep.xy[:, 0].astype(np.float64)))
         middle_s = 0.5 * (after_s[0] + after_s[-1])
-        turned: Array = middle_s + (bearing - 0.5 * (bearing[0] + bearing[-1])) * (self._turn_s / (2.0 * np.pi))
-        return turned
+        return middle_s + (bearing - 0.5 * (bearing[0] + bearing[-1])) * (self._turn_s / (2.0 * np.pi))
 
     def _span(self, row: int) -> tuple[float, float]:
         """Return the times of a sweep's first and last return after its stamp, s; zeros if all are simultaneous."""

@@ -44,8 +44,7 @@ def even_stamps(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         if half > n:
             break
         half *= 2
-    even: NDArray[np.int64] = stamps_ns + np.round(best - late).astype(np.int64)
-    return even
+    return stamps_ns + np.round(best - late).astype(np.int64)
 
 
 def _lines(late: Array, first: NDArray[np.int64], last: NDArray[np.int64], half: int) -> tuple[Array, Array]:
@@ -58,8 +57,7 @@ def _lines(late: Array, first: NDArray[np.int64], last: NDArray[np.int64], half:
 
     def total(values: Array) -> Array:
         sums = np.concatenate(([0.0], np.cumsum(values)))
-        out: Array = sums[end] - sums[begin]
-        return out
+        return sums[end] - sums[begin]
 
     count = (end - begin).astype(np.float64)
     middle = 0.5 * (begin + end - 1)

@@ -140,8 +140,7 @@ def best_guess(returns: Array, surface: Surface, guesses: Array, within_m: float
     y = s * returns[:, 0] + c * returns[:, 1] + guesses[:, 1, None]
     distance, _ = surface.tree.query(np.stack((x, y), axis=2).reshape(-1, 2), distance_upper_bound=within_m)
     score = np.minimum(distance, within_m).reshape(x.shape).sum(axis=1)
-    best: Array = guesses[int(np.argmin(score))]
-    return best
+    return guesses[int(np.argmin(score))]
 
 
 def _step(information: Array, pull: Array) -> Array:
@@ -154,12 +153,10 @@ def _step(information: Array, pull: Array) -> Array:
     if determinant > _PLAIN:
         # no eigenvalue is near zero: the inverse by cofactors is the same and takes a fifth of the time
         inverse = np.array([[ab, de, df], [de, a * c - e * e, d * e - a * f], [df, d * e - a * f, a * b - d * d]])
-        plain: Array = inverse @ goal / (determinant * scale)
-        return plain
+        return inverse @ goal / (determinant * scale)
     values, vectors = np.linalg.eigh(scaled)
     kept = np.where(values > _FLAT, 1.0 / np.maximum(values, _FLAT), 0.0)
-    step: Array = (vectors @ (kept * (vectors.T @ goal))) / scale
-    return step
+    return (vectors @ (kept * (vectors.T @ goal))) / scale
 
 
 def _median(values: Array) -> float:

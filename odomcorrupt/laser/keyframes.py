@@ -248,5 +248,4 @@ def edge_information(found: Match) -> Array:
 
 def placed(poses: Array, k: Array, relative: Array) -> Array:
     """Return map poses (n, 3) of poses relative (n, 3) to keyframes with indices `k` (n,)."""
-    out: Array = compose(poses[k], relative)
-    return out
+    return compose(poses[k], relative)

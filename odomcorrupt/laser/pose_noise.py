@@ -114,8 +114,7 @@ def _scaled(covariance: Array, deviation: Array) -> Array:
     blind = np.where(values > 0.25 * UNKNOWN_M**2, values, 0.0)
     unseen[:, :2, :2] = (vectors * blind[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     both = deviation[..., :, None] * deviation[..., None, :]
-    out: Array = (covariance - unseen) * both + unseen
-    return out
+    return (covariance - unseen) * both + unseen
 
 
 def without_spikes(path: LaserPath, motion: Motion) -> LaserPath:

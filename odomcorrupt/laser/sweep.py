@@ -100,5 +100,4 @@ class Sweeps:
         """Return the times (n,) of the middles of the sweeps, seconds since an integer origin."""
         half = np.array([0.5 * float(s.after_s.min() + s.after_s.max()) if len(s) else 0.0 for s in self.sweeps])
         stamps: Array = (self.stamps_ns - origin_ns).astype(np.float64) * 1e-9
-        middle: Array = stamps + half
-        return middle
+        return stamps + half

@@ -104,8 +104,7 @@ def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> 
     normal = (left / scale).T @ (left / scale)
     if not signal.any() or np.linalg.eigvalsh(normal)[0] < 1e-8:
         return np.full(signal.shape[1], np.inf)
-    errors: Array = np.sqrt(np.diag(np.linalg.inv(normal))) / scale
-    return errors
+    return np.sqrt(np.diag(np.linalg.inv(normal))) / scale
 
 
 def clock_errors(beside: Sequence[Effect], drive: Field, *others: Field) -> Array:
@@ -156,5 +155,4 @@ def _without(rest: Array, signal: Array) -> Array:
     unit = rest / np.linalg.norm(rest, axis=0)
     u, size, _ = np.linalg.svd(unit, full_matrices=False)
     basis = u[:, size > 1e-8 * size[0]]
-    left: Array = signal - basis @ (basis.T @ signal)
-    return left
+    return signal - basis @ (basis.T @ signal)

@@ -136,5 +136,4 @@ def _spread(recording: Recording, truth_s: Array, length_s: float) -> Array | No
             found.append(intervals_between(recording, picked, kept).residual)
     if sum(map(len, found)) < _FEW:
         return None
-    spread: Array = (1.4826 * np.median(np.abs(np.concatenate(found)), axis=0)) ** 2
-    return spread
+    return (1.4826 * np.median(np.abs(np.concatenate(found)), axis=0)) ** 2

@@ -159,8 +159,7 @@ def _carried(truth: Array, own: Array, to: Array) -> Array:
     """Return the median pose (3,) of truth poses (n, 3), each carried to the odometry pose `to` by the odometry."""
     poses = compose(truth, between(own, np.broadcast_to(to, own.shape)))
     poses[:, 2] = poses[0, 2] + wrap(poses[:, 2] - poses[0, 2])
-    median: Array = np.median(poses, axis=0)
-    return median
+    return np.median(poses, axis=0)
 
 
 def _without_drift(apart: Array, motions: Array) -> Array:

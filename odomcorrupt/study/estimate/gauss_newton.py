@@ -238,8 +238,7 @@ def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | A
 
 def orthonormal(white: Array) -> Array:
     """Return an orthonormal basis (n, c) of the space spanned by columns (n, c)."""
-    basis: Array = np.linalg.qr(white)[0] if white.shape[1] else white
-    return basis
+    return np.linalg.qr(white)[0] if white.shape[1] else white
 
 
 def _carried(weights: Array, before: Problem, now: Problem) -> Array:

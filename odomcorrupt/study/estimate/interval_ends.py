@@ -49,8 +49,7 @@ def pick_interval_ends(
     if anchor_s is not None:
         begin_s += (anchor_s - begin_s) % spacing_s
     grid = np.arange(begin_s, last_s + spacing_s, spacing_s) - 1e-9
-    picked: NDArray[np.int64] = np.unique(inside[np.minimum(np.searchsorted(truth_s[inside], grid), len(inside) - 1)])
-    return picked
+    return np.unique(inside[np.minimum(np.searchsorted(truth_s[inside], grid), len(inside) - 1)])
 
 
 def intervals_of(recording: Recording, spacing_s: float) -> Intervals:

@@ -150,8 +150,7 @@ class Intervals:
 
     def _of_steps(self, variance: Array) -> Array:
         """Return the variance (n,) of each step from those (n0,) of the odometry's increments."""
-        of_steps: Array = variance[self.source] * self.share
-        return of_steps
+        return variance[self.source] * self.share
 
     def _add_outer(self, total: Array, w: Array, x: Array, y: Array, *, turns: bool = False) -> None:
         """Add to `total` (3, 3, K) the covariance of noise of variance (n,) on each step along (x, y, turns)."""

@@ -158,8 +158,7 @@ def _drawn(noise: NoiseFit, problem: Problem, columns: Array, root: Root, normal
     factor = cholesky(np.eye(mixing.shape[1]) + mixing.T @ knots.inner(knots) @ mixing, lower=True)
 
     def carried(data: Array) -> Array:
-        solved: Array = solve_triangular(factor, mixing.T @ knots.products(data), lower=True)
-        return solved
+        return solve_triangular(factor, mixing.T @ knots.products(data), lower=True)
 
     if columns.shape[2]:
         own = carried(design)

@@ -220,8 +220,7 @@ class NoiseLikelihood:
         lever[0] *= 0.5
         by_band = self._bands @ np.ascontiguousarray(lever.T).ravel()
         prior = (self._usual(done.free) - done.free) / _SPREAD**2
-        slope: Array = (self._share_slopes(done.free) @ by_band + prior)[movable]
-        return slope
+        return (self._share_slopes(done.free) @ by_band + prior)[movable]
 
     def information(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
         """Return the average information (m, m) of the movable parameters.
@@ -291,8 +290,7 @@ class NoiseLikelihood:
 
     def _sum(self, shares: Array) -> Array:
         """Return the weighted sum of the bands."""
-        summed: Array = (shares @ self._bands).reshape(self._floor.shape[::-1]).T
-        return summed
+        return (shares @ self._bands).reshape(self._floor.shape[::-1]).T
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
         """Return coefficients (8,) and truth noise; a coefficient at its lower bound is exactly zero."""
@@ -356,5 +354,4 @@ def pseudo_inverse(normal: Array) -> Array:
     length = np.sqrt(np.diag(normal))
     scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
     both = np.outer(scale, scale)
-    inverse: Array = np.linalg.pinv(normal * both, rcond=1e-10, hermitian=True) * both
-    return inverse
+    return np.linalg.pinv(normal * both, rcond=1e-10, hermitian=True) * both

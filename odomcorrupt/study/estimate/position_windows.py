@@ -158,5 +158,4 @@ def position_windows(recording: Recording, windows: Intervals) -> PositionWindow
 
 def _quarter(xy: Array) -> Array:
     """Return vectors (..., 2) turned by +90 degrees."""
-    turned: Array = np.stack((-xy[..., 1], xy[..., 0]), axis=-1)
-    return turned
+    return np.stack((-xy[..., 1], xy[..., 0]), axis=-1)

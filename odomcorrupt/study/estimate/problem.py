@@ -119,8 +119,7 @@ class Problem:
 
     def explained(self, effect: Effect) -> Array:
         """Return the part (K, 3) of the residuals that an effect at its present values explains, to first order."""
-        values: Array = self.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
-        return values
+        return self.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
 
     def replacement(self, effect: Effect, other: Effect) -> Array:
         """Return the change (K, 3, 1) of the residuals, to first order, if another effect replaces one of the model."""
@@ -272,8 +271,6 @@ def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:
     """Return the derivative (n, 3) of f with respect to one parameter."""
     more = dataclasses.replace(effect, **{name: getattr(effect, name) + step})  # type: ignore[type-var]
     if effect.odd and not effect.acts:
-        half: Array = error_of(more, motion) / step
-        return half
+        return error_of(more, motion) / step
     less = dataclasses.replace(effect, **{name: getattr(effect, name) - step})  # type: ignore[type-var]
-    slope: Array = (error_of(more, motion) - error_of(less, motion)) / (2.0 * step)
-    return slope
+    return (error_of(more, motion) - error_of(less, motion)) / (2.0 * step)

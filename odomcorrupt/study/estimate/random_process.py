@@ -54,8 +54,7 @@ class Root:
     @property
     def columns(self) -> Array:
         """The root S M as a dense matrix (3 K, m)."""
-        columns: Array = self.spread @ self.mixing
-        return columns
+        return self.spread @ self.mixing
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,5 +218,4 @@ def _walk(knots: Array) -> Array:
     start = np.concatenate(([True], np.diff(knots) > _BREAK_S))
     begin = knots[np.maximum.accumulate(np.where(start, np.arange(len(knots)), 0))]
     since = knots - begin + 1.0
-    shared: Array = np.minimum(since[:, None], since) * (begin[:, None] == begin)
-    return shared
+    return np.minimum(since[:, None], since) * (begin[:, None] == begin)

@@ -342,8 +342,7 @@ def _white(truth: Trajectory, grid: Array, origin_ns: int) -> Array:
     """Return squared roughness (n, 2) by the truth's white noise, in which even and odd samples differ."""
     even, odd = (Trajectory(truth.stamps_ns[i::2], truth.xyt[i::2]) for i in (0, 1))
     apart = np.diff(_steps(even, grid, origin_ns) - _steps(odd, grid, origin_ns), n=2, axis=0)
-    white: Array = apart**2 / 2.0
-    return white
+    return apart**2 / 2.0
 
 
 def _remaining(truth: Trajectory, grid: Array) -> float:

@@ -155,8 +155,7 @@ def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Proble
 def _covariance(problem: Problem) -> Array:
     """Return the covariance (d, 3, 3) of each end from placing by hand and usual noise, used up to a common factor."""
     noise = problem.intervals.covariance(problem.approach.law, _NOISE, problem.steps)
-    whole: Array = noise + np.diag(_PLACED**2)
-    return whole
+    return noise + np.diag(_PLACED**2)
 
 
 def _check_both_ways(drives: Sequence[Recording]) -> None:

@@ -40,13 +40,11 @@ def block_of(problem: Problem) -> NDArray[np.int64]:
     total = float(np.sum(intervals.end_s - intervals.start_s))
     length = total / int(np.clip(total / _LENGTH_S, _FEWEST, _MOST))
     within = np.concatenate([_elapsed(intervals.end_s[run == r], length) for r in np.unique(run)])
-    block: NDArray[np.int64] = np.unique(np.stack((run, within)), axis=1, return_inverse=True)[1].ravel()
-    return block
+    return np.unique(np.stack((run, within)), axis=1, return_inverse=True)[1].ravel()
 
 
 def _elapsed(end_s: Array, length: float) -> NDArray[np.int64]:
-    index: NDArray[np.int64] = ((end_s - end_s[0]) / length).astype(np.int64)
-    return index
+    return ((end_s - end_s[0]) / length).astype(np.int64)
 
 
 def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Array, Array]:
@@ -66,8 +64,7 @@ def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Arr
 
 def block_sums(block: NDArray[np.int64], values: Array) -> Array:
     """Return the sums (blocks, p) over each block of values (m, p); the blocks are in ascending order."""
-    sums: Array = np.add.reduceat(values, np.flatnonzero(np.diff(block, prepend=-1)), axis=0)
-    return sums
+    return np.add.reduceat(values, np.flatnonzero(np.diff(block, prepend=-1)), axis=0)
 
 
 def shared_variance(variance: Array, dof: Array) -> float:
@@ -77,8 +74,7 @@ def shared_variance(variance: Array, dof: Array) -> float:
 
 def inflation(variance: Array, dof: Array, shared: float) -> Array:
     """Return the variance ratio of each column, shrunk towards the shared one; at least 1."""
-    moderated: Array = np.maximum(1.0, (PRIOR_DOF * shared + dof * variance) / (PRIOR_DOF + dof))
-    return moderated
+    return np.maximum(1.0, (PRIOR_DOF * shared + dof * variance) / (PRIOR_DOF + dof))
 
 
 _EDGE = 0.05
@@ -125,8 +121,7 @@ def _moved_shape(problem: Problem, effect: Effect, p: Parameter) -> Array:
         moved = dataclasses.replace(effect, **{p.name: value})  # type: ignore[type-var]  # effects are dataclasses
         sides.append((value, problem.columns(moved) @ np.array([getattr(effect, q.name) for q in amplitudes(effect)])))
     (high, more), (low, less) = sides
-    column: Array = (more - less) / max(high - low, 1e-12)
-    return column
+    return (more - less) / max(high - low, 1e-12)
 
 
 def _between_blocks(problem: Problem, pull: Array, r: Array) -> Array:

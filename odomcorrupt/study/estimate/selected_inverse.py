@@ -75,5 +75,4 @@ def _solved(g: Array, own: Array) -> Array:
     z, info = lapack.dtbtrs(system.reshape(6 * count, -1).T, own.reshape(-1, 1), uplo="U", diag="U", overwrite_b=1)
     if info != 0:
         raise FitError("the covariance of the residuals is singular")
-    solved: Array = z.reshape(count, 6)
-    return solved
+    return z.reshape(count, 6)

@@ -93,8 +93,7 @@ def _driven(fit: Fit) -> NDArray[np.bool_]:
     steps = fit.problem.intervals.odometry_step
     travel = np.hypot(steps[:, 0], steps[:, 1]) + _ARM_M * np.abs(steps[:, 2])
     moving = travel > _STILL_M
-    driven: NDArray[np.bool_] = travel > _USUAL * np.median(travel[moving]) if moving.any() else moving
-    return driven
+    return travel > _USUAL * np.median(travel[moving]) if moving.any() else moving
 
 
 def _beside_effects(fit: Fit) -> NDArray[np.bool_]:
@@ -106,8 +105,7 @@ def _beside_effects(fit: Fit) -> NDArray[np.bool_]:
         return np.ones(len(fit.problem.intervals), dtype=bool)
     explained = np.sum([fit.problem.explained(effect) for effect in fit.effects], axis=0)
     size = np.linalg.norm(fit.noise.whitener.whiten(explained).reshape(-1, 3), axis=1)
-    beside: NDArray[np.bool_] = size <= _STRONG * np.median(size)
-    return beside
+    return size <= _STRONG * np.median(size)
 
 
 def _likelihood(values: Array, inverse_dof: float, draws: int) -> float:

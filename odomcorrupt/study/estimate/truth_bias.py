@@ -107,8 +107,7 @@ def bias_steps(problem: Problem) -> tuple[Array, Array]:
 def scale_errors(problem: Problem, noise: NoiseFit) -> Array:
     """Return the posterior mean (R,) of the scale error of each recording's truth; positive if it is too long."""
     factor = noise.whitener.whiten(bias_roots(problem)[:, :, :1]).T @ noise.innovations
-    scales: Array = np.array([r.truth_scale_error for r in problem.recordings]) * factor
-    return scales
+    return np.array([r.truth_scale_error for r in problem.recordings]) * factor
 
 
 def _smooth_motion(problem: Problem) -> tuple[Array, Array, Array]:

@@ -175,5 +175,4 @@ def _basis(start_xy: Array, end_xy: Array, length_m: float) -> tuple[Array, Arra
 
 def _alike(a: Array, b: Array, length_m: float) -> Array:
     square = np.sum((a[:, None] - b[None]) ** 2, axis=2)
-    alike: Array = np.exp(-0.5 * square / length_m**2)
-    return alike
+    return np.exp(-0.5 * square / length_m**2)

@@ -234,8 +234,7 @@ def _with_field(intervals: Intervals) -> Array:
     own, place = (intervals.field[:, [i, i, i + 1], None] ** 2 * np.eye(3) for i in (0, 2))
     across = start @ (place * intervals.field[:, 4, None, None]) @ np.swapaxes(end, 1, 2)
     ends = (one @ (own + place) @ np.swapaxes(one, 1, 2) for one in (start, end))
-    added: Array = sum(ends) - across - np.swapaxes(across, 1, 2)
-    return added
+    return sum(ends) - across - np.swapaxes(across, 1, 2)
 
 
 def map_axes(intervals: Intervals) -> tuple[Array, Array, Array]:
@@ -256,8 +255,7 @@ def _turned(angle_rad: Array) -> Array:
 
 def _congruent(m: Array, kept: Array, weight: Array) -> Array:
     """Return M kept M' (K, 3, 3), each multiplied by its weight (K,)."""
-    product: Array = (m @ kept @ np.swapaxes(m, 1, 2)) * weight[:, None, None]
-    return product
+    return (m @ kept @ np.swapaxes(m, 1, 2)) * weight[:, None, None]
 
 
 def _random_walk(intervals: Intervals) -> Array:
@@ -321,8 +319,7 @@ def _band_solve(factor: Array, flat: Array, *, transposed: bool = False) -> Arra
     solved, info = lapack.dtbtrs(factor, flat, uplo="L", trans="T" if transposed else "N")
     if info != 0:
         raise FitError("the covariance of the residuals is singular")
-    white: Array = solved
-    return white
+    return solved
 
 
 def fixed_band(intervals: Intervals) -> Array:

@@ -132,8 +132,7 @@ def _squared_misses(recording: Recording, length_s: float, phase: float) -> Arra
     odometry_xyt = recording.odometry.at(at_s, recording.origin_ns)
     first, last = ends.kept, ends.kept + 1
     went = between(odometry_xyt[first], odometry_xyt[last]) - between(truth_xyt[first], truth_xyt[last])
-    squared: Array = np.sum(went[:, :2] ** 2, axis=1)
-    return squared
+    return np.sum(went[:, :2] ** 2, axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +161,7 @@ class WindowErrors:
         joint = root.reshape(n * c, -1) @ root.reshape(n * c, -1).T
         for i in range(n):
             joint[i * c : (i + 1) * c, i * c : (i + 1) * c] = np.eye(c)
-        weights: Array = np.maximum(np.linalg.eigvalsh(joint), 0.0)
-        return weights
+        return np.maximum(np.linalg.eigvalsh(joint), 0.0)
 
     def channel(self, i: int) -> WindowErrors:
         """Return the errors of channel `i` alone."""
@@ -174,31 +172,26 @@ class WindowErrors:
     def nees(self) -> Array:
         """Normalised estimation error squared (n,); chi-square with c degrees of freedom if the model is right."""
         solved = np.linalg.solve(self.covariance, self.error[:, :, None])[:, :, 0]
-        squared: Array = np.sum(solved * self.error, axis=1)
-        return squared
+        return np.sum(solved * self.error, axis=1)
 
     @property
     def deviation(self) -> Array:
         """Predicted standard deviation (n, c) of each error."""
-        sigma: Array = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
-        return sigma
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
     @property
     def expected(self) -> Array:
         """Predicted root mean square error (c,)."""
-        rms: Array = np.sqrt(np.mean(self.deviation**2, axis=0))
-        return rms
+        return np.sqrt(np.mean(self.deviation**2, axis=0))
 
     @property
     def measured(self) -> Array:
         """Measured root mean square error (c,)."""
-        rms: Array = np.sqrt(np.mean(self.error**2, axis=0))
-        return rms
+        return np.sqrt(np.mean(self.error**2, axis=0))
 
     def coverage(self, part: float) -> Array:
         """Return the fraction (c,) of errors inside the central interval that should contain the fraction `part`."""
-        inside: Array = np.mean(np.abs(self.error) <= norm.isf((1.0 - part) / 2.0) * self.deviation, axis=0)
-        return inside
+        return np.mean(np.abs(self.error) <= norm.isf((1.0 - part) / 2.0) * self.deviation, axis=0)
 
     @property
     def crps(self) -> Array:
@@ -209,8 +202,7 @@ class WindowErrors:
         sigma = self.deviation
         z = self.error / sigma
         score = sigma * (z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi))
-        mean: Array = np.mean(score, axis=0)
-        return mean
+        return np.mean(score, axis=0)
 
 
 def window_errors(

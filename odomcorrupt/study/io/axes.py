@@ -74,8 +74,7 @@ def _shape(path: Samples, clock: Samples) -> NDArray[np.complex128]:
     """Return a path's positions as complex numbers about their mean, interpolated at the stamps of `clock`."""
     own, at = (x.seconds_since(int(clock.stamps_ns[0])) for x in (path, clock))
     xy = [np.interp(at, own, path.xyz[:, i]) for i in (0, 1)]
-    centred: NDArray[np.complex128] = (xy[0] - np.mean(xy[0])) + 1j * (xy[1] - np.mean(xy[1]))
-    return centred
+    return (xy[0] - np.mean(xy[0])) + 1j * (xy[1] - np.mean(xy[1]))
 
 
 def _width(plane: Array) -> float:

@@ -55,8 +55,7 @@ def clock_leaders(recordings: Sequence[Recording]) -> list[int]:
 
 def led(free: Array, leaders: Sequence[int]) -> Array:
     """Return the mask (R, 2) of free clock parameters with a shared clock left free in its first recording only."""
-    own: Array = free & (np.array(leaders) == np.arange(len(leaders)))[:, None]
-    return own
+    return free & (np.array(leaders) == np.arange(len(leaders)))[:, None]
 
 
 def coarse_clock(recording: Recording) -> Clock:
@@ -94,8 +93,7 @@ def _speeds(t_s: Array, xyt: Array, at_s: Array) -> Array:
     speed = np.linalg.norm(world[:, :2], axis=1)
     turn = world[:, 2] if np.isfinite(xyt[:, 2]).all() else _course_rate(world[:, :2], at_s)
     both = np.stack((speed, turn), axis=1)
-    scaled: Array = both / np.maximum(np.sqrt(np.mean(both**2, axis=0)), 1e-6)
-    return scaled
+    return both / np.maximum(np.sqrt(np.mean(both**2, axis=0)), 1e-6)
 
 
 def _course_rate(velocity: Array, at_s: Array) -> Array:
@@ -112,5 +110,4 @@ def _correlation(a: Array, b: Array) -> Array:
     total, square = np.moveaxis(running[n:] - running[:-n], 1, 0)
     common = sum(np.correlate(x, y, "valid") for x, y in zip(a.T, b.T, strict=True))
     spread = np.maximum(np.sum(square - total**2 / n, axis=1), 0.0) * np.sum(b**2)
-    correlation: Array = common / np.maximum(np.sqrt(spread), 1e-12)
-    return correlation
+    return common / np.maximum(np.sqrt(spread), 1e-12)

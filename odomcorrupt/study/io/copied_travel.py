@@ -92,5 +92,4 @@ def _travel(path: Samples, origin_ns: int) -> _Travel:
 
 def _moving(steps_m: Array) -> NDArray[np.bool_]:
     size = np.abs(steps_m)
-    moving: NDArray[np.bool_] = size > _MOVING * np.percentile(size, _TOP) if len(size) else size > 0.0
-    return moving
+    return size > _MOVING * np.percentile(size, _TOP) if len(size) else size > 0.0

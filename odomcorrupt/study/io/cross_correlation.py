@@ -128,8 +128,7 @@ def _correlation(a: Array, b: Array, count: int) -> Array:
 
     def shifted(x: Array, y: Array) -> Array:
         whole = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
-        lags: Array = np.concatenate((whole[-count:] if count else whole[:0], whole[: count + 1]))
-        return lags
+        return np.concatenate((whole[-count:] if count else whole[:0], whole[: count + 1]))
 
     n = np.maximum(shifted(there_a, there_b), 1.0)
     mean_a, mean_b = shifted(a, there_b) / n, shifted(there_a, b) / n

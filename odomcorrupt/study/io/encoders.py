@@ -132,8 +132,7 @@ def _changes(travel: Array, dt_s: Array) -> Array:
     At one speed, the increments over one and two sampling intervals are multiples of each other without any ticks.
     """
     last, ratio = travel[:-1], dt_s[1:] / dt_s[:-1]
-    changes: Array = np.minimum(np.abs(travel[1:] - last), np.abs(travel[1:] - last * ratio))
-    return changes
+    return np.minimum(np.abs(travel[1:] - last), np.abs(travel[1:] - last * ratio))
 
 
 def _regularity(travel: Array, dt_s: Array) -> Array:

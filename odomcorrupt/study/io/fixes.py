@@ -183,8 +183,7 @@ def east_north_up(lla: Array) -> Array:
     Heights that are NaN count as 0 (on the ellipsoid): some receivers report only latitude and longitude.
     """
     centred = _earth_centred(lla)
-    plane: Array = (centred - centred[0]) @ _to_plane(lla[0]).T
-    return plane
+    return (centred - centred[0]) @ _to_plane(lla[0]).T
 
 
 def frame_of(origin: Origin, other: Origin) -> Array:

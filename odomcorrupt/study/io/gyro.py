@@ -84,8 +84,7 @@ class YawGyro:
         origin = int(self.stamps_ns[0])
         own = (self.stamps_ns - origin) * 1e-9
         heading = np.concatenate(([0.0], np.cumsum(0.5 * (self.rate[1:] + self.rate[:-1]) * np.diff(own))))
-        at: Array = np.interp((stamps_ns - origin) * 1e-9, own, heading)
-        return at
+        return np.interp((stamps_ns - origin) * 1e-9, own, heading)
 
 
 def only_imu(path: Path) -> str | None:
@@ -291,8 +290,7 @@ def _at_rest(odometry: Samples) -> NDArray[np.bool_]:
     heading = np.unwrap(odometry.yaw_rad)
     turned = np.abs(np.interp(ahead, t_s, heading) - np.interp(behind, t_s, heading))
     span = np.maximum(ahead - behind, 1e-9)
-    still: NDArray[np.bool_] = (gone / span < _STILL_MPS) & (turned / span < 10.0 * _STILL_RADPS)
-    return still
+    return (gone / span < _STILL_MPS) & (turned / span < 10.0 * _STILL_RADPS)
 
 
 def _heading_source(gyro: YawGyro, odometry: Samples, still: NDArray[np.bool_]) -> str:

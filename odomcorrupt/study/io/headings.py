@@ -62,8 +62,7 @@ class Alignment(NamedTuple):
     def sums(self, x: Array) -> Array:
         """Return the sum (t,) of values (t,) over the samples aligned around each one."""
         total = np.concatenate(([0.0], np.cumsum(x)))
-        summed: Array = total[self.last] - total[self.first]
-        return summed
+        return total[self.last] - total[self.first]
 
 
 def alignment(recording: Recording) -> Alignment:

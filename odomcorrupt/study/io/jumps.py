@@ -110,10 +110,7 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
         dt = np.abs(t_s[b] - t_s[a])
         gone = np.linalg.norm(xy[b] - xy[a], axis=-1)
         turned = np.abs(wrap(np.asarray(yaw[b] - yaw[a])))
-        over: NDArray[np.bool_] = (gone > reach.rate[0] * dt + reach.slack[0]) | (
-            turned > reach.rate[1] * dt + reach.slack[1]
-        )
-        return over
+        return (gone > reach.rate[0] * dt + reach.slack[0]) | (turned > reach.rate[1] * dt + reach.slack[1])
 
     every = np.arange(len(path))
     jump = far(every[:-1], every[1:])
@@ -149,8 +146,7 @@ def _noise(path: Samples, part: float) -> Array:
     xy = np.abs(np.diff(path.xyz[:, :2], n=2, axis=0))
     yaw = np.abs(np.diff(wrap(np.diff(path.yaw_rad)))) if path.headed else np.zeros(1)
     below = np.array([np.quantile(xy, part) if len(xy) else 0.0, np.quantile(yaw, part) if len(yaw) else 0.0])
-    noise: Array = below / NormalDist().inv_cdf((1.0 + part) / 2.0) / np.sqrt(6.0)
-    return noise
+    return below / NormalDist().inv_cdf((1.0 + part) / 2.0) / np.sqrt(6.0)
 
 
 LONGEST = 5
@@ -203,8 +199,7 @@ def _spikes(
         least = np.minimum(least, _off(xyt[before], xyt[before + i], xyt[after]))
     # The neighbours agree if their distance is within the limit, or below the deviation of the spike.
     spike = (moved < np.maximum(slack, least)).all(axis=1) & (least > slack).any(axis=1)
-    rows: NDArray[np.int64] = (before[spike][:, None] + np.arange(1, count + 1)).ravel()
-    return rows
+    return (before[spike][:, None] + np.arange(1, count + 1)).ravel()
 
 
 def _apart(a_xyt: Array, b_xyt: Array) -> Array:
@@ -344,8 +339,7 @@ def _returns(t_s: Array, difference: Array, first: int, end: int) -> NDArray[np.
     parts = np.split(difference[begin:last], (first - begin, end - begin))
     before, within, after = (np.median(part, axis=0) for part in parts)
     stays, away = (np.array((np.linalg.norm(d[:2]), abs(d[2]))) for d in (after - before, within - before))
-    returns: NDArray[np.bool_] = stays < np.maximum(_MAX_LEFT * away, _MIN_APART)
-    return returns
+    return stays < np.maximum(_MAX_LEFT * away, _MIN_APART)
 
 
 def _unwrapped(difference: Array) -> tuple[Array, Array]:

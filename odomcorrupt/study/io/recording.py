@@ -147,8 +147,7 @@ class Recording:
     def within_odometry(self) -> NDArray[np.bool_]:
         """Mask (t,) of the truth's samples in the time of the odometry."""
         first_s, last_s = self.odometry_s[[0, -1]].tolist()
-        inside: NDArray[np.bool_] = (self.truth_s >= first_s) & (self.truth_s <= last_s)
-        return inside
+        return (self.truth_s >= first_s) & (self.truth_s <= last_s)
 
     @property
     def travel_m(self) -> float:

@@ -275,5 +275,4 @@ def _nanoseconds(values: Array, tick: int, place: str) -> NDArray[np.int64]:
     if np.abs(values).max() * tick > 9e18:
         raise RecordingError(f"{place}: a time of {np.abs(values).max():g} is no stamp")
     whole = np.floor(values)
-    stamps: NDArray[np.int64] = whole.astype(np.int64) * tick + np.round((values - whole) * tick).astype(np.int64)
-    return stamps
+    return whole.astype(np.int64) * tick + np.round((values - whole) * tick).astype(np.int64)

@@ -30,8 +30,7 @@ def unit(quat_xyzw: Array) -> Array:
     usable = (largest > _SHORTEST) & (largest < np.inf)
     # Scale first: squares of values from a damaged bag could overflow.
     scaled = np.divide(quat_xyzw, largest, out=np.full_like(quat_xyzw, np.nan), where=usable)
-    out: Array = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
-    return out
+    return scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
 
 
 def headings(quat_xyzw: Array) -> Array:
@@ -84,5 +83,4 @@ def _product(a: Array, b: Array) -> Array:
 def _turned(quat_xyzw: Array, xyz: Array) -> Array:
     axis, w = quat_xyzw[:, :3], quat_xyzw[:, 3:]
     once = 2.0 * np.cross(axis, xyz)
-    turned: Array = xyz + w * once + np.cross(axis, once)
-    return turned
+    return xyz + w * once + np.cross(axis, once)

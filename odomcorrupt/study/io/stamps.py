@@ -175,5 +175,4 @@ def _follow(steps_m: Array, expected_m: Array) -> bool:
 
 def _running_mean(values: Array) -> Array:
     """Return the running mean (n,) over `_WINDOW` values."""
-    mean: Array = np.convolve(values, np.full(_WINDOW, 1.0 / _WINDOW), "same")
-    return mean
+    return np.convolve(values, np.full(_WINDOW, 1.0 / _WINDOW), "same")

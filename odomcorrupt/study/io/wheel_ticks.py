@@ -220,8 +220,7 @@ def _unwrapped(angle: Array) -> Array:
     """Return angles (n, 2) unwrapped if the driver wraps them every turn; otherwise unchanged."""
     if np.ptp(angle) > 2.0 * np.pi + 0.1:
         return angle
-    out: Array = np.unwrap(angle, axis=0)
-    return out
+    return np.unwrap(angle, axis=0)
 
 
 def _tick(angle: Array) -> float | None:

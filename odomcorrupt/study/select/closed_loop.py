@@ -213,8 +213,7 @@ def score_of_corrections(fit: Fit, columns_of: Callable[[Sequence[Motion]], Arra
         columns_of([replace(m, acceleration=m.acceleration + sign * step) for m in problem.motions])
         for sign in (1.0, -1.0)
     )
-    score: Array = np.einsum("ki,kip->p", pulled, higher - lower) / (2.0 * change)
-    return score
+    return np.einsum("ki,kip->p", pulled, higher - lower) / (2.0 * change)
 
 
 def _turn_columns(fit: Fit) -> Array:
@@ -222,5 +221,4 @@ def _turn_columns(fit: Fit) -> Array:
     problem = fit.problem
     turned = np.zeros((sum(len(m) for m in problem.motions), 3))
     turned[:, 2] = np.concatenate([MOVES["omega"](m) * m.dt_s for m in problem.motions])
-    column: Array = problem.intervals.column(turned)
-    return column
+    return problem.intervals.column(turned)

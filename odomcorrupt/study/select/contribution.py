@@ -132,8 +132,7 @@ def _windows(recordings: Sequence[Recording], distance_m: float | None) -> list[
 def _travelled(recording: Recording, ends: Array) -> Array:
     """Return the length of path (n,) of windows (n, 2), m."""
     path = np.interp(ends, recording.odometry_s, distance_along(recording.odometry.xyt))
-    metres: Array = path[:, 1] - path[:, 0]
-    return metres
+    return path[:, 1] - path[:, 0]
 
 
 def _displacements(path: Trajectory, ends: Array, origin_ns: int) -> Array:

@@ -97,8 +97,7 @@ def _scores(fit: Fit, pull: Array, channel: str) -> Array:
     unit = np.zeros((len(moved), 3))
     unit[:, CHANNELS.index(channel)] = -moved
     interval = np.repeat(np.arange(len(intervals)), np.diff(np.append(intervals.first, len(intervals.source))))
-    scores: Array = np.einsum("in,ni->n", intervals.carried(unit), pull[interval])
-    return scores
+    return np.einsum("in,ni->n", intervals.carried(unit), pull[interval])
 
 
 def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> list[float]:

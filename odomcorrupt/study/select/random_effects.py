@@ -341,5 +341,4 @@ def _chance_of_less(nats: float, strength: Array, scale: float) -> float:
 def _gains(strength: Array, score: Array, scales: Array) -> Array:
     """Return the gains (s,) of a process at given scales (s,), nats, from the results of `_spectrum`."""
     q = scales[:, None] ** 2
-    gains: Array = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
-    return gains
+    return 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)

@@ -113,8 +113,7 @@ class Projection:
 
     def of(self, white: Array) -> Array:
         """Return whitened columns (3 K, c) without their part in the span."""
-        rest: Array = white - self.basis @ (self.basis.T @ white)
-        return rest
+        return white - self.basis @ (self.basis.T @ white)
 
     def gain(self, white: Array) -> float:
         """Return the joint gain of whitened columns (3 K, p), nats, to first order."""
@@ -256,8 +255,7 @@ def _held_out(r: Array, column: Array, block: NDArray[np.int64]) -> Array:
     score = block_sums(block, column * r[:, None])
     rest = np.linalg.pinv(normal.sum(axis=0) - normal, rcond=count * np.finfo(np.float64).eps, hermitian=True)
     theta = np.einsum("bij,bj->bi", rest, score.sum(axis=0) - score)
-    gains: Array = np.einsum("bi,bi->b", theta, score) - 0.5 * np.einsum("bi,bij,bj->b", theta, normal, theta)
-    return gains
+    return np.einsum("bi,bi->b", theta, score) - 0.5 * np.einsum("bi,bij,bj->b", theta, normal, theta)
 
 
 def _tested(test: _Test, shared: float, family: int) -> ColumnScore:

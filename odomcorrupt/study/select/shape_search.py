@@ -263,5 +263,4 @@ def maximise(gain: Callable[[Array], float], start: Array, steps: Array) -> Arra
             "fatol": _WORTH,
         },
     )
-    top: Array = start + steps * found.x
-    return top
+    return start + steps * found.x

@@ -110,8 +110,7 @@ def _truth_spread(model: MotionModel, windows: Intervals, errors: WindowErrors, 
         return np.zeros(count)
     own = windows.covariance(model.noise.law, model.noise.coefficients, problem.steps)[:, :count, :count]
     odometry, total = (np.einsum("nii->i", part) for part in (own, errors.covariance))
-    spread: Array = LOCALISED * (1.0 - odometry / total)
-    return spread
+    return LOCALISED * (1.0 - odometry / total)
 
 
 def _effect_errors(model: MotionModel, problem: Problem, inflate: float) -> Array:
@@ -121,8 +120,7 @@ def _effect_errors(model: MotionModel, problem: Problem, inflate: float) -> Arra
         own = problem.columns(effect)
         errors = [model.standard_errors.get(f"{effect.name}.{p.name}", 0.0) for p in amplitudes(effect)]
         columns.append(own * np.array(errors) * inflate)
-    joined: Array = np.concatenate(columns, axis=2)
-    return joined
+    return np.concatenate(columns, axis=2)
 
 
 HORIZONS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -224,8 +222,7 @@ def _squares(
     """
     scale, offset = uncertainty.draw(rng, _DRAWS, spread)
     if errors.shared is None:
-        drawn: Array = scale * rng.noncentral_chisquare(freedom, freedom * offset)
-        return drawn
+        return scale * rng.noncentral_chisquare(freedom, freedom * offset)
     return scale * (_draws(errors, rng) + freedom * offset)
 
 

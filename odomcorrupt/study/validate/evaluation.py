@@ -86,8 +86,7 @@ class Evaluation:
         """
         square = self.innovations.reshape(-1, 3)[:, self.recording.axes] ** 2
         size = np.maximum(square.mean(axis=0), _LEAST_SQUARE)
-        nats: Array = self.interval_nats + 0.5 * np.sum(square * (1.0 - 1.0 / size) - np.log(size), axis=1)
-        return nats
+        return self.interval_nats + 0.5 * np.sum(square * (1.0 - 1.0 / size) - np.log(size), axis=1)
 
     def chains(self) -> list[Array]:
         """Return the innovations as uninterrupted chains (m, c), with c the axes measured by the truth."""
@@ -331,8 +330,7 @@ def block_differences(pieces: Sequence[Evaluation], others: Sequence[Evaluation]
     sized : whether to rescale the noise to each recording, see `Evaluation.sized_nats`
     """
     what: _Summed = "sized_nats" if sized else "interval_nats"
-    difference: Array = _blocks(pieces, pieces, what) - _blocks(others, pieces, what)
-    return difference
+    return _blocks(pieces, pieces, what) - _blocks(others, pieces, what)
 
 
 def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], what: _Summed = "interval_nats") -> Array:
@@ -342,8 +340,7 @@ def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], what: _S
         end_s = like.problem.intervals.end_s
         block = ((end_s - end_s[0]) / BLOCK_S).astype(np.int64)
         sums.append(np.bincount(block, getattr(piece, what)))
-    joined: Array = np.concatenate(sums)
-    return joined
+    return np.concatenate(sums)
 
 
 def _ratio(values: Array, metres: Array) -> tuple[float, float]:

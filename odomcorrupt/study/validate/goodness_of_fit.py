@@ -169,8 +169,7 @@ def _least_tails(count: int) -> Array:
 def _tail(below: NDArray[np.int64], at: Array, count: int) -> Array:
     """Return the smallest two-sided pointwise p-value (s,) of counts (s, g)."""
     either = np.minimum(binom.cdf(below, count, at), binom.sf(below - 1, count, at))
-    least: Array = 2.0 * np.min(either, axis=1)
-    return least
+    return 2.0 * np.min(either, axis=1)
 
 
 @dataclass(frozen=True, slots=True)

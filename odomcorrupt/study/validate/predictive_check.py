@@ -83,8 +83,7 @@ class Replay:
         gap[:, 2] = wrap(gap[:, 2])
         square = np.sum(np.linalg.solve(spread, gap[:, :, None])[:, :, 0] * gap, axis=1)
         limit = 3.0 * (count - 1.0) * (count + 1.0) / (count * (count - 3.0)) * fisher_f.ppf(part, 3, count - 3)
-        within: NDArray[np.bool_] = square <= limit
-        return within
+        return square <= limit
 
 
 def replay(piece: Evaluation, *, runs: int = 100) -> Replay:
@@ -296,5 +295,4 @@ def _noise(truth: TruthNoise, t_s: Array, run: int, *, headed: bool) -> Array:
     white = rng.standard_normal((len(t_s), 3)) * level
     steps = rng.standard_normal((len(t_s), 2)) * np.sqrt(np.diff(t_s, prepend=t_s[:1]))[:, None] * truth.random_walk
     white[:, :2] += np.cumsum(steps, axis=0)
-    noise: Array = white
-    return noise
+    return white

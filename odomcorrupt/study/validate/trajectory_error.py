@@ -49,8 +49,7 @@ def aligned_at_origin(reference_xyt: Array, estimate_xyt: Array) -> Array:
 
 def absolute_errors(reference_xyt: Array, estimate_xyt: Array) -> Array:
     """Return the distances (n,) between positions, metres."""
-    distances: Array = np.linalg.norm(estimate_xyt[:, :2] - reference_xyt[:, :2], axis=1)
-    return distances
+    return np.linalg.norm(estimate_xyt[:, :2] - reference_xyt[:, :2], axis=1)
 
 
 @dataclass(frozen=True, slots=True)

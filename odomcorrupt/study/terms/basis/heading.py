@@ -44,8 +44,7 @@ class _Arc(NamedTuple):
 
     def contains(self, theta: Array) -> NDArray[np.bool_]:
         """Return whether headings (n,), rad, are in the arc."""
-        inside: NDArray[np.bool_] = np.cos(theta - self.middle) > self.least
-        return inside
+        return np.cos(theta - self.middle) > self.least
 
 
 def functions_of_heading() -> Iterator[BasisFunction]:

@@ -61,8 +61,7 @@ def _iron(shape: tuple[float, ...]) -> BasisFunction:
 
     def nearing(m: Motion) -> Array:
         ahead = (x - m.x) * np.cos(m.theta) + (y - m.y) * np.sin(m.theta)
-        near: Array = ahead * np.exp(-((m.x - x) ** 2 + (m.y - y) ** 2) / (2.0 * reach**2))
-        return near
+        return ahead * np.exp(-((m.x - x) ** 2 + (m.y - y) ** 2) / (2.0 * reach**2))
 
     right, up = f"(x {_less(x)})", f"(y {_less(y)})"
     bell = f"exp(-({right}**2 + {up}**2) / {2.0 * reach**2:.4g})"
