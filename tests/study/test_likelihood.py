@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from dense_covariance import dense_covariance
 from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
@@ -22,7 +23,7 @@ from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, NoiseLikelihood
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.selected_inverse import inverse_band
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
-from odomcorrupt.study.estimate.whitener import dense_covariance, whitener
+from odomcorrupt.study.estimate.whitener import whitener
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 

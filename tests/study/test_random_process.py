@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dense_covariance import dense_covariance
 from hidden import as_recording
 from scipy.linalg import lapack
 
@@ -15,7 +16,7 @@ from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import root_of, widened
-from odomcorrupt.study.estimate.whitener import dense_covariance, whitener
+from odomcorrupt.study.estimate.whitener import whitener
 
 RANDOM = (
     effect_from_values("gauss_markov", {"sigma": 0.05, "tau": 8.0}),

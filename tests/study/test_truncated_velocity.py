@@ -17,7 +17,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.io.encoders import encoder_effects
-from odomcorrupt.study.select.candidates import include
+from odomcorrupt.study.select.candidates import with_shape_refined
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.remainder import are_its_steps
 from odomcorrupt.study.select.score import score_terms
@@ -122,7 +122,7 @@ def found(steps, xyt):
     family = LibraryTerm.family(registry()["truncated_velocity"], start.problem.motions)
     term = ShapeSearch(start, DECISIONS).best(family)
     (score,) = score_terms(start, [term], DECISIONS)
-    (effect,) = include(start, score, DECISIONS)[0].effects
+    (effect,) = with_shape_refined(start.refit((score.estimated,)), score, DECISIONS)[0].effects
     return effect
 
 

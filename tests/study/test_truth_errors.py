@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from dense_covariance import dense_covariance
 from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
@@ -24,7 +25,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
-from odomcorrupt.study.estimate.whitener import dense_covariance, interval_covariance, map_axes, whitener
+from odomcorrupt.study.estimate.whitener import interval_covariance, map_axes, whitener
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.recording import TruthField
 from odomcorrupt.study.select.decisions import DECISIONS

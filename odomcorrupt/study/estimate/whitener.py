@@ -119,7 +119,7 @@ class Whitener:
 
     def _by_band(self, flat: Array) -> Array:
         """Return x of shape (3 K, c) whitened by the band alone."""
-        return self.solved(flat if self.rho is None else _quasi_differences(flat, self.rho))
+        return self.solved(flat if self.rho is None else quasi_differences(flat, self.rho))
 
     def _back(self, white: Array) -> Array:
         """Return the transpose of `_by_band` applied to data (3 K, c)."""
@@ -264,7 +264,7 @@ def _random_walk(intervals: Intervals) -> Array:
     return walk
 
 
-def _quasi_differences(flat: Array, rho: Array) -> Array:
+def quasi_differences(flat: Array, rho: Array) -> Array:
     """Return z_k = x_k - rho_k x_{k-1} of columns (3 K, c), each contiguous in memory."""
     x = flat.reshape(len(rho), 3, -1)
     z = x.copy()
@@ -335,29 +335,6 @@ def factored(band: Array, rho: Array | None = None) -> Whitener:
     if info != 0:
         raise FitError("the covariance of the residuals is not positive definite")
     return Whitener(factor, float(np.sum(np.log(factor[0]))), rho=rho)
-
-
-def dense_covariance(intervals: Intervals, q: Array, truth: TruthNoise) -> Array:
-    """Return the residuals' covariance as a dense matrix (3 K, 3 K), for small K, as in tests."""
-    diagonal, below = (part.copy() for part in unseen_piece(intervals))
-    for weight, piece in zip(
-        (1.0, *truth_weights(truth)), (odometry_piece(intervals, q), *truth_pieces(intervals)), strict=True
-    ):
-        diagonal += weight * piece[0]
-        below += weight * piece[1]
-    diagonal[:, [0, 1, 2], [0, 1, 2]] += FLOOR
-    k = len(intervals)
-    full = np.zeros((3 * k, 3 * k))
-    for i in range(k):
-        full[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = diagonal[i]
-    for i in range(k - 1):
-        full[3 * i + 3 : 3 * i + 6, 3 * i : 3 * i + 3] = below[i]
-        full[3 * i : 3 * i + 3, 3 * i + 3 : 3 * i + 6] = below[i].T
-    rho = rho_of(intervals)
-    if rho is not None:
-        back = np.linalg.inv(_quasi_differences(np.eye(3 * k), rho))
-        full = back @ full @ back.T
-    return full
 
 
 def _adjoint_of_inverse(xyt: Array) -> Array:

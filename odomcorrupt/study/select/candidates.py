@@ -301,14 +301,6 @@ def _on_bounds(fit: Fit, score: Score) -> str:
     return ""
 
 
-def include(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
-    """Return the fit with a term and the term with its refined shape.
-
-    Robust weights are re-estimated, because the term may explain intervals that were outliers before.
-    """
-    return with_shape_refined(fit.refit((*fit.effects, score.estimated)), score, decisions)
-
-
 def with_shape_refined(
     fit: Fit, score: Score, decisions: Decisions, weights_of: Fit | None = None
 ) -> tuple[Fit, Score]:
