@@ -84,7 +84,7 @@ _STILL, _LEAST_M, _LEAST_RAD = 0.01, 0.5, 1.0
 _LONGEST_S = 1.0  # longer intervals are gaps
 _FAST_MPS = 60.0
 PER_METRE = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
-"""Units of length that publishers confuse with metres; yards cannot be told from large wheels."""
+"""Units of length that publishers confuse with metres; yards cannot be distinguished from larger wheels."""
 _OF_A_UNIT = 1.06
 
 
