@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -109,6 +110,7 @@ def driven_speeds(motions: Sequence[Motion]) -> Array:
     return speeds[speeds > _STILL_MPS]
 
 
+@lru_cache(maxsize=4)  # a shape search asks for the same ones a thousand times
 def wheel_motions(motion: Motion, track_m: float) -> tuple[Motion, Motion]:
     """Return the motion of the right wheel and of the left one: rim speed, acceleration and position.
 

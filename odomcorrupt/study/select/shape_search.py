@@ -122,7 +122,7 @@ class ShapeSearch:
         words = [word for word in choices(best.start) if word != "heading"]
         for others in (best.with_words(words), best.related()):
             paid = self.gain(best) - most + penalty_nats
-            refined = [self._refined(other) for other in others]
+            refined = self._refined(others, most + paid)
             net = [(nats - paid - self._more_charged(other, best), other) for nats, other in refined]
             most, best = max([(most, best), *net], key=itemgetter(0))
         return best
@@ -195,7 +195,7 @@ class ShapeSearch:
             family = [family[i] for i in np.argsort(-self.coarse_gains(family), kind="stable")[:_MOST_EXACT]]
         ranked = sorted(((self.gain(term), term) for term in family), reverse=True, key=itemgetter(0))
         begin = starts([term for _, term in ranked], ranked[0][0])
-        return max((self._refined(term) for term in begin), key=itemgetter(0))
+        return max(self._refined(begin, 0.0), key=itemgetter(0))
 
     def _nearly(self, family: Sequence[LibraryTerm]) -> tuple[float, LibraryTerm]:
         """Return gain and term from which `_highest` would continue with exact columns."""
@@ -206,9 +206,22 @@ class ShapeSearch:
         begin = starts([family[i] for i in order[:_MOST_EXACT]], float(nats[order[0]]))
         return max(((self.gain(term), term) for term in map(self.climb, begin)), key=itemgetter(0))
 
-    def _refined(self, term: LibraryTerm) -> tuple[float, LibraryTerm]:
-        exact = self._climb(self.climb(term), lambda terms: np.array([self.gain(t) for t in terms]), _EXACT)
-        return self.gain(exact), exact
+    def _refined(self, terms: Sequence[LibraryTerm], least_nats: float) -> list[tuple[float, LibraryTerm]]:
+        """Return gains and terms at the maxima near to some terms; only those likely to exceed `least_nats` are exact.
+
+        Steps with approximate columns lead several terms to one maximum; exact columns are then used once.
+        """
+        found: list[tuple[float, LibraryTerm]] = []
+        climbed = sorted(((self.gain(t), t) for t in map(self.climb, terms)), reverse=True, key=itemgetter(0))
+        for nats, term in climbed:
+            if any(_near(term, other) for _, other in found):
+                continue
+            best = term
+            if _REFINED * nats + _REFINED_NATS > least_nats:
+                best = self._climb(term, lambda near: np.array([self.gain(t) for t in near]), _EXACT)
+                least_nats = max(least_nats, self.gain(best))
+            found.append((self.gain(best), best))
+        return found
 
     def _climb(self, term: T, gains: Callable[[Sequence[T]], Array], scales: Sequence[float]) -> T:
         if not len(term.shape):
@@ -246,6 +259,12 @@ def _apart(one: Term, other: Term) -> bool:
     if isinstance(one, BasisTerm) and isinstance(other, BasisTerm) and one.function.form != other.function.form:
         return True
     return one.several_maxima and bool(np.any(np.abs(one.shape - other.shape) > one.steps))
+
+
+def _near(one: LibraryTerm, other: LibraryTerm) -> bool:
+    """Return whether two terms differ by less than the first exact step of each shape parameter."""
+    alike = len(one.shape) == len(other.shape) and one.with_shape(other.shape.tolist()).start == other.start
+    return alike and bool(np.all(np.abs(one.shape - other.shape) <= _EXACT[0] * one.steps))
 
 
 def maximise(gain: Callable[[Array], float], start: Array, steps: Array) -> Array:
