@@ -48,6 +48,10 @@ _CORRECTED = ("yaw_acceleration", "yaw")
 _MOST_STARTS = 40
 """Largest number of terms of one regressor and channel from which shape searches may start."""
 
+_COARSE_SHARE = {"place": 0.03, "other": 0.25}
+"""Fraction of the gain of an effect that screening finds, at least, of a basis function that explains it nearly.
+The least in 24 searches was 0.07 for a place, which a coarse grid may miss, and 0.4 for any other regressor."""
+
 _TILT_NATS, _TILT_DEPENDENCE = 20.0, ("along", "acceleration")
 """Gain required with a truth by laser, which tilts when the robot brakes: exact odometry gains 8.5 nats."""
 
@@ -137,10 +141,13 @@ class Dependence:
         return self.best.term.function.place if self.best is not None else ""
 
 
-def basis_scores(fit: Fit, decisions: Decisions, design: CoarseDesign | None = None) -> list[BasisScore]:
+def basis_scores(
+    fit: Fit, decisions: Decisions, design: CoarseDesign | None = None, *, against_nats: float = 0.0
+) -> list[BasisScore]:
     """Return the best basis function of each regressor and channel, scored exactly, whether or not it is significant.
 
     design : approximate columns, if already computed for this problem
+    against_nats : gain that the functions compete with. Of those that can hardly reach it only the best is scored
     """
     count = len(fit.problem.intervals)
     search = ShapeSearch(fit, decisions, design)
@@ -152,9 +159,11 @@ def basis_scores(fit: Fit, decisions: Decisions, design: CoarseDesign | None = N
         key=lambda w: (w[0], -w[1], w[2]),
     )
     terms: list[BasisTerm] = []
-    for _, group in groupby(worth, key=lambda w: w[0]):
-        ranked = [s for _, nats, _, s in islice(group, _MOST_STARTS) if nats > decisions.exact_nats]
-        terms += search.forms(ranked) if ranked else []
+    most = max((nats for _, nats, _, _ in worth), default=0.0)
+    for kind, group in groupby(worth, key=lambda w: w[0]):
+        least = min(_COARSE_SHARE["place" if kind[0] == "position" else "other"] * against_nats, most)
+        near = [(nats, s) for _, nats, _, s in islice(group, _MOST_STARTS) if nats > decisions.exact_nats]
+        terms += search.forms([s for _, s in near]) if near and near[0][0] >= least else []
     found: dict[tuple[str, str], list[Score]] = {}
     imitated = [_imitated(fit, term) for term in terms]
     scores = score_terms(fit, terms, decisions, family=1, imitated=imitated) if terms else []

@@ -142,7 +142,7 @@ def compare_with_basis(
             and _share(whiten(term.columns(other)), whiten(elsewhere) @ sizes) > decisions.copy_share
         )
 
-    found = [one.without(copies) for one in basis_scores(bare, decisions, design)]
+    found = [one.without(copies) for one in basis_scores(bare, decisions, design, against_nats=nats)]
     scores = sorted((one for one in found if one is not None), key=lambda one: -one.score.nats)
     others = [e for e in fit.effects if e not in effects]
 

@@ -76,6 +76,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Learned", "Step", "learn"]
 
+_WIDE_NATS = 30.0
+"""Margin of an effect over basis functions that the last refits do not change so much that it matters."""
+
 
 def learn(
     recordings: Sequence[Recording],
@@ -224,7 +227,7 @@ class _Selection:
         self.work.begin_step()
         candidates = library_candidates(self.fit, decisions, self.withdrawn)
         best = candidates[0] if candidates and not candidates[0].refused else None
-        correlated = self._correlated(best.gain if best is not None else 0.0)
+        correlated = self._correlated(best)
         proposal = None
         if best is None or correlated is not None:
             self.work.within_step("screening dependences")
@@ -259,11 +262,12 @@ class _Selection:
         step = Step(before=before, candidates=tried, added=added, dependence=dependence, alternative_nats=near)
         self.steps.append(step)
 
-    def _correlated(self, gain: float) -> DetectedRandomEffect | None:
+    def _correlated(self, best: Candidate | None) -> DetectedRandomEffect | None:
         """Return the random coefficient with a clearly larger gain than the best effect, if another one is allowed."""
         if len(self.fit.random) >= self.decisions.max_correlated or is_pulled(self.fit):
             return None
-        found = random_coefficients(self.fit, self.decisions)
+        found = random_coefficients(self.fit, self.decisions, last=best is None)
+        gain = best.gain if best is not None else 0.0
         return found[0] if found and found[0].nats > gain + self.decisions.alternative_nats else None
 
     def _propose(self, *, alone: bool) -> Proposal | None:
@@ -296,12 +300,23 @@ class _Selection:
         added = {step.added for step in self.steps}
         return [e for e in self.fit.effects if e.name in added]
 
-    def _compare(self, design: CoarseDesign) -> None:
+    def _compare(self, design: CoarseDesign, *, again: bool = False) -> None:
+        """Compare the included effects, each and all together, with basis functions.
+
+        again : whether wide margins of the same effects in an earlier, similar model are kept
+        """
         own = self._selected()
         # several effects may explain one cause together; replacing only one of them would then gain nothing
         together = [own] if len(own) > 1 else []
         groups = [*([e] for e in own), *together]
-        self.compared = [compare_with_basis(self.fit, group, self.decisions, design) for group in groups]
+        wide = {one.names: one for one in self.compared if again and one.margin > _WIDE_NATS}
+        if self.compared_at is None or terms_of(self.compared_at) != terms_of(self.fit):
+            wide = {}
+        names = [tuple(effect.name for effect in group) for group in groups]
+        self.compared = [
+            wide.get(name) or compare_with_basis(self.fit, group, self.decisions, design)
+            for name, group in zip(names, groups, strict=True)
+        ]
         self.compared_at = self.fit
 
     def _include_correlated(self, one: DetectedRandomEffect, explained: float) -> bool:
@@ -329,7 +344,7 @@ class _Selection:
             # their error is an effect and not noise of every step
             self.fit = self.fit.refit((*self.fit.effects, *bursts))
         if self.compared_at is not self.fit:
-            self._compare(CoarseDesign(self.fit.problem, least_thresholds(self.fit)))
+            self._compare(CoarseDesign(self.fit.problem, least_thresholds(self.fit)), again=True)
 
     def _replace_clock_by_lag(self, *, first: bool = False) -> bool:
         """Replace the offset of the odometry's clock by a lag with a larger gain; return whether it was replaced."""
