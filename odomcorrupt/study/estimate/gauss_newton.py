@@ -124,6 +124,12 @@ class Fit:
             weights_of=weights_of,
         )
 
+    def with_noise_refitted(self, random: Sequence[Effect]) -> Fit:
+        """Return the fit with other random coefficients, only its noise estimated again, with the same weights."""
+        begin = NoiseStart(self.noise.free, self.noise.weights)
+        noise = _fitted_noise(self.problem, self.components, self.design_matrix, random, begin)
+        return dataclasses.replace(self, noise=noise, random=tuple(random))
+
     @property
     def wald(self) -> dict[str, float]:
         """Wald statistic of each effect; chi-square under the null, with one degree of freedom per amplitude."""
@@ -196,13 +202,9 @@ def fit_problem(
             weights = _carried(weights, weighted, problem)
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.intervals, problem.steps, gyro_noise=approach.gyro_noise)
-        free_too = columns
-        if has_bias(problem):
-            free_too = np.concatenate((columns, bias_roots(problem)[:, :, :SHARED], *bias_steps(problem)), axis=2)
         begin = NoiseStart(start, weights, elsewhere=i == 0, bursts=bursts)
-        noise = fit_noise_beside(problem, components, free_too, coefficients, begin)
+        noise = _fitted_noise(problem, components, columns, coefficients, begin)
         start, weighted = noise.free, problem
-        noise = with_random(noise, problem, columns, coefficients)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         effects, clocks = moved(effects, noise.theta), _moved_clocks(clocks, own_free, noise.theta)
         clocks = tuple(clocks[leader] for leader in leaders)
@@ -225,6 +227,17 @@ def fit_problem(
         free_clocks=tuple((bool(offset), bool(rate)) for offset, rate in free),
         onward=NextStart(effects, clocks),
     )
+
+
+def _fitted_noise(
+    problem: Problem, components: VarianceComponents, columns: Array, random: Sequence[Effect], begin: NoiseStart
+) -> NoiseFit:
+    """Return the noise of a problem with random coefficients; columns (K, 3, q) are its free linear parameters."""
+    free_too = columns
+    if has_bias(problem):
+        free_too = np.concatenate((columns, bias_roots(problem)[:, :, :SHARED], *bias_steps(problem)), axis=2)
+    noise = fit_noise_beside(problem, components, free_too, random, begin)
+    return with_random(noise, problem, columns, random)
 
 
 def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:

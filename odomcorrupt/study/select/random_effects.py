@@ -70,12 +70,17 @@ class DetectedRandomEffect:
 
 _REFIT_NATS = 15.0
 """Largest gain by fitting the noise again, nats, once a process has its own parameters; at most 10 was observed."""
+_SEEN_NATS = 1.0
+"""Gain in the test above which a bias that walks may be there: the least of nine such drives was 3.6 nats."""
 _MAP_NATS = 20.0
 """Additional nats required of a varying travel gain if the truth depends on a map, whose distortions vary too."""
 
 
-def random_coefficients(fit: Fit, decisions: Decisions) -> list[DetectedRandomEffect]:
-    """Return the random coefficients detected in the residual of a fit, in decreasing order of their gains."""
+def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) -> list[DetectedRandomEffect]:
+    """Return the random coefficients detected in the residual of a fit, in decreasing order of their gains.
+
+    last : whether no effect is admitted, so that there may be no later step that tests them
+    """
     log_count = float(np.log(len(fit.problem.intervals)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found: dict[tuple[str, str], tuple[DetectedRandomEffect, float]] = {}
@@ -101,28 +106,31 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[DetectedRandomEf
     for key, (one, least) in found.items():
         if key in have or is_remainder(fit, one.effect):
             continue
-        beside, measured = _measured(fit, one, least)
+        beside, measured = _measured(fit, one, least, last=last)
         if measured.nats > least and _in_both_halves(beside, measured.effect):
             named.append(measured)
     return sorted(named, key=lambda one: one.nats, reverse=True)
 
 
-def _measured(fit: Fit, one: DetectedRandomEffect, least: float) -> tuple[Fit, DetectedRandomEffect]:
+def _measured(fit: Fit, one: DetectedRandomEffect, least: float, *, last: bool) -> tuple[Fit, DetectedRandomEffect]:
     """Return a fit with its noise re-estimated beside a random bias, and the bias with its gain in the refit.
 
     If intervals last seconds, as with poses of a localisation, or if the angle random walk of a gyro is fitted, the
     fitted noise absorbs most of a random walk of the bias, and a test beside that noise has little power. Otherwise,
-    and if no refit is likely to gain `least` nats, both are returned unchanged.
+    and if no refit is likely to gain `least` nats, both are returned unchanged. Beside intervals of half a second that
+    test sees something of a bias that walks; if it sees nothing, a refit can wait for the `last` step.
     """
     (process,) = processes_like(one.effect)
     approach = fit.problem.approach
     if process.unit is not bias_of or not (approach.gyro_noise or approach.spacing_s > INTERVAL_S):
         return fit, one
+    paid = 0.5 * process.numbers * float(np.log(len(fit.problem.intervals)))
+    if not last and approach.spacing_s <= INTERVAL_S and one.nats + paid < _SEEN_NATS:
+        return fit, one
     (usual,) = (p.typical for p in parameters(process.kind) if p.name == process.scale)
     start = process.kind(**{process.scale: max(getattr(one.effect, process.scale), usual), **process.fixed})
-    paid = 0.5 * process.numbers * float(np.log(len(fit.problem.intervals)))
     least = max(one.nats, least) + paid
-    begun = fit.refit(random=(*fit.random, start))
+    begun = fit.with_noise_refitted((*fit.random, start))
     effect, more = remeasured(begun, start)
     if begun.log_likelihood + more + _REFIT_NATS - fit.log_likelihood <= least:
         return fit, one
