@@ -31,7 +31,7 @@ from odomcorrupt.study.select.closed_loop import (
     of_pulls,
 )
 from odomcorrupt.study.select.decisions import error_shares
-from odomcorrupt.study.select.elimination import drift_grows, drop_term
+from odomcorrupt.study.select.elimination import drift_grows, drop_term, on_bound
 from odomcorrupt.study.select.fitted_size import with_limit, with_shape_at_size, without_optional_shape
 from odomcorrupt.study.select.integration import euler_clause
 from odomcorrupt.study.select.library_search import LibrarySearch
@@ -57,8 +57,6 @@ _DRIFT = f"makes the {WINDOW_S:g} s error larger"
 _STILL, _CREEP = 0.02, 0.1
 """Rates below which a robot is at rest: in m/s and rad/s, and for slow robots as a fraction of the 90 % quantile."""
 _WITHDRAWN = "gains nothing once outlier segments are weighted again, or leads back to an earlier model"
-_AT_BOUND = 1e-6
-"""Distance to a bound, as a fraction of the parameter's range, at which a fitted value counts as on the bound."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,12 +291,8 @@ def channels_of(fit: Fit, effect: Effect) -> list[str]:
 
 def _on_bounds(fit: Fit, score: Score) -> str:
     """Return the reason for refusal if a fitted parameter is on its bound; else ""."""
-    effect = next((e for e in fit.onward.effects if e.name == score.term.name), None)
-    for p in amplitudes(effect) if effect is not None else ():
-        value = getattr(effect, p.name)
-        if value != p.identity and min(value - p.low, p.high - value) <= _AT_BOUND * (p.high - p.low):
-            return f"{p.name} would be {value:.3g} or more, beyond what is physically possible"
-    return ""
+    reached = next((on_bound(e) for e in fit.onward.effects if e.name == score.term.name), None)
+    return f"{reached[0]} would be {reached[1]:.3g} or more, beyond what is physically possible" if reached else ""
 
 
 def with_shape_refined(
