@@ -71,7 +71,7 @@ def test_a_rectangle_pays_for_the_two_numbers_more_than_a_disc_has(monkeypatch, 
     disc, wide = RegionSlip(radius=1.0), RegionSlip(radius=1.0, width=1.0, angle=0.5)
     monkeypatch.setattr(ShapeSearch, "gain", gain)
     monkeypatch.setattr(ShapeSearch, "_highest", lambda self, family: (self.gain(family[0]), family[0]))
-    monkeypatch.setattr(ShapeSearch, "_refined", lambda self, terms, least: [(self.gain(t), t) for t in terms])
+    monkeypatch.setattr(ShapeSearch, "_refined", lambda self, terms, _: [(self.gain(t), t) for t in terms])
     monkeypatch.setattr(RegionSlip, "related", lambda self: (replace(wide, heading=self.heading),))
     family = [LibraryTerm.of(replace(disc, x=x), fitted.problem.motions) for x in (0.0, 1.0)]
     assert len(fitted.problem.intervals) == pytest.approx(240, abs=3)

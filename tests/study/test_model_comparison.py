@@ -8,17 +8,16 @@ from typing import ClassVar
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import FitError
-from odomcorrupt.study.select import model_comparison
+from odomcorrupt.study.select import model_comparison, proposals
 from odomcorrupt.study.select.candidates import Candidate
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.model_comparison import (
     ModelComparison,
-    best_dependence,
-    best_replacement,
     margins,
     rivals,
     with_final_rivals,
 )
+from odomcorrupt.study.select.proposals import best_dependence, best_replacement
 from odomcorrupt.study.select.result import Step
 
 
@@ -49,6 +48,7 @@ def test_a_term_whose_first_estimate_is_too_far_off_to_be_fitted_is_passed_over(
         effects=[SimpleNamespace(name="wheel_scale")],
         better=lambda *_: [SimpleNamespace(**vars(found), channel="along")],
         penalty=0.0,
+        margin=-50.0,
     )
     assert best_replacement(Unfit(), [compared], DECISIONS) is None
 
@@ -104,9 +104,9 @@ def test_dependences_are_compared_by_refits_with_the_same_outliers(monkeypatch):
     def refitted(_, with_it, score, __, *, gain, least):
         return Candidate(score=score, fit=with_it, gain=gain, refused="" if gain > least else "gains less")
 
-    monkeypatch.setattr(model_comparison, "tried", refitted)
-    monkeypatch.setattr(model_comparison, "with_shape_refined", lambda fit, score, *_: (fit, score))
-    monkeypatch.setattr(model_comparison, "_reshaped", lambda one, _: one)
+    monkeypatch.setattr(proposals, "tried", refitted)
+    monkeypatch.setattr(proposals, "with_shape_refined", lambda fit, score, *_: (fit, score))
+    monkeypatch.setattr(proposals, "_reshaped", lambda one, _: one)
     larger, smaller = found("hinge", 77.0), found("step", 70.0)
     best = best_dependence(Weighted("before"), [larger, smaller], DECISIONS)
     # the score test of the hinge is larger by 7 nats, and its fit has more outliers without weight

@@ -15,7 +15,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dependence import basis_scores, dependences
-from odomcorrupt.study.select.model_comparison import best_dependence
+from odomcorrupt.study.select.proposals import best_dependence
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import Action

@@ -35,6 +35,9 @@ _ROUNDS = 6
 _NEAR, _SMALL = 2.0, 0.1
 """Step sizes in standard errors below which the robust weights are kept, and below which the iteration ends."""
 
+_FIRM, _FACTORS = 0.2, (0.3, 5.0)
+"""Ratio of successive steps above which the next one is scaled by their secant, and limits of its factor."""
+
 
 class NextStart(NamedTuple):
     """Parameters after the last step of a fit: the start of the next one."""
@@ -196,6 +199,7 @@ def fit_problem(
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
     own_free = led(free, leaders)
     weights, weighted = (None, problem) if weights_of is None else (weights_of.noise.weights, weights_of.problem)
+    made = np.zeros(0), np.zeros(0)
     for i in range(_ROUNDS):
         problem = problem.at(effects, clocks) if i else problem
         if weights is not None:
@@ -206,9 +210,11 @@ def fit_problem(
         noise = _fitted_noise(problem, components, columns, coefficients, begin)
         start, weighted = noise.free, problem
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
-        effects, clocks = moved(effects, noise.theta), _moved_clocks(clocks, own_free, noise.theta)
+        whole = _extrapolated(noise.theta, *made) if len(made[0]) == len(noise.theta) else noise.theta
+        made = noise.theta, whole
+        effects, clocks = moved(effects, whole), _moved_clocks(clocks, own_free, whole)
         clocks = tuple(clocks[leader] for leader in leaders)
-        step = _made(problem.effects, effects, noise.theta)
+        step = _made(problem.effects, effects, whole)
         if not np.any(np.abs(step) > (_NEAR if nearly else _SMALL) * errors):
             break
         if not np.any(np.abs(step) > _NEAR * errors):
@@ -227,6 +233,18 @@ def fit_problem(
         free_clocks=tuple((bool(offset), bool(rate)) for offset, rate in free),
         onward=NextStart(effects, clocks),
     )
+
+
+def _extrapolated(step: Array, before: Array, made: Array) -> Array:
+    """Return a step (q,) scaled by the secant of each parameter: where the steps reach zero.
+
+    Effects that round or accumulate are not undone exactly, so that each step goes the same fraction too far or not far
+    enough.
+
+    before, made : (q,) the step before it, and what was made of that
+    """
+    factor = np.divide(made, before - step, out=np.ones_like(step), where=np.abs(step) > _FIRM * np.abs(before))
+    return step * np.clip(factor, *_FACTORS)
 
 
 def _fitted_noise(

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.effects.region_slip import RegionSlip
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
@@ -30,12 +29,11 @@ from odomcorrupt.study.select.dependence import BasisScore, basis_scores, depend
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.score import project_out, score_columns
-from odomcorrupt.study.terms.basis.heading import functions_of_heading
 from odomcorrupt.study.terms.basis.place import rectangle_of
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.motion import Motion
@@ -53,16 +51,6 @@ _VARIED_S = 5.0
 """Time between changes of the speeds at which copies are recognised, s: slower than accelerations."""
 _MOST_SPARED = 15.0
 """Largest additional penalty, nats, of an effect that is the same function as a basis function: four parameters."""
-_NEAR_FORM = 0.05
-"""Fraction of the best form's gain that another form may recover by refinement of its threshold."""
-
-
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """A dependence whose basis function may be included, and its candidate in the form that fits best."""
-
-    dependence: Dependence
-    candidate: Candidate
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +105,7 @@ def compare_with_basis(
     bare = fit
     for effect in effects:
         bare = drop_term(bare, effect)
-    columns = np.concatenate([fit.problem.columns(effect) for effect in effects], axis=2)
+    columns = _columns(fit.problem, effects)
     (own,) = score_columns(bare, [columns])
     motions, count = fit.problem.motions, len(fit.problem.intervals)
     penalties = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
@@ -128,7 +116,7 @@ def compare_with_basis(
     whitened = rest.of(whiten(columns))
     sizes = np.linalg.lstsq(whitened, rest.residual, rcond=None)[0]
     other = _at_other_speeds(bare.problem)
-    elsewhere = np.concatenate([other.columns(effect) for effect in effects], axis=2)
+    elsewhere = _columns(other, effects)
 
     def copies(score: Score) -> bool:
         """Return whether a basis function is the same as the effects on any drive: if it fits better, then by chance.
@@ -138,8 +126,8 @@ def compare_with_basis(
         term = score.term
         return (
             score.nats > nats - decisions.replacement_nats  # else too small a gain to matter
-            and _share(rest.of(whiten(term.columns(bare.problem))), whitened @ sizes) > decisions.copy_share
-            and _share(whiten(term.columns(other)), whiten(elsewhere) @ sizes) > decisions.copy_share
+            and explained_share(rest.of(whiten(term.columns(bare.problem))), whitened @ sizes) > decisions.copy_share
+            and explained_share(whiten(term.columns(other)), whiten(elsewhere) @ sizes) > decisions.copy_share
         )
 
     found = [one.without(copies) for one in basis_scores(bare, decisions, design, against_nats=nats)]
@@ -148,7 +136,7 @@ def compare_with_basis(
 
     def refuted(score: Score) -> bool:
         """Return whether a function explains clearly less in a refit without the effects, with the same weights."""
-        if not (with_it := _with(fit, (*others, score.estimated), weights_of=fit)):
+        if not (with_it := with_effects(fit, (*others, score.estimated), weights_of=fit)):
             return True
         with_it, score = with_shape_refined(with_it, score, decisions, weights_of=fit)
         more = with_it.log_likelihood - fit.log_likelihood - score.penalty + penalties
@@ -170,6 +158,10 @@ def rivals(compared: Sequence[ModelComparison], decisions: Decisions) -> list[De
     """Return for effects, alone and together, the dependence that may explain them, if there is one."""
     found = [(own.names, own.better(-decisions.rival_nats)[:1]) for own in compared]
     return [replace(one, instead_of=names) for names, nearest in found for one in nearest]
+
+
+def _columns(problem: Problem, effects: Sequence[Effect]) -> Array:
+    return np.concatenate([problem.columns(effect) for effect in effects], axis=2)
 
 
 def _at_other_speeds(problem: Problem) -> Problem:
@@ -198,7 +190,7 @@ def _varied(motion: Motion, rng: np.random.Generator) -> Motion:
     )
 
 
-def _share(columns: Array, explained: Array) -> float:
+def explained_share(columns: Array, explained: Array) -> float:
     """Return the fraction of the square of a contribution (n,) that columns (n, p) can explain."""
     basis = np.linalg.qr(columns)[0]
     return float(np.sum((basis.T @ explained) ** 2)) / max(float(explained @ explained), 1e-300)
@@ -225,7 +217,7 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     def spared(score: Score) -> float:
         """Return the additional penalty of an effect, nats, if it is the same function of this drive; else 0."""
         columns = bare.noise.whitener.whiten(score.term.columns(bare.problem))
-        same = _share(columns, explained) > decisions.copy_share
+        same = explained_share(columns, explained) > decisions.copy_share
         return max(score.penalty - own_penalty, 0.0) if same else 0.0
 
     likely = search.scores_above(max(least - _MOST_SPARED, 0.0))
@@ -290,111 +282,15 @@ def _with_final_rivals(step: Step, fit: Fit, decisions: Decisions) -> Step:
             effect = replace(effect, heading=heading)  # type: ignore[type-var]  # a dataclass
         if rival.name in have:
             rest[i] = replace(rival, refused="in the model beside it")
-        elif instead := _with(fit, (*others, effect), fit):
+        elif instead := with_effects(fit, (*others, effect), fit):
             more = instead.log_likelihood - fit.log_likelihood - rival.score.penalty + added.score.penalty
             rest[i] = replace(rival, gain=added.gain + more)
     return replace(step, candidates=(added, *rest))
 
 
-def best_dependence(
-    fit: Fit,
-    found: Sequence[Dependence],
-    decisions: Decisions,
-    *,
-    instead_of: ModelComparison | None = None,
-) -> Proposal | None:
-    """Return the dependence with the largest gain that does not increase the drift, among the most significant ones.
-
-    They are compared by refits: a score test takes the noise as it is without the term, and differs from the gain by
-    more than the gains from each other. Robust weights stay fixed, because a fit that excludes more intervals as
-    outliers has a larger likelihood; only the fit that is returned has weights of its own.
-
-    instead_of : effects that it replaces, whose gain it has to exceed by `replacement_nats`
-    """
-    others, spared, least = fit.effects, 0.0, 0.0
-    if instead_of is not None:
-        others = tuple(e for e in fit.effects if e not in instead_of.effects)
-        spared, least = instead_of.penalty, decisions.replacement_nats
-    have = {effect.name for effect in others}
-    possible = [(one, one.best) for one in found if one.best is not None and one.name not in have]
-    best, largest = None, -np.inf
-    for one, basis in possible[: decisions.shortlist]:
-        if one.nats < decisions.shortlist_share * largest:
-            break
-        forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
-        fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*others, score.estimated), fit))]
-        if not fits:
-            continue
-        # a step and a hinge are compared with their thresholds refined
-        most = max(map(_worth, fits))
-        near = max(decisions.replacement_nats, _NEAR_FORM * (most - fit.log_likelihood))
-        refined = [with_shape_refined(*pair, decisions, fit) for pair in fits if _worth(pair) >= most - near]
-        with_it, score = max(refined, key=_worth)
-        known = _where_known(score, with_it, others, decisions)
-        if known is not score:
-            with_it, score = with_it.refit((*others, known.estimated), weights_of=fit), known
-        gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + spared
-        # what the data do not separate stays in the order of the robust score tests
-        more = best.candidate.gain + decisions.alternative_nats if best else least
-        candidate = tried(fit, with_it, score, decisions, gain=gain, least=more)
-        if not candidate.refused:
-            best, largest = Proposal(_reshaped(one, score), candidate), max(largest, one.nats)
-    final = best and best.candidate.fit
-    return replace(best, candidate=replace(best.candidate, fit=final.refit())) if best and final else best
-
-
-def _where_known(score: Score, with_it: Fit, others: Sequence[Effect], decisions: Decisions) -> Score:
-    """Return a score, confined to the headings driven if it is of a wave whose period these do not show.
-
-    A wave of another period may explain the same there, within `alternative_nats`, and differ at all other headings.
-
-    with_it, others : fit with the dependence, and its other effects
-    """
-    term = score.term
-    if not isinstance(term, BasisTerm) or term.function.regressor != "heading":
-        return score
-    problem, whiten = with_it.problem, with_it.noise.whitener.whiten
-    law = next(effect for effect in with_it.effects if effect.name == term.name)
-    explained = whiten(term.columns(problem)) @ [getattr(law, p.name) for p in amplitudes(law)]
-    beside = [problem.columns(effect) for effect in others]
-    for wave in (one for one in functions_of_heading() if one.text != term.function.text):
-        instead = whiten(np.concatenate((replace(term, function=wave).columns(problem), *beside), axis=2))
-        lost_nats = 0.5 * (1.0 - _share(instead, explained)) * float(explained @ explained)
-        if lost_nats < decisions.alternative_nats:
-            return replace(score, term=term.where_driven(problem.motions))
-    return score
-
-
-def _with(fit: Fit, effects: Sequence[Effect], weights_of: Fit | None = None) -> Fit | None:
-    """Return the fit with other effects, or None if their first estimates are too far off as starting values."""
+def with_effects(fit: Fit, effects: Sequence[Effect], weights_of: Fit | None = None) -> Fit | None:
+    """Return the refit with these effects, or None if their first estimates are too far off as starting values."""
     try:
         return fit.refit(effects, weights_of=weights_of)
     except FitError:
         return None
-
-
-def _worth(included: tuple[Fit, Score]) -> float:
-    """Return the log likelihood of a fit minus the penalty of the term that it includes."""
-    return included[0].log_likelihood - included[1].penalty
-
-
-def _reshaped(one: Dependence, score: Score) -> Dependence:
-    """Return a dependence with the form of its basis function that fits best."""
-    if one.best is None or score is one.best.score:
-        return one
-    best = BasisScore(score)
-    return replace(one, best=best, expression=best.term.expression(score.estimate.tolist()))
-
-
-def best_replacement(
-    fit: Fit, compared: Iterable[ModelComparison], decisions: Decisions, contradicted: Container[str] = ()
-) -> Proposal | None:
-    """Return the dependence with the largest gain over the included effects that it replaces, and the fit with it.
-
-    contradicted : channels on which no dependence is admitted
-    """
-    found = []
-    for own in compared:
-        better = [one for one in own.better(decisions.replacement_nats) if one.channel not in contradicted]
-        found.append(best_dependence(fit, better, decisions, instead_of=own))
-    return max((one for one in found if one is not None), key=lambda one: one.candidate.gain, default=None)

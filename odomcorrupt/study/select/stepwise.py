@@ -45,15 +45,13 @@ from odomcorrupt.study.select.elimination import (
 from odomcorrupt.study.select.heterogeneity import disagreements
 from odomcorrupt.study.select.model_comparison import (
     ModelComparison,
-    Proposal,
-    best_dependence,
-    best_replacement,
     compare_with_basis,
     margins,
     name_for,
     rivals,
     with_final_rivals,
 )
+from odomcorrupt.study.select.proposals import Proposal, best_dependence, best_replacement
 from odomcorrupt.study.select.random_effects import (
     DetectedRandomEffect,
     beside_bursts,
