@@ -16,7 +16,7 @@ from hidden import as_recording
 
 from laboratory.cases import same_class
 from laboratory.drives import noiseless_pair, quiet_run
-from odomcorrupt.effects import registry
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.interval_ends import GAP_S, pick_interval_ends
@@ -33,8 +33,11 @@ EXCITED_NATS = 8.0
 every other effect: then chance alone names another one first in 2 % of drives."""
 
 
-def expected_information(case: Case) -> dict[str, float | str | bool]:
-    """Return expected nats (minus the penalty), size in standard errors, the nearest rival and nats beyond it."""
+def expected_information(case: Case, truth_scale: float = 0.0) -> dict[str, float | str | bool]:
+    """Return expected nats (minus the penalty), size in standard errors, the nearest rival and nats beyond it.
+
+    truth_scale : standard deviation of the scale error of the truth's travel, part of the noise; dimensionless
+    """
     flawless = as_recording(quiet_run(case))
     base = fit([flawless], approach=choose_approach([flawless]))
     flawed, clean = (as_recording(run) for run in noiseless_pair(case))
@@ -43,7 +46,16 @@ def expected_information(case: Case) -> dict[str, float | str | bool]:
     )
     # with a clock offset, odometry and truth do not overlap at the ends of the drive
     shift[:2], shift[-2:] = 0.0, 0.0
-    white = base.noise.whitener.whiten(shift)
+    unit = base.noise.whitener.whiten(base.problem.columns(effect_from_values("wheel_scale", {"heading": "gyro"})))[:, 0]
+    # with a covariance of 1 + s^2 u u' the part along u shrinks
+    square = float(unit @ unit)
+    along = (1.0 - 1.0 / np.sqrt(1.0 + truth_scale**2 * square)) / square
+
+    def whitened(columns: np.ndarray) -> np.ndarray:
+        white = base.noise.whitener.whiten(columns)
+        return white - along * np.multiply.outer(unit, unit @ white)
+
+    white = whitened(shift)
     total = 0.5 * float(white @ white)
     own = {same_class(cause) for cause in case.causes}
     nearest, apart = "", total
@@ -51,7 +63,7 @@ def expected_information(case: Case) -> dict[str, float | str | bool]:
         family = kind.scan(base.problem.motions)
         if kind.kind == "noise" or kind.needs_sideways or len(family) != 1 or same_class(name) in own:
             continue
-        column = base.noise.whitener.whiten(base.problem.columns(family[0]))
+        column = whitened(base.problem.columns(family[0]))
         left = white - column @ np.linalg.lstsq(column, white, rcond=None)[0]
         if 0.5 * float(left @ left) < apart:
             nearest, apart = name, 0.5 * float(left @ left)

@@ -12,7 +12,7 @@ from laboratory.answer import errors_of, plain_answer
 from laboratory.information import expected_information
 
 from laser.cases import world_of
-from laser.drives import EXACT, drive, laser_recordings, mocap_recording
+from laser.drives import EXACT, SCALE_ERROR, drive, laser_recordings, mocap_recording
 from laser.gyro import ask_gyro
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
@@ -78,7 +78,8 @@ def ask(case: Case, *, gyro_walk: float | None = None) -> dict[str, Any]:
         row["errors"] = {c: errors_of(row["truth"][c], c, answer["found"]) for c in case.causes}
         row["mocap_errors"] = {c: errors_of(row["truth"][c], c, row["mocap"]["found"]) for c in case.causes}
     if case.arm == "single":
-        row["expected"] = expected_information(case)
+        row["expected"] = expected_information(case, SCALE_ERROR)
+        row["expected_by_mocap"] = expected_information(case)
     judged = simulate(case.seed + JUDGE_SEED, causes, truth=EXACT, duration_s=JUDGED_S, robot_seed=case.seed, **options)
     recording = as_recording(judged, "judged")
     row["error"] = {

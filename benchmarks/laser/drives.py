@@ -32,6 +32,8 @@ __all__ = ["Seen", "drive", "laser_recordings", "mocap_recording"]
 
 EXACT = Tracker(rate_hz=100.0, sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)
 PEOPLE = 3
+SCALE_ERROR = 0.003
+"""Standard deviation of the laser's drawn scale error, which `--laser-scale-accuracy` states by default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +55,7 @@ class Seen:
 
 
 def drive(
-    seed: int, cause: str | Sequence[str] | None, kind: str, *, laser: str = "cheap", scale_error: float = 0.003,
+    seed: int, cause: str | Sequence[str] | None, kind: str, *, laser: str = "cheap", scale_error: float = SCALE_ERROR,
     most_lag_s: float = 0.15, **options: Any,
 ) -> Seen:  # fmt: skip
     """Return a simulated drive with laser sweeps in a world of the given kind."""
@@ -115,7 +117,7 @@ def mocap_recording(seen: Seen) -> Recording:
     return Recording("mocap", own, _trajectory(run), int(run.odom_stamps_ns[0]), run.track_m)
 
 
-def laser_recordings(seen: Seen, *, scale_error: float = 0.003) -> tuple[list[Recording], LaserRun]:
+def laser_recordings(seen: Seen, *, scale_error: float = SCALE_ERROR) -> tuple[list[Recording], LaserRun]:
     """Return the drive with the laser as its truth, as `learn --scan` reads it, and the laser's run."""
     odometry = odometry_samples(seen.run)
     found = match_run(odometry, seen.sweeps)
