@@ -15,6 +15,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select import candidates
 from odomcorrupt.study.select.candidates import library
 from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.dependence import basis_scores
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import ShapeSearch
@@ -95,3 +96,14 @@ def test_a_shape_is_accepted_by_the_likelihood_at_unchanged_weights(monkeypatch,
     monkeypatch.setattr(candidates, "_nearby", lambda *_: None)
     score = score_terms(fitted, [family[0]], DECISIONS)[0]
     assert candidates._with_shape_moved(before, score, DECISIONS, None)[0] is own
+
+
+def test_functions_that_cannot_compete_with_an_effect_are_not_refined_but_the_best_one_is(fitted):
+    every = basis_scores(fitted, DECISIONS)
+    most = max(one.score.nats for one in every)
+    few = basis_scores(fitted, DECISIONS, against_nats=most)
+    assert max(one.score.nats for one in few) == most
+    assert {one.kind for one in few} >= {one.kind for one in every if one.score.nats > 0.6 * most}
+    assert len(few) < len(every)
+    (best,) = basis_scores(fitted, DECISIONS, against_nats=1e6)
+    assert best.score.nats > 0.3 * most

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wandering import RATE_HZ, recording, wander
+from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.speed_steps import speed_steps
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
@@ -26,6 +27,7 @@ from odomcorrupt.study.terms.term import LibraryTerm
 
 TRACK_M, STEP_MPS, TURN_RPS, TICK_MPS = 0.3, 0.031, 0.083, 0.0175
 SIZES = {"step": STEP_MPS, "turn": TURN_RPS}
+QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)
 
 
 def truncated(steps, **values):
@@ -112,6 +114,18 @@ def test_steps_of_truncated_speeds_are_no_ticks_of_wheels():
     assert are_its_steps(beside, ticks)
     assert not are_its_steps(without, ticks)
     assert not are_its_steps(beside, replace(ticks, step=0.6 * ticks.step))
+
+
+def test_a_fit_converges_although_a_truncation_is_not_undone_exactly():
+    """Each step corrects the same wrong fraction of what is left: by its secant the next one arrives."""
+    steps = wander(7, 240.0)
+    biased = noisy_path(replace(steps, dtheta_rad=steps.dtheta_rad - 0.01 / RATE_HZ), QUIET, 7)
+    made = recording(steps, biased, truth_mm=2.0, seed=7)
+    start = effect_from_values("truncated_velocity", {"step": 0.002, "turn": 0.002, "rounding": "down"})
+    fitted = fit([made], [start], approach=choose_approach([made]))
+    (ended,), (onward,) = fitted.effects, fitted.onward.effects
+    moves = np.array([onward.step - ended.step, onward.turn - ended.turn])
+    assert np.all(np.abs(moves) < 0.1 * fitted.standard_errors)
 
 
 def found(steps, xyt):
