@@ -103,11 +103,17 @@ class Decisions:
     correlated_nats : gain required of correlated noise; on clean data the largest gain was 3.4
     mean_reverting_nats : gain required of a mean-reverting bias; errors of a SLAM truth are correlated over seconds
         and gain 20
+    map_nats : additional gain required of a varying gain of travel if the truth depends on a map: its distortions vary
+        over the drive, too
+    least_chance : a random process is contradicted if it would gain as little on one half of the data as it does with
+        a lower probability
     counted_nats : gain assigned to lost increments and ticks, which are counted in the odometry
 
     curve_nats : gain required to report a curve for which no basis function was found
     curve_of_turns_nats : the same for the yaw error over a regressor of turning: tight heading control (3 per second)
         responds to the noise within an interval and bends such curves by 5 to 24 nats on data without an error
+    tilt_nats : the same for an error of travel over the acceleration with a truth by laser, which tilts when the robot
+        brakes: exact odometry gained 8.5 nats
     exact_nats : screening gain minus penalty above which a basis function is scored exactly
 
     least_confidence : an effect with a lower probability is removed, unless held-out data support it
@@ -153,9 +159,12 @@ class Decisions:
     drop_nats: float = 3.3
     correlated_nats: float = 6.0
     mean_reverting_nats: float = 25.0
+    map_nats: float = 20.0
+    least_chance: float = 0.05
     counted_nats: float = 100.0
     curve_nats: float = 4.0
     curve_of_turns_nats: float = 25.0
+    tilt_nats: float = 20.0
     exact_nats: float = 3.0
     least_confidence: float = 0.1
     heterogeneity_level: float = 1e-3

@@ -52,8 +52,8 @@ _COARSE_SHARE = {"place": 0.03, "other": 0.25}
 """Fraction of the gain of an effect that screening finds, at least, of a basis function that explains it nearly.
 The least in 24 searches was 0.07 for a place, which a coarse grid may miss, and 0.4 for any other regressor."""
 
-_TILT_NATS, _TILT_DEPENDENCE = 20.0, ("along", "acceleration")
-"""Gain required with a truth by laser, which tilts when the robot brakes: exact odometry gains 8.5 nats."""
+_OF_TILT = ("along", "acceleration")
+"""Channel and regressor of the error of a truth by laser that tilts when the robot brakes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +201,7 @@ def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) ->
         elif seen and best is None and per != "s":  # a dependence per second requires a basis function
             found.append(_dependence(kind, where, score, None, p=score.p, nats=nats))
     if any(r.matched for r in fit.problem.recordings):
-        found = [one for one in found if one.nats > _TILT_NATS or (one.channel, one.regressor) != _TILT_DEPENDENCE]
+        found = [one for one in found if one.nats > decisions.tilt_nats or (one.channel, one.regressor) != _OF_TILT]
     return sorted(found, key=lambda u: u.nats, reverse=True)
 
 

@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 
 _LEAST_SCALE = 1e-6
 """Smallest standard deviation of a gain that is tried; the largest is the bound of the effect's parameter."""
-_LEAST_CHANCE, _DRAWS = 0.05, 4000
-"""Probability below which a half of the data contradicts a random process, and number of draws that estimate it."""
+_DRAWS = 4000
+"""Number of draws that estimate the probability of a gain by chance."""
 _FEW, _BESIDE = 0.05, 2
 """Largest fraction of outliers among the intervals if they are events, and intervals affected on either side."""
 
@@ -72,8 +72,6 @@ _REFIT_NATS = 15.0
 """Largest gain by fitting the noise again, nats, once a process has its own parameters; at most 10 was observed."""
 _SEEN_NATS = 1.0
 """Gain in the test above which a bias that walks may be there: the least of nine such drives was 3.6 nats."""
-_MAP_NATS = 20.0
-"""Additional nats required of a varying travel gain if the truth depends on a map, whose distortions vary too."""
 
 
 def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) -> list[DetectedRandomEffect]:
@@ -97,7 +95,7 @@ def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) ->
         effect = process.kind(**{process.scale: scale, **process.fixed})
         least = decisions.mean_reverting_nats if process.mean_reverting else decisions.correlated_nats
         if _matched(fit) and getattr(effect, "channel", "") == "along":
-            least += _MAP_NATS
+            least += decisions.map_nats
         one = DetectedRandomEffect(effect, nats - 0.5 * process.numbers * log_count)
         key = (effect.name, getattr(effect, "channel", ""))
         if key not in found or one.nats > found[key][0].nats:
@@ -107,7 +105,7 @@ def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) ->
         if key in have or is_remainder(fit, one.effect):
             continue
         beside, measured = _measured(fit, one, least, last=last)
-        if measured.nats > least and _in_both_halves(beside, measured.effect):
+        if measured.nats > least and _in_both_halves(beside, measured.effect, decisions):
             named.append(measured)
     return sorted(named, key=lambda one: one.nats, reverse=True)
 
@@ -161,11 +159,11 @@ def is_remainder(fit: Fit, effect: Effect) -> bool:
     return within_remainder(fit, spread * usual)
 
 
-def _in_both_halves(fit: Fit, effect: Effect) -> bool:
+def _in_both_halves(fit: Fit, effect: Effect, decisions: Decisions) -> bool:
     """Return whether a random coefficient estimated on either half of the intervals holds on the other half.
 
     It holds where it gains. By chance, a slow process may hardly move in one half: if both halves together gain more
-    than the penalty, it also holds where such a process would gain that little with a probability of `_LEAST_CHANCE`.
+    than the penalty, it also holds where such a process would gain that little with a probability of `least_chance`.
     Events are no random process: if outliers are few, they and their neighbours are left out.
     """
     count = len(fit.problem.intervals)
@@ -188,7 +186,7 @@ def _in_both_halves(fit: Fit, effect: Effect) -> bool:
     for own, other in ((0, 1), (1, 0)):
         which, at = np.unravel_index(np.argmax(both[own]), both[own].shape)
         nats, scale = float(both[other][which, at]), float(_scales(family[which])[at])
-        by_chance = together > 0.0 and _chance_of_less(nats, halves[which][other][0], scale) >= _LEAST_CHANCE
+        by_chance = together > 0.0 and _chance_of_less(nats, halves[which][other][0], scale) >= decisions.least_chance
         if nats <= 0.0 and not by_chance:
             return False
     return True
