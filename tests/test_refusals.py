@@ -95,6 +95,13 @@ def test_what_makes_no_sense_is_refused(words, here, capsys):
     assert REFUSED[words] in refused(words, capsys)
 
 
+def test_ends_that_only_an_impossible_track_explains_are_refused(here, capsys):
+    """This drive is open, and its ends come a little closer with a track of five times the real one."""
+    assert run([OFFICE, "noisy.mcap", "--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1", "-q"]) == 0
+    capsys.readouterr()
+    assert "turn back to the first heading before the end" in refused("fit noisy.mcap --returns", capsys)
+
+
 @pytest.mark.parametrize("words", PIPES)
 def test_a_pipe_is_refused_where_none_can_be_and_so_is_a_terminal(words, here, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)

@@ -40,6 +40,7 @@ __all__ = [
     "check_bounds",
     "choice",
     "choices",
+    "on_bound",
     "parameter",
     "parameters",
     "shapes",
@@ -51,6 +52,8 @@ Kind = Literal["effect", "setup", "noise", "event"]
 
 Layer = Literal["motion", "record", "draws"]
 State = Any
+_AT_BOUND = 1e-6
+"""Distance to a bound, as a fraction of the parameter's range, at which a fitted value counts as on the bound."""
 
 
 class TwistError(NamedTuple):
@@ -360,6 +363,15 @@ def amplitudes(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
 def shapes(effect: Effect) -> tuple[Parameter, ...]:
     """Return the shape parameters of an effect, which a non-linear search estimates."""
     return tuple(p for p in parameters(effect) if not p.amplitude)
+
+
+def on_bound(effect: Effect) -> tuple[str, float] | None:
+    """Return name and value of an amplitude that a fit has moved to its bound; None if there is none."""
+    for p in amplitudes(effect):
+        value = getattr(effect, p.name)
+        if value != p.identity and min(value - p.low, p.high - value) <= _AT_BOUND * (p.high - p.low):
+            return p.name, value
+    return None
 
 
 def check_bounds(effect: Effect) -> None:

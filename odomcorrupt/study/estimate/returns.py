@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.effects.effect import amplitudes, on_bound
 from odomcorrupt.errors import FitError
 from odomcorrupt.geometry.se2 import compose, wrap
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -116,7 +116,8 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
     spread = float(np.sqrt(misfit / degrees)) if degrees > 0 else 1.0
     first = left.residual if first is None else first
     before, after = (float(np.sqrt(np.mean(np.sum(r[:, :2] ** 2, axis=1)))) for r in (first, left.residual))
-    if spread > _SCATTERED and after > before:
+    beyond = "".join(f" ({effect.name} beyond what is possible)" for effect in effects if on_bound(effect))
+    if beyond or (spread > _SCATTERED and after > before):
         turned = float(np.median(np.abs(wrap(first[:, 2]))))
         if turned > _TURNED_RAD:
             given = "given" if any(np.ptp(drive.truth.xyt[:, 2]) for drive in drives) else "first"
@@ -125,8 +126,8 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
                 "first heading before the end, or give the measured end with --end X,Y,YAW or --scan TOPIC"
             )
         raise FitError(
-            f"the ends lie {before:.2f} m off, and {after:.2f} m with the effects taken out: these drives did not end "
-            "as given, headings included; measure the ends with --end X,Y,YAW or --scan TOPIC"
+            f"the ends lie {before:.2f} m off, and {after:.2f} m with the effects taken out{beyond}: these drives did "
+            "not end as given, headings included; measure the ends with --end X,Y,YAW or --scan TOPIC"
         )
     wider = float(student.isf(0.025, degrees) / 1.96) if degrees > 0 else 1.0
     errors = np.sqrt(np.diag(covariance)) * max(spread * wider, 1.0 if degrees < 3 else 0.0)

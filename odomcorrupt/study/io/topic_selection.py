@@ -145,6 +145,7 @@ def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Itera
         way_out += ", or the file it was recorded in with --truth-bag"
         lasers = " or ".join(sorted({f"--scan {c.topic}" for c in free if c.msgtype == SCAN}))
         way_out += f", or learn from a laser with {lasers}" if lasers else ""
+        way_out += ". Drives that end where they began need no truth: fit --returns" if not lasers else ""
     raise TopicError(f"{place}: no topic that could be {role} (found {there}). {way_out}.")
 
 

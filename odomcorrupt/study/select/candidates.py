@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.compensation import error_of
-from odomcorrupt.effects.effect import amplitudes, choices
+from odomcorrupt.effects.effect import amplitudes, choices, on_bound
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.errors import EffectError, FitError
 from odomcorrupt.study.estimate.drift_error import drift
@@ -31,7 +31,7 @@ from odomcorrupt.study.select.closed_loop import (
     of_pulls,
 )
 from odomcorrupt.study.select.decisions import error_shares
-from odomcorrupt.study.select.elimination import drift_grows, drop_term, on_bound
+from odomcorrupt.study.select.elimination import drift_grows, drop_term
 from odomcorrupt.study.select.fitted_size import with_limit, with_shape_at_size, without_optional_shape
 from odomcorrupt.study.select.integration import euler_clause
 from odomcorrupt.study.select.library_search import LibrarySearch

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.effects.effect import choices, on_bound, parameters
 from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.estimate.heading_source import heading_source_of, turns_at_rest
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
@@ -29,9 +29,6 @@ _ITERATIONS, _ALIKE, _SETTLED_NATS = 6, 0.03, 0.5
 """Largest number of iterations between a random coefficient and the other noise; they end if the coefficient changes by
 less than the second value, and the log likelihood rises by less than the third, nats."""
 
-_AT_BOUND = 1e-6
-"""Distance to a bound, as a fraction of the parameter's range, at which a fitted value counts as on the bound."""
-
 
 def drop_term(fit: Fit, effect: Effect) -> Fit:
     """Return the fit without one of its effects: its contribution is back in the residual, its columns are removed.
@@ -49,15 +46,6 @@ def drift_grows(after: Drift, before: Drift, decisions: Decisions) -> bool:
     return after.worse_than(
         before, factor=decisions.drift_factor, plain=decisions.drift_plain, errors=decisions.drift_errors
     )
-
-
-def on_bound(effect: Effect) -> tuple[str, float] | None:
-    """Return name and value of a fitted parameter that is on its bound; None if there is none."""
-    for p in amplitudes(effect):
-        value = getattr(effect, p.name)
-        if value != p.identity and min(value - p.low, p.high - value) <= _AT_BOUND * (p.high - p.low):
-            return p.name, value
-    return None
 
 
 def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
