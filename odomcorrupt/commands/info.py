@@ -25,8 +25,8 @@ def command(
     """Show a bag's topics, frames and edges, its motion, anomalies, and topics that still hold the true motion."""
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.bags.provenance import ProvenanceWatcher
-    from odomcorrupt.info.scan import scan_bag
-    from odomcorrupt.info.summary import brief, summarise, summary_text
+    from odomcorrupt.inspection.scan import scan_bag
+    from odomcorrupt.inspection.summary import brief, summarise, summary_text
 
     source = source_of(input_)
     with open_reader(source, recover=recover) as reader, Progress(quiet=console.quiet) as progress:

@@ -43,7 +43,7 @@ def command(input_: str, output: Path | None, *, console: Console, **given: Any)
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.corruption.summary import per_message
     from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.preview.forecast import brief, forecast, forecast_json, forecast_text, read_clean_drive
+    from odomcorrupt.forecasting.forecast import brief, forecast, forecast_json, forecast_text, read_clean_drive
 
     chosen = choose_model(given)
     model = chosen.motion_model
