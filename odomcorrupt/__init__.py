@@ -20,11 +20,14 @@ if TYPE_CHECKING:
     from odomcorrupt.api.corruption import Correction, Corruption, correct, corrupt
     from odomcorrupt.api.findings import Diagnosis, Learned, diagnose, learn
     from odomcorrupt.api.fit import Fit, SquareTest, fit, fit_returns
+    from odomcorrupt.api.info import Info, info
     from odomcorrupt.api.model import Model, Noise
     from odomcorrupt.api.motion import Density, Samples, density, sample
+    from odomcorrupt.api.preview import Preview, preview
     from odomcorrupt.api.recordings import Recordings, read_recordings
     from odomcorrupt.api.score import Score, score
     from odomcorrupt.api.simulation import Simulation, simulate
+    from odomcorrupt.api.spread import Spread, spread
     from odomcorrupt.errors import OdomCorruptError
 
 __version__ = "0.1.0"
@@ -35,21 +38,24 @@ _HOMES = {
     "api.corruption": ("Correction", "Corruption", "correct", "corrupt"),
     "api.findings": ("Diagnosis", "Learned", "diagnose", "learn"),
     "api.fit": ("Fit", "SquareTest", "fit", "fit_returns"),
+    "api.info": ("Info", "info"),
     "api.model": ("Model", "Noise"),
     "api.motion": ("Density", "Samples", "density", "sample"),
+    "api.preview": ("Preview", "preview"),
     "api.recordings": ("Recordings", "read_recordings"),
     "api.score": ("Score", "score"),
     "api.simulation": ("Simulation", "simulate"),
+    "api.spread": ("Spread", "spread"),
     "errors": ("OdomCorruptError",),
 }
 """Modules of the public names."""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Batch", "Comparison", "Correction", "Corruption", "Density", "Diagnosis", "Fit", "Learned", "Model", "Noise",
-    "OdomCorruptError", "Recordings", "Samples", "Score", "Simulation", "SquareTest", "__version__", "batch", "compare",
-    "correct", "corrupt", "density", "diagnose", "fit", "fit_returns", "learn", "read_recordings", "sample",
-    "score", "simulate",
+    "Batch", "Comparison", "Correction", "Corruption", "Density", "Diagnosis", "Fit", "Info", "Learned", "Model",
+    "Noise", "OdomCorruptError", "Preview", "Recordings", "Samples", "Score", "Simulation", "Spread", "SquareTest",
+    "__version__", "batch", "compare", "correct", "corrupt", "density", "diagnose", "fit", "fit_returns", "info",
+    "learn", "preview", "read_recordings", "sample", "score", "simulate", "spread",
 ]  # fmt: skip
 
 

@@ -193,7 +193,7 @@ def corrupt(
     with ExitStack() as kept:
         path, bag = None, bag_path(source)
         if condition is not None:
-            from odomcorrupt.preview.forecast import clean_drive_of
+            from odomcorrupt.forecasting.forecast import clean_drive_of
 
             bag = _kept_pipe(kept) if bag is None else bag
             drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)

@@ -56,11 +56,11 @@ class Result(ABC):
             If there is no such figure.
         """
         if picture:
-            raise OdomCorruptError(f"{picture}: a {type(self).__name__} has one picture only; leave the name out")
+            raise OdomCorruptError(f"{picture}: the class {type(self).__name__} has no pictures by name; leave it out")
         return self._figure()
 
     def _figure(self) -> Figure:
-        raise OdomCorruptError(f"there is no picture of a {type(self).__name__}")
+        raise OdomCorruptError(f"there is no picture of a result of class {type(self).__name__}")
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the rows of `rows()` as a pandas data frame; needs the extra `pandas`."""

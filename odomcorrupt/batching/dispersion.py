@@ -172,8 +172,8 @@ def _path(
     return samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]
 
 
-def spread_brief(report: SpreadReport, following: Sequence[object]) -> Summary:
-    """Return whether the dispersion at the end is as predicted, and its values along the drive."""
+def spread_brief(report: SpreadReport, following: Sequence[object] = ()) -> Summary:
+    """Return whether the dispersion at the end is as predicted, its values along the drive, and the next command."""
     last = report.rows[-1]
     ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
     # standard error of the logarithm of a standard deviation from this many runs in two directions
@@ -190,7 +190,7 @@ def spread_brief(report: SpreadReport, following: Sequence[object]) -> Summary:
     lines.append(Line("mean", mean))
     if report.random_effects:
         lines.append(Line("odd", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
-    return Summary((*lines, command_line(["odomcorrupt", *following])))
+    return Summary((*lines, command_line(following)))
 
 
 def spread_text(report: SpreadReport) -> str:

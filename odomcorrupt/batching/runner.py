@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.batching.sinks import Sink
+    from odomcorrupt.forecasting.forecast import CleanDrive
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.preview.forecast import CleanDrive
 
 PAUSE_S = 0.3
 """Time between two beats."""
@@ -205,7 +205,7 @@ def _drive(job: Job) -> CleanDrive | None:
     """Return the odometry of the bag, of which runs in a map draw whole paths; None without a map."""
     if job.batch.condition is None:
         return None
-    from odomcorrupt.preview.forecast import clean_drive_of  # noqa: PLC0415 - needed within a map only
+    from odomcorrupt.forecasting.forecast import clean_drive_of  # noqa: PLC0415 - needed within a map only
 
     return clean_drive_of(job.source, job.model, job.batch.options, recover=job.batch.container.recover)
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from odomcorrupt.commands import corrupt
-from odomcorrupt.commands._bag import bag_options, report_losses, source_of
+from odomcorrupt.commands._bag import bag_options, bag_words, report_losses, source_of
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import PICTURE, save_picture
+from odomcorrupt.commands._options import PICTURE
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 
@@ -38,44 +39,21 @@ def command(input_: str, output: Path | None, *, console: Console, **given: Any)
     Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command that
     concern only its output are accepted and ignored.
     """
-    from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.corruption.inverse import SystematicEffects
-    from odomcorrupt.corruption.path import NoisyPath
-    from odomcorrupt.corruption.summary import per_message
-    from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.preview.forecast import brief, forecast, forecast_json, forecast_text, read_clean_drive
+    from odomcorrupt.api.bag_options import split_options
+    from odomcorrupt.api.preview import preview
 
-    chosen = choose_model(given)
-    model = chosen.motion_model
-    source, seed = source_of(input_), given["seed"]
-    options = Options(given["odom_topic"], given["odom_frame"], given["base_frame"])
-    condition = choose_condition_of_run(given, source, options, model)
-    with open_reader(source, recover=given["recover"]) as reader, Progress(quiet=console.quiet) as progress:
-        drive = read_clean_drive(reader, model, options, progress)
-        losses = list(reader.losses)
-    systematic = SystematicEffects(model)
-    paths = (
-        (None if condition is None else condition.path(model, seed, run, drive))
-        or NoisyPath(model, seed, run, systematic=systematic)
-        for run in range(given["run"], given["run"] + given["runs"])
-    )
-    outlook = forecast(drive, model, paths, first_run=given["run"])
-    text = forecast_text(outlook, model, chosen.origin, seed)
-
-    def draw(path: Path) -> None:
-        from odomcorrupt.report.plots.paths import draw_fan
-
-        title = f"{outlook.name}: what this model does to {outlook.distance_m:.3g} m"
-        if per_message(model.noise) and outlook.rate_hz is not None:
-            title += f" at {outlook.rate_hz:.3g} Hz; the noise depends on the message rate"
-        save_picture(path, draw_fan(outlook, title))
-
+    model = choose_model(given)
+    source = source_of(input_)
+    options = bag_words(given)
+    condition = choose_condition_of_run(given, source, split_options(options)[0], model.motion_model)
+    with Progress(quiet=console.quiet) as progress:
+        asked = {"seed": given["seed"], "run": given["run"], "runs": given["runs"], "within": condition}
+        result = preview(input_, model, **asked, watch=progress, **options)
     following = ["odomcorrupt", "preview", *typed_words("--output", "--overwrite"), "-o", "fan.png"]
     if output is not None:
         following = ["odomcorrupt", *typed_words("--output", "--overwrite", "--runs"), "noisy.mcap"]
-    said = brief(outlook, model, chosen.origin, seed, following)
-    console.print(said, text, forecast_json(outlook, model, seed), files=written(output, draw))
-    return report_losses(losses)
+    console.show(replace(result, following=tuple(following)), files=written(output, result.plot))
+    return report_losses(result.losses)
 
 
 def _options_of_the_output() -> list[click.Parameter]:

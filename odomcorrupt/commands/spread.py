@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from odomcorrupt.commands._options import PICTURE, save_picture
+from odomcorrupt.commands._options import PICTURE
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 
 
@@ -18,18 +18,8 @@ from odomcorrupt.commands._standard import Console, overwrite_option, standard_o
 @standard_options
 def command(directory: Path, output: Path | None, *, console: Console) -> None:
     """Show how position and heading of a batch's runs spread with the distance, and what the linear model predicts."""
-    from odomcorrupt.batching.dispersion import measure, spread_brief, spread_text
+    from odomcorrupt.api.spread import spread
 
-    report = measure(directory)
-    values = {
-        "schema": 2, "directory": report.directory, "runs": report.runs, "random_effects": report.random_effects,
-        "rows": [asdict(row) for row in report.rows],
-    }  # fmt: skip
-
-    def draw(path: Path) -> None:
-        from odomcorrupt.report.plots.samples import draw_spread
-
-        save_picture(path, draw_spread(report))
-
-    following = ["spread", directory, "-o", "spread.png"] if output is None else ["score", "-h"]
-    console.print(spread_brief(report, following), spread_text(report), values, files=written(output, draw))
+    result = spread(directory)
+    following = ("spread", directory, "-o", "spread.png") if output is None else ("score", "-h")
+    console.show(replace(result, following=("odomcorrupt", *following)), files=written(output, result.plot))

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.corruption.transform import Options
+    from odomcorrupt.forecasting.forecast import CleanDrive
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.preview.forecast import CleanDrive
 
 OCCUPIED_PERCENT, FREE_PERCENT = 65, 25
 """Values of an OccupancyGrid from which a cell is occupied, and up to which it is free: map_server's thresholds."""

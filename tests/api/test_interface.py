@@ -37,9 +37,13 @@ def test_every_public_name_can_be_had_and_no_other():
 
 
 def test_functions_stay_functions_when_rooms_are_imported():
-    for room in ("corruption.run", "correction.run", "batching.job", "simulation.run"):
-        importlib.import_module(f"odomcorrupt.{room}")
-    assert all(callable(getattr(oc, name)) for name in ("corrupt", "correct", "batch", "simulate"))
+    modules = ("corruption.run", "correction.run", "batching.dispersion", "simulation.run", "forecasting.forecast")
+    for module in (*modules, "inspection.scan"):
+        importlib.import_module(f"odomcorrupt.{module}")
+    names = ("corrupt", "correct", "batch", "spread", "simulate", "preview", "info")
+    assert all(callable(getattr(oc, name)) for name in names)
+    rooms = {path.parent.name for path in ROOT.glob("odomcorrupt/*/__init__.py")}
+    assert not (rooms | {path.stem for path in ROOT.glob("odomcorrupt/*.py")}) & set(oc.__all__)
 
 
 def test_the_bytes_are_those_of_the_command_line(tmp_path):
@@ -118,7 +122,97 @@ def test_corrupting_again_is_said(tmp_path, capsys):
     assert [one["seed"] for one in json.loads(capsys.readouterr().out)["provenance"]] == ["7", "8"]
 
 
-@pytest.mark.parametrize("module", ["batch", "corruption", "model", "motion", "score", "simulation"])
+ALPHA = ["--alpha", "0.05", "0.02", "0.05", "0.01"]
+READS = {
+    "preview": (
+        lambda: oc.preview(OFFICE, NOISE, seed=4, run=3, runs=2),
+        ["preview", str(OFFICE), *ALPHA, "--seed", "4", "--run", "3", "--runs", "2"],
+    ),
+    "preview of a topic": (
+        lambda: oc.preview(OFFICE, runs=2, odom_topic="odom", odom_frame="odom", base_frame="base_link"),
+        ["preview", str(OFFICE), "--runs", "2", "--odom", "odom", "--odom-frame", "odom", "--base-frame", "base_link"],
+    ),
+    "spread": (lambda: oc.spread("runs"), ["spread", "runs"]),
+    "info": (lambda: oc.info(OFFICE), ["info", str(OFFICE)]),
+    "info of a frame": (
+        lambda: oc.info(OFFICE, odom_topic="odom", odom_frame="map", base_frame="base"),
+        ["info", str(OFFICE), "--odom", "odom", "--odom-frame", "map", "--base-frame", "base"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", READS)
+def test_values_texts_and_pictures_are_those_of_the_command_line(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    call, words = READS[name]
+    if name == "spread":
+        oc.batch(OFFICE, "runs", model=NOISE, runs=3, seed=1, output="trajectories")
+    result = call()
+    assert run([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result.to_dict()))
+    assert run([*words, "-v"]) == 0
+    assert capsys.readouterr().out == result.details() + "\n"
+    assert run(words) == 0
+    assert capsys.readouterr().out.partition("\nnext")[0].rstrip() == str(result).partition("\nnext")[0]
+    assert len(result.rows()) > 3
+    if words[0] == "info":
+        with pytest.raises(OdomCorruptError, match="no picture of a result of class Info"):
+            result.plot("ours.svg")
+    else:
+        result.plot("ours.svg")
+        assert run([*words, "-o", "theirs.svg"]) == 0
+        assert (tmp_path / "ours.svg").read_bytes() == (tmp_path / "theirs.svg").read_bytes()
+
+
+def free_box(folder, low_xy, high_xy):
+    """Write a map that is free within a box, and return its path."""
+    across, along = (round((high - low) / 0.05) for low, high in zip(low_xy, high_xy, strict=True))
+    (folder / "map.pgm").write_bytes(b"P5\n%d %d\n255\n" % (across, along) + b"\xfe" * across * along)
+    origin = [*map(float, low_xy), 0.0]
+    text = f"image: map.pgm\nresolution: 0.05\norigin: {origin}\noccupied_thresh: 0.65\nfree_thresh: 0.196\nnegate: 0\n"
+    (folder / "map.yaml").write_text(text)
+    return folder / "map.yaml"
+
+
+@pytest.mark.parametrize("walled", [False, True])
+def test_a_preview_has_the_runs_that_corruption_makes(walled, tmp_path):
+    clean = read_drive(OFFICE, None).xyt[:, :2]
+    within = free_box(tmp_path, clean.min(axis=0) - 0.3, clean.max(axis=0) + 0.3) if walled else None
+    options = {"odom_topic": "/odom", "keep_twist": True, "compression": "zstd"}
+    ahead = oc.preview(OFFICE, NOISE, seed=4, run=3, runs=2, within=within, **options)
+    made = [
+        oc.corrupt(OFFICE, tmp_path / f"{k}.mcap", model=NOISE, seed=4, run=k, within=within, **options) for k in (3, 4)
+    ]
+    ends = [done.drift.end_drawn_m for done in made]
+    assert ahead.rows()[-1]["position_rms_m"] == pytest.approx(np.sqrt(np.mean(np.square(ends))), abs=1e-6)
+    free = oc.preview(OFFICE, NOISE, seed=4, run=3, runs=2)
+    assert (ahead.to_dict()["rows"] != free.to_dict()["rows"]) == walled
+
+
+@pytest.mark.parametrize(
+    "call", [lambda *bag, **more: oc.preview(*bag, runs=2, **more), oc.info], ids=["preview", "info"]
+)
+def test_damaged_bags_are_read_on_request_and_blocks_can_be_watched(call, tmp_path):
+    (tmp_path / "cut.mcap").write_bytes(OFFICE.read_bytes()[:200_000])
+    with pytest.raises(OdomCorruptError, match="recover=True"):
+        call(tmp_path / "cut.mcap")
+    blocks = []
+    result = call(tmp_path / "cut.mcap", recover=True, watch=blocks.append)
+    assert "truncated" in result.losses[0]
+    assert blocks
+    assert call(OFFICE).losses == ()
+
+
+def test_topics_of_a_bag_are_rows_and_say_what_corruption_modifies():
+    rows = {row["topic"]: row for row in oc.info(OFFICE).rows()}
+    assert {topic for topic, row in rows.items() if row["moved"]} == {"/odom", "/tf"}
+    assert rows["/odom"]["messages"] == 3000
+
+
+MODULES = ["batch", "corruption", "info", "model", "motion", "preview", "score", "simulation", "spread"]
+
+
+@pytest.mark.parametrize("module", MODULES)
 def test_the_examples_of_docstrings_run(module, tmp_path, monkeypatch):
     (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
     monkeypatch.chdir(tmp_path)
@@ -144,10 +238,11 @@ def test_the_examples_of_the_study_run(tmp_path, monkeypatch):
             "output: foo; give one",
         ),
         (lambda at: oc.batch(OFFICE, at / "runs", model=NOISE, runs=0, seed=1), "runs: 0; make one or more"),
+        (lambda _: oc.preview(OFFICE, NOISE, runs=1), "runs: 1; draw two or more"),
         (lambda _: oc.density((0, 0, 0), (1, 0, 0), [[1, 0]], model=NOISE), r"shape \(1, 2\); give x, y and heading"),
         (lambda _: oc.Noise(alpha=(0.1, 0.1, 0.1, 0.1), law="cubic"), "cubic"),
     ],
-    ids=["model", "seed", "output", "runs", "poses", "law"],
+    ids=["model", "seed", "output", "runs", "runs of a preview", "poses", "law"],
 )
 def test_a_wrong_argument_is_named_with_its_value_and_leaves_nothing_behind(tmp_path, call, words):
     with pytest.raises(OdomCorruptError, match=words):

@@ -10,7 +10,7 @@ import pytest
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
-from odomcorrupt.info.scan import scan_bag
+from odomcorrupt.inspection.scan import scan_bag
 
 OFFICE = str(Path(__file__).parent.parent.parent / "fixtures" / "office.mcap")
 

@@ -29,7 +29,7 @@ INSTRUMENTED = [
     "odomcorrupt.bags", "odomcorrupt.batching.manifest", "odomcorrupt.model.model_file",
     "odomcorrupt.effects.expression",
     "odomcorrupt.mapping.occupancy_grid", "odomcorrupt.study.io.text", "odomcorrupt.study.io.columns",
-    "odomcorrupt.study.io.text", "odomcorrupt.info",
+    "odomcorrupt.study.io.text", "odomcorrupt.inspection",
 ]  # fmt: skip
 """What reads, or tells of what was read; to count the branches of the rest would only take time."""
 
@@ -48,8 +48,8 @@ with atheris.instrument_imports(include=INSTRUMENTED):
     from odomcorrupt.batching.manifest import read_beginning, read_records
     from odomcorrupt.corruption.run import Container, corrupt_bag
     from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.info.scan import scan_bag
-    from odomcorrupt.info.summary import summarise, summary_text
+    from odomcorrupt.inspection.scan import scan_bag
+    from odomcorrupt.inspection.summary import summarise, summary_text
 
 OURS = {"nav_msgs/Odometry", "nav_msgs/msg/Odometry", "tf2_msgs/TFMessage", "tf2_msgs/msg/TFMessage", "tf/tfMessage"}
 """Types of messages that may change."""

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from odomcorrupt.forecasting.forecast import Forecast
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.preview.forecast import Forecast
     from odomcorrupt.study.validate.compare import Comparison
     from odomcorrupt.trajectories import PathError
 

@@ -14,7 +14,7 @@ from odomcorrupt.corruption.patch import PLANAR
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.unmodified_topics import frame_of
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
-from odomcorrupt.info.covariance_check import CovarianceCheck
+from odomcorrupt.inspection.covariance_check import CovarianceCheck
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -12,9 +12,9 @@ from odomcorrupt.corruption.summary import SIDEWAYS
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.errors import ModelError, TopicError
 from odomcorrupt.geometry.se2 import inverse
-from odomcorrupt.info.checks import disagreement_m, findings
-from odomcorrupt.info.covariance_check import CovarianceCheck
-from odomcorrupt.info.scan import BagScan, EdgeRecord, OdometryRecord
+from odomcorrupt.inspection.checks import disagreement_m, findings
+from odomcorrupt.inspection.covariance_check import CovarianceCheck
+from odomcorrupt.inspection.scan import BagScan, EdgeRecord, OdometryRecord
 from odomcorrupt.standard_streams import visible
 from odomcorrupt.summary import Line, Summary, command_line
 

@@ -13,9 +13,9 @@ from odomcorrupt.bags.block import Channel
 from odomcorrupt.cli import run
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import compose, inverse
-from odomcorrupt.info.covariance_check import CovarianceCheck
-from odomcorrupt.info.scan import scan_bag
-from odomcorrupt.info.summary import summarise, summary_text
+from odomcorrupt.inspection.covariance_check import CovarianceCheck
+from odomcorrupt.inspection.scan import scan_bag
+from odomcorrupt.inspection.summary import summarise, summary_text
 
 DRIVE = office(20.0, 20.0)
 STATIC = Channel(6, "/tf_static", TF.msgtype, "cdr")

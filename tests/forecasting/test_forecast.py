@@ -16,9 +16,9 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
+from odomcorrupt.forecasting.forecast import CleanDrive, forecast, forecast_json, forecast_text, read_clean_drive
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
-from odomcorrupt.preview.forecast import CleanDrive, forecast, forecast_json, forecast_text, read_clean_drive
 
 T, POSES = office(10.0, 40.0)
 DRIVE = CleanDrive("/odom", T, POSES)

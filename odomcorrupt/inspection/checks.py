@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.info.scan import EdgeRecord, OdometryRecord
+    from odomcorrupt.inspection.scan import EdgeRecord, OdometryRecord
 
 MOVING = 0.05
 """Speed, m/s or rad/s, below which a robot counts as standing."""

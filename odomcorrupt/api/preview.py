@@ -1,0 +1,137 @@
+"""Forecast of the drift that a motion model will cause in a bag; no bag is written."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Unpack
+
+from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, split_options
+from odomcorrupt.api.model import Model, ModelLike, as_model
+from odomcorrupt.api.result import Result
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.corruption.inverse import SystematicEffects
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.summary import per_message
+from odomcorrupt.corruption.transform import Options
+from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.forecasting.forecast import brief, forecast, forecast_json, forecast_text, read_clean_drive
+from odomcorrupt.report.json.numbers import finite
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from os import PathLike
+
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.bags.block import Block
+    from odomcorrupt.forecasting.forecast import Forecast
+    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.summary import Summary
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Preview(Result):
+    """Drift that a motion model will cause in the odometry of a bag, from many runs.
+
+    result : complete numerical result: the drive, the drift after each distance, paths
+    model : model of the drift
+    seed : seed of the runs
+    losses : unreadable parts of a damaged input, in sentences
+    following : words of the suggested next command
+    """
+
+    result: Forecast
+    model: Model
+    seed: int
+    losses: tuple[str, ...] = ()
+    following: tuple[object, ...] = ()
+
+    def summary(self) -> Summary:
+        """Return the drift at the end and on the way, the model, and whether the message rate matters."""
+        return brief(self.result, self.model.motion_model, self.model.origin, self.seed, self.following)
+
+    def details(self) -> str:
+        """Return drive, model, a table of the drift, and whether the message rate matters."""
+        return forecast_text(self.result, self.model.motion_model, self.model.origin, self.seed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the forecast as docs/json.md describes it: metres, radians, seconds."""
+        return finite(forecast_json(self.result, self.model.motion_model, self.seed))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the drift after each distance, the last one at the end: RMS, 90 % quantile, mean error."""
+        return [asdict(row) for row in self.result.rows]
+
+    def _figure(self) -> Figure:
+        """Return a figure of the noisy paths over the clean one, and of the drift against distance."""
+        from odomcorrupt.report.plots.paths import draw_fan
+
+        title = f"{self.result.name}: what this model does to {self.result.distance_m:.3g} m"
+        if per_message(self.model.motion_model.noise) and self.result.rate_hz is not None:
+            title += f" at {self.result.rate_hz:.3g} Hz; the noise depends on the message rate"
+        return draw_fan(self.result, title)
+
+
+def preview(
+    bag: str | PathLike[str],
+    model: ModelLike = "typical",
+    *,
+    seed: int = 0,
+    run: int = 0,
+    runs: int = 100,
+    within: MapCondition | str | PathLike[str] | None = None,
+    watch: Callable[[Block], None] = lambda _: None,
+    **options: Unpack[BagOptions],
+) -> Preview:
+    """Return how far a motion model will make the odometry of a bag drift, from many runs; no bag is written.
+
+    Parameters
+    ----------
+    bag : path
+        Bag of any kind, read once; "-" is a pipe.
+    model : Model, Noise, path of a model file or name of a preset
+        By default the preset `typical`.
+    seed : int
+        Seed of all random draws: run k is the one that `corrupt` draws with this seed and `run=k`.
+    run, runs : int
+        Number of the first run, and number of runs, two or more.
+    within : MapCondition or path of a map's .yaml, optional
+        As in `corrupt`.
+    watch : callable
+        Called with every block read.
+    **options
+        See `BagOptions`; those that concern only the output have no effect.
+
+    Returns
+    -------
+    Preview
+        `rows()` and `to_pandas()` have the drift after 1, 2, 5, 10 ... m and at the end.
+
+    Raises
+    ------
+    BagError, TopicError, EffectError, ModelError, MapError
+        If the bag cannot be read, has no odometry to apply the model to, or the model is invalid.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> forecast = oc.preview("fixtures/office.mcap", "typical", runs=20)
+    >>> [row["after_m"] for row in forecast.rows()[:3]], round(forecast.result.distance_m, 2)
+    ([1.0, 2.0, 5.0], 25.05)
+    """
+    moved, container = split_options(options)
+    if runs < 2:
+        raise OdomCorruptError(f"runs: {runs}; draw two or more")
+    chosen = as_model(model)
+    robot, condition = chosen.motion_model, as_condition(within)
+    wanted = Options(moved.odom_topic, moved.odom_frame, moved.base_frame)
+    with open_reader(bag_path(bag), recover=container.recover) as reader:
+        drive = read_clean_drive(reader, robot, wanted, watch)
+        losses = tuple(reader.losses)
+    systematic = SystematicEffects(robot)
+    paths = (
+        (None if condition is None else condition.path(robot, seed, number, drive))
+        or NoisyPath(robot, seed, number, systematic=systematic)
+        for number in range(run, run + runs)
+    )
+    return Preview(forecast(drive, robot, paths, first_run=run), chosen, seed, losses)
