@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from odomcorrupt.api.corruption import Correction, Corruption, correct, corrupt
     from odomcorrupt.api.findings import Diagnosis, Learned, diagnose, learn
     from odomcorrupt.api.fit import Fit, SquareTest, fit, fit_returns
+    from odomcorrupt.api.integration import Integration, integrate
+    from odomcorrupt.api.maps import Maps, draw_maps
     from odomcorrupt.api.model import Model, Noise
     from odomcorrupt.api.motion import Density, Samples, density, sample
     from odomcorrupt.api.recordings import Recordings, read_recordings
@@ -35,6 +37,8 @@ _HOMES = {
     "api.corruption": ("Correction", "Corruption", "correct", "corrupt"),
     "api.findings": ("Diagnosis", "Learned", "diagnose", "learn"),
     "api.fit": ("Fit", "SquareTest", "fit", "fit_returns"),
+    "api.integration": ("Integration", "integrate"),
+    "api.maps": ("Maps", "draw_maps"),
     "api.model": ("Model", "Noise"),
     "api.motion": ("Density", "Samples", "density", "sample"),
     "api.recordings": ("Recordings", "read_recordings"),
@@ -46,10 +50,10 @@ _HOMES = {
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Batch", "Comparison", "Correction", "Corruption", "Density", "Diagnosis", "Fit", "Learned", "Model", "Noise",
-    "OdomCorruptError", "Recordings", "Samples", "Score", "Simulation", "SquareTest", "__version__", "batch", "compare",
-    "correct", "corrupt", "density", "diagnose", "fit", "fit_returns", "learn", "read_recordings", "sample",
-    "score", "simulate",
+    "Batch", "Comparison", "Correction", "Corruption", "Density", "Diagnosis", "Fit", "Integration", "Learned", "Maps",
+    "Model", "Noise", "OdomCorruptError", "Recordings", "Samples", "Score", "Simulation", "SquareTest", "__version__",
+    "batch", "compare", "correct", "corrupt", "density", "diagnose", "draw_maps", "fit", "fit_returns", "integrate",
+    "learn", "read_recordings", "sample", "score", "simulate",
 ]  # fmt: skip
 
 
