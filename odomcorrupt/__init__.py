@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from odomcorrupt.api.findings import Diagnosis, Learned, diagnose, learn
     from odomcorrupt.api.fit import Fit, SquareTest, fit, fit_returns
     from odomcorrupt.api.info import Info, info
+    from odomcorrupt.api.integration import Integration, integrate
+    from odomcorrupt.api.maps import Maps, draw_maps
     from odomcorrupt.api.model import Model, Noise
     from odomcorrupt.api.motion import Density, Samples, density, sample
     from odomcorrupt.api.preview import Preview, preview
@@ -39,6 +41,8 @@ _HOMES = {
     "api.findings": ("Diagnosis", "Learned", "diagnose", "learn"),
     "api.fit": ("Fit", "SquareTest", "fit", "fit_returns"),
     "api.info": ("Info", "info"),
+    "api.integration": ("Integration", "integrate"),
+    "api.maps": ("Maps", "draw_maps"),
     "api.model": ("Model", "Noise"),
     "api.motion": ("Density", "Samples", "density", "sample"),
     "api.preview": ("Preview", "preview"),
@@ -52,10 +56,10 @@ _HOMES = {
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Batch", "Comparison", "Correction", "Corruption", "Density", "Diagnosis", "Fit", "Info", "Learned", "Model",
-    "Noise", "OdomCorruptError", "Preview", "Recordings", "Samples", "Score", "Simulation", "Spread", "SquareTest",
-    "__version__", "batch", "compare", "correct", "corrupt", "density", "diagnose", "fit", "fit_returns", "info",
-    "learn", "preview", "read_recordings", "sample", "score", "simulate", "spread",
+    "Batch", "Comparison", "Correction", "Corruption", "Density", "Diagnosis", "Fit", "Info", "Integration", "Learned",
+    "Maps", "Model", "Noise", "OdomCorruptError", "Preview", "Recordings", "Samples", "Score", "Simulation", "Spread",
+    "SquareTest", "__version__", "batch", "compare", "correct", "corrupt", "density", "diagnose", "draw_maps", "fit",
+    "fit_returns", "info", "integrate", "learn", "preview", "read_recordings", "sample", "score", "simulate", "spread",
 ]  # fmt: skip
 
 

@@ -205,6 +205,8 @@ def integrate(start_xyt: Array, twist: Array, t_s: Array, rule: Rule, *, hold: H
     """
     if rule not in RULES:
         raise ModelError(f"rule {rule}: is not one of {', '.join(RULES)}")
+    if hold not in get_args(Hold):
+        raise ModelError(f"hold {hold}: is not one of {', '.join(get_args(Hold))}")
     held = twist[..., :-1, :] if hold == "next" else twist[..., 1:, :]
     step = held * np.diff(t_s)[:, None]
     turn = step[..., 2]

@@ -116,6 +116,7 @@ def test_a_pipe_is_refused_where_none_can_be_and_so_is_a_terminal(words, here, c
         ("matplotlib", f"map {OFFICE} -o out.png", "pictures need it"),
         ("scipy", f"fit {OFFICE}", "the study needs it"),
         ("scipy", f"learn {OFFICE}", "the study needs it"),
+        ("scipy", f"map {OFFICE} --method laser", "the study needs it"),
     ],
 )
 def test_a_library_that_is_missing_is_named_with_what_to_install(library, words, said, here, capsys, monkeypatch):

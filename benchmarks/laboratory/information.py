@@ -46,7 +46,9 @@ def expected_information(case: Case, truth_scale: float = 0.0) -> dict[str, floa
     )
     # with a clock offset, odometry and truth do not overlap at the ends of the drive
     shift[:2], shift[-2:] = 0.0, 0.0
-    unit = base.noise.whitener.whiten(base.problem.columns(effect_from_values("wheel_scale", {"heading": "gyro"})))[:, 0]
+    unit = base.noise.whitener.whiten(base.problem.columns(effect_from_values("wheel_scale", {"heading": "gyro"})))[
+        :, 0
+    ]
     # with a covariance of 1 + s^2 u u' the part along u shrinks
     square = float(unit @ unit)
     along = (1.0 - 1.0 / np.sqrt(1.0 + truth_scale**2 * square)) / square

@@ -10,10 +10,12 @@ import numpy as np
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.mapping.frames import Mount
-from odomcorrupt.mapping.occupancy_grid import canvas_for
-from odomcorrupt.mapping.scan_map import Rays, make_scan_map, place
+from odomcorrupt.mapping.scan_map import Rays, scan_maps
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.trajectory import LaserRun
     from odomcorrupt.mapping.scan_map import ScanMap
@@ -28,10 +30,21 @@ class LaserMaps:
 
     trajectory : the robot's by the laser, on the odometry's clock, in the map's frame
     maps : maps along that trajectory, along the odometry, and along the odometry with noise
+    placed : number of sweeps in the map, in a sentence
+    parts : parts of the drive that the map does not cover, in a sentence; "" if none
+    remarks : findings about the scans and the mounting of the laser, in sentences
     """
 
     trajectory: Trajectory
     maps: tuple[ScanMap, ...]
+    placed: str
+    parts: str
+    remarks: tuple[str, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All sentences."""
+        return (*self.remarks, *([self.parts] if self.parts else []), self.placed)
 
 
 def largest_part(run: LaserRun) -> tuple[LaserRun, str]:
@@ -48,11 +61,13 @@ def largest_part(run: LaserRun) -> tuple[LaserRun, str]:
     )
 
 
-def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMaps:
+def laser_maps(whole: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMaps:
     """Return the maps along the laser's trajectory, the odometry and the noisy odometry.
 
+    whole : run, of which the largest connected part is mapped
     error_xyt : (n, 3) error that noise adds to each pose of the odometry
     """
+    run, parts = largest_part(whole)
     motion, path = run.calibration.motion, run.path
     stamps = motion.origin_ns + np.round((path.t_s + motion.lag_s) * 1e9).astype(np.int64)
     stamps, first = np.unique(stamps, return_index=True)
@@ -71,15 +86,29 @@ def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMap
         "odometry": odometry,
         "noisy odometry": noisy,
     }
-    views = {name: place(rays, one) for name, one in paths.items()}
-    canvas = canvas_for(np.concatenate([part for v in views.values() for part in (v.from_xy, v.to_xy)]), resolution_m)
     way = distance_along(odometry.xyt)
     travelled = np.interp(rays.stamps_ns.astype(np.float64), odometry.stamps_ns.astype(np.float64), way)
-    corrected = views["corrected by the laser"]
-    maps = tuple(
-        make_scan_map(name, paths[name].xyt, view, corrected, travelled, canvas) for name, view in views.items()
-    )
-    return LaserMaps(paths["corrected by the laser"], maps)
+    maps = scan_maps(rays, travelled, paths, resolution_m)
+    placed = f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map"
+    remarks = (*run.sweeps.notes, *run.calibration.said)
+    return LaserMaps(paths["corrected by the laser"], maps, placed, parts, remarks)
+
+
+def laser_brief(drawn: LaserMaps, following: Sequence[object]) -> Summary:
+    """Return the number of sweeps in the map, parts left out, the wall thickness of each map, and remarks."""
+    lines = [Line("MATCHED", drawn.placed, "good")]
+    lines += [Line("parts", drawn.parts, "warning")] if drawn.parts else []
+    walls = (f"{100.0 * s.thickness_m[-1]:.2f} cm thick, {s.name}" for s in drawn.maps)
+    lines += [Line("" if i else "walls", said) for i, said in enumerate(walls)]
+    lines += [Line("note", note, "warning") for note in drawn.remarks]
+    return Summary((*lines, command_line(following)))
+
+
+def laser_text(drawn: LaserMaps) -> str:
+    """Return all sentences, and the wall thickness of each map."""
+    thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in drawn.maps)
+    said = f"wall thickness (root of the mean plane variance, Razlaw et al., ECMR 2015): {thick}"
+    return "\n".join([*drawn.notes, said])
 
 
 def tum_text(trajectory: Trajectory) -> str:

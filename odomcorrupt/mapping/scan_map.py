@@ -22,11 +22,11 @@ from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.mapping.frames import FrameTree, Mount
 from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_scan
-from odomcorrupt.mapping.occupancy_grid import Canvas, draw_map
+from odomcorrupt.mapping.occupancy_grid import Canvas, canvas_for, draw_map
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -307,6 +307,19 @@ def make_scan_map(name: str, path_xyt: Array, view: View, clean: View, travelled
     square = np.bincount(leg[known], off[known] ** 2, minlength=_MARKS)
     off_surface = np.sqrt(np.divide(square, count, out=np.full(_MARKS, np.nan), where=count > 0))
     return ScanMap(name, path_xyt, draw_map(canvas, view.from_xy, view.to_xy), ends, thickness, off_surface)
+
+
+def scan_maps(
+    rays: Rays, travelled_m: Array, paths: Mapping[str, Trajectory], resolution_m: float
+) -> tuple[ScanMap, ...]:
+    """Return the map of the same rays along each path; hits are compared with the walls of the first one.
+
+    travelled_m : (n,) distance travelled at each ray
+    """
+    views = {name: place(rays, path) for name, path in paths.items()}
+    every = [part for view in views.values() for part in (view.from_xy, view.to_xy)]
+    canvas, first = canvas_for(np.concatenate(every), resolution_m), next(iter(views.values()))
+    return tuple(make_scan_map(name, paths[name].xyt, view, first, travelled_m, canvas) for name, view in views.items())
 
 
 def maps_brief(

@@ -68,6 +68,86 @@ def test_a_path_of_numbers_is_corrupted_as_the_bag_is(tmp_path):
     assert np.abs(ours[1] - ours[0]).max() > 0.01
 
 
+def printed(words, capsys):
+    """Return the object that a command prints with --json."""
+    assert run([*map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("options", "arguments"),
+    [
+        ([], {}),
+        (
+            [
+                "--integrate",
+                "euler",
+                "--hold",
+                "previous",
+                "--twist-noise",
+                "0.2",
+                "0.04",
+                "--runs",
+                "3",
+                "--seed",
+                "5",
+            ],
+            {"rule": "euler", "hold": "previous", "twist_noise": (0.2, 0.04), "runs": 3, "seed": 5},
+        ),
+        (["--odom-topic", "/odom", "--truth", "/odom"], {"odom_topic": "/odom", "truth": "/odom"}),
+    ],
+    ids=["plain", "noise", "topics"],
+)
+def test_integrated_odometry_is_that_of_the_command_line(options, arguments, tmp_path, capsys):
+    words = ["integrate", OFFICE, tmp_path / "b.mcap", *options, "--plot", tmp_path / "b.png"]
+    values = printed(words, capsys)
+    done = oc.integrate(OFFICE, **arguments)
+    assert done.to_dict() == values
+    assert done.save(tmp_path / "a.mcap").messages == len(done.rows()) == 3000
+    done.plot(tmp_path / "a.png")
+    for end in (".mcap", ".png"):
+        assert (tmp_path / f"a{end}").read_bytes() == (tmp_path / f"b{end}").read_bytes()
+    np.testing.assert_allclose(read_drive(tmp_path / "a.mcap", None).xyt[:, :2], done.runs_xyt[0][:, :2], atol=1e-9)
+    with pytest.raises(OdomCorruptError, match="exists"):
+        done.save(tmp_path / "a.mcap")
+
+
+def test_integrated_odometry_has_its_runs_and_its_errors():
+    alone, noisy = oc.integrate(OFFICE), oc.integrate(OFFICE, twist_noise=(0.2, 0.04), runs=4, seed=5)
+    assert (alone.runs_xyt.shape, noisy.runs_xyt.shape) == ((1, 3000, 3), (4, 3000, 3))
+    np.testing.assert_array_equal(alone.runs_xyt[0], noisy.xyt)
+    assert alone.own_error.position_m.max() < 0.01
+    assert (alone.truth_topic, alone.truth_error, alone.seed) == (None, None, None)
+    assert oc.integrate(OFFICE, truth="/odom").truth_error.position_m.max() == alone.own_error.position_m.max()
+    drawn = oc.integrate(OFFICE, twist_noise=(0.2, 0.04)).seed
+    assert oc.integrate(OFFICE, twist_noise=(0.2, 0.04), seed=drawn).seed == drawn
+
+
+def test_maps_by_odometry_are_those_of_the_command_line(tmp_path, capsys):
+    options = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7", "--run", "2", "--resolution", "0.2"]
+    more = ["--max-yaw-rate", "0.5", "--truth", "/odom", "--laser-pose", "0.1,0,0.1"]
+    values = printed(["map", OFFICE, "-o", tmp_path / "b.png", *options, *more], capsys)
+    stages = []
+    done = oc.draw_maps(
+        OFFICE, NOISE, seed=7, run=2, resolution=0.2, max_yaw_rate=0.5, truth="/odom", laser_pose=(0.1, 0.0, 0.1),
+        watch=lambda stage, _: stages.append(stage),
+    )  # fmt: skip
+    assert done.to_dict() == values
+    assert [one.name for one in done.maps] == ["clean odometry", "noisy odometry", "truth (/odom)"]
+    files = done.save(tmp_path / "a.yaml")
+    done.plot(tmp_path / "a.png")
+    for file in (*files, tmp_path / "a.png"):
+        other = file.with_name(file.name.replace("a", "b", 1)).read_bytes()
+        assert file.read_bytes().replace(b"image: a_", b"image: b_") == other
+    assert [file.suffix for file in files] == [".pgm", ".yaml"] * 2
+    assert (done.method, done.trajectory, stages) == ("odometry", None, ["drawing maps"])
+    assert [row["map"] for row in done.rows()] == [one.name for one in done.maps for _ in one.marks_m]
+    with pytest.raises(OdomCorruptError, match="exists already"):
+        done.save(tmp_path / "a.yaml")
+    with pytest.raises(OdomCorruptError, match="ends in nothing"):
+        done.save(tmp_path / "map")
+
+
 @pytest.mark.parametrize(
     ("t", "poses", "said"),
     [
@@ -209,7 +289,9 @@ def test_topics_of_a_bag_are_rows_and_say_what_corruption_modifies():
     assert rows["/odom"]["messages"] == 3000
 
 
-MODULES = ["batch", "corruption", "info", "model", "motion", "preview", "score", "simulation", "spread"]
+MODULES = [
+    "batch", "corruption", "info", "integration", "maps", "model", "motion", "preview", "score", "simulation", "spread",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("module", MODULES)
@@ -241,8 +323,40 @@ def test_the_examples_of_the_study_run(tmp_path, monkeypatch):
         (lambda _: oc.preview(OFFICE, NOISE, runs=1), "runs: 1; draw two or more"),
         (lambda _: oc.density((0, 0, 0), (1, 0, 0), [[1, 0]], model=NOISE), r"shape \(1, 2\); give x, y and heading"),
         (lambda _: oc.Noise(alpha=(0.1, 0.1, 0.1, 0.1), law="cubic"), "cubic"),
+        (lambda _: oc.integrate("-"), "impossible on a pipe"),
+        (lambda _: oc.integrate(OFFICE, runs=2), "runs 2: without twist_noise all runs are the same"),
+        (lambda _: oc.integrate(OFFICE, twist_noise=(1.0, 1.0), runs=0), "runs 0: draw one or more"),
+        (lambda _: oc.integrate(OFFICE, rule="simpson"), "rule simpson: is not one of"),
+        (lambda _: oc.integrate(OFFICE, hold="both"), "hold both: is not one of"),
+        (lambda at: oc.integrate(OFFICE).save(at / "out.txt"), "is not a bag format"),
+        (lambda _: oc.draw_maps("-"), "impossible on a pipe"),
+        (lambda _: oc.draw_maps(OFFICE, method="scan"), "method scan: is not one of odometry, laser"),
+        (lambda _: oc.draw_maps(OFFICE, method="laser", truth="/odom"), "method laser .* takes no truth"),
+        (lambda _: oc.draw_maps(OFFICE, laser_pose=(0.1, 0.0)), r"laser_pose \(0.1, 0.0\): give x, y and heading"),
+        (lambda _: oc.draw_maps(OFFICE, resolution=0.0), "resolution 0.0: the side of a cell"),
+        (lambda _: oc.draw_maps(OFFICE, max_yaw_rate=-1.0), "max_yaw_rate -1.0: it must be zero"),
     ],
-    ids=["model", "seed", "output", "runs", "runs of a preview", "poses", "law"],
+    ids=[
+        "model",
+        "seed",
+        "output",
+        "runs",
+        "runs of a preview",
+        "poses",
+        "law",
+        "pipe to integrate",
+        "runs alike",
+        "no runs",
+        "rule",
+        "hold",
+        "bag",
+        "pipe to map",
+        "method",
+        "truth of the laser",
+        "pose of the laser",
+        "resolution",
+        "yaw rate",
+    ],
 )
 def test_a_wrong_argument_is_named_with_its_value_and_leaves_nothing_behind(tmp_path, call, words):
     with pytest.raises(OdomCorruptError, match=words):

@@ -48,7 +48,7 @@ def test_thing_that_moved_away_is_free():
 
 
 def test_map_of_a_continent_is_refused():
-    with pytest.raises(RecordingError, match="--resolution"):
+    with pytest.raises(RecordingError, match="coarser resolution"):
         canvas_for(np.array([[0, 0], [1e6, 1e6]]), 0.05)
     with pytest.raises(RecordingError):
         canvas_for(np.array([[0, 0], [np.inf, 1]]), 0.05)

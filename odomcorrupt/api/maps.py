@@ -1,0 +1,302 @@
+"""Laser maps of one drive: through clean and through noisy odometry, or corrected by matching the scans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from odomcorrupt.api.model import Model, ModelLike, as_model
+from odomcorrupt.api.result import Result
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.errors import MapError, OdomCorruptError
+from odomcorrupt.extras import require
+from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.mapping.frames import mount_at
+from odomcorrupt.mapping.occupancy_grid import format_map
+from odomcorrupt.mapping.scan_map import (
+    WINDOW_M,
+    maps_brief,
+    maps_json,
+    maps_table,
+    read_rays,
+    scan_maps,
+    slow_rays,
+)
+from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
+from odomcorrupt.rng import draw_seed
+from odomcorrupt.trajectories import read_drive, read_poses
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.laser.mapping import LaserMaps
+    from odomcorrupt.mapping.frames import Mount
+    from odomcorrupt.mapping.scan_map import ScanMap
+    from odomcorrupt.study.work import Watch
+    from odomcorrupt.summary import Summary
+
+Method = Literal["odometry", "laser"]
+
+
+@dataclass(frozen=True, slots=True, repr=False, kw_only=True)
+class Maps(Result):
+    """Laser maps of one drive, and how thick their walls are along it.
+
+    source : the bag
+    model, seed, run : model of the noisy odometry, seed of its draws, number of its run
+    maps : through clean and noisy odometry, and through the truth if there is one; by the laser: along its trajectory,
+        the odometry, and noisy odometry
+    notes : what was read and left out, in sentences
+    matched : trajectory of the laser, and the sweeps placed along it; None if odometry placed them
+    following : words of the suggested next command
+    """
+
+    source: str
+    model: Model
+    seed: int
+    run: int
+    maps: tuple[ScanMap, ...]
+    notes: tuple[str, ...]
+    matched: LaserMaps | None = None
+    following: tuple[object, ...] = ()
+
+    @property
+    def method(self) -> Method:
+        """Whether odometry placed the scans, or matching them did."""
+        return "odometry" if self.matched is None else "laser"
+
+    @property
+    def trajectory(self) -> Trajectory | None:
+        """Trajectory of the robot by the laser, on the odometry's clock and in the map's frame; None by odometry."""
+        return None if self.matched is None else self.matched.trajectory
+
+    def summary(self) -> Summary:
+        """Return the wall thickness of the maps, and the noise; by the laser, the number of sweeps placed."""
+        if self.matched is not None:
+            from odomcorrupt.laser.mapping import laser_brief
+
+            return laser_brief(self.matched, self.following)
+        from odomcorrupt.corruption.summary import model_brief
+
+        model = model_brief(self.model.motion_model, self.model.origin.partition(":")[0])
+        return maps_brief(self.maps, self.notes, (model, f"{self.seed}, run {self.run}"), self.following)
+
+    def details(self) -> str:
+        """Return noise, notes and a table of the wall thickness along the drive; by the laser, no noise and table."""
+        if self.matched is not None:
+            from odomcorrupt.laser.mapping import laser_text
+
+            return laser_text(self.matched)
+        origin = f" ({self.model.origin})" if self.model.origin else ""
+        noise = f"noise: {self.model.motion_model.noise.words}{origin}, seed {self.seed}, run {self.run}"
+        return "\n".join([noise, *self.notes, maps_table(self.maps)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return seed, wall thickness and distance of hits from the walls along the drive, and notes; metres."""
+        return finite(maps_json(self.maps, self.notes, self.seed))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one row per map and distance travelled: wall thickness so far, distance of hits from the walls."""
+        names = ("travelled_m", "thickness_m", "off_surface_m")
+        return [
+            {"map": one.name, **dict(zip(names, map(float, values), strict=True))}
+            for one in self.maps
+            for values in zip(*(getattr(one, name) for name in ("marks_m", *names[1:])), strict=True)
+        ]
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> tuple[Path, ...]:
+        """Write the maps for nav2's map_server, and the trajectory of the laser; return the files.
+
+        Parameters
+        ----------
+        path : path
+            Name ending in .yaml. By odometry, map.yaml stands for map_clean.yaml and map_noisy.yaml with their .pgm.
+            By the laser, map.yaml and map.pgm are the map along its trajectory, which is in map.tum.
+        overwrite : bool
+            Whether existing files are replaced.
+
+        Returns
+        -------
+        tuple of pathlib.Path
+            All files written.
+
+        Raises
+        ------
+        OdomCorruptError
+            If the name ends otherwise, or a file exists and `overwrite` is false.
+        """
+        target = Path(fspath(path))
+        if target.suffix != ".yaml":
+            raise OdomCorruptError(f"{target}: ends in {target.suffix or 'nothing'}; a map for nav2 ends in .yaml")
+        files = map_files(target, self.method)
+        for file in files:
+            refuse_existing(file, overwrite=overwrite)
+        descriptions = [file for file in files if file.suffix == ".yaml"]
+        for one, file in zip(self.maps, descriptions, strict=False):
+            image, text = format_map(one.grid, file.with_suffix(".pgm").name)
+            write_bytes(file.with_suffix(".pgm"), image)
+            write_text(file, text)
+        if self.trajectory is not None:
+            from odomcorrupt.laser.mapping import tum_text
+
+            write_text(target.with_suffix(".tum"), tum_text(self.trajectory))
+        return files
+
+    def _figure(self) -> Figure:
+        """Return a figure of the maps side by side, and of thickness and distance of hits along the drive."""
+        from odomcorrupt.report.plots.maps import draw_scan_maps
+
+        added = "added by noise" if self.matched is None else "added by the odometry"
+        return draw_scan_maps(self.maps, WINDOW_M, added)
+
+
+def map_files(path: Path, method: str) -> tuple[Path, ...]:
+    """Return the files that `Maps.save` writes.
+
+    path : name of a file; its suffix is replaced
+    """
+    if method == "laser":
+        return tuple(path.with_suffix(end) for end in (".yaml", ".pgm", ".tum"))
+    names = (f"{path.stem}_{name}{end}" for name in ("clean", "noisy") for end in (".pgm", ".yaml"))
+    return tuple(path.with_name(name) for name in names)
+
+
+def require_method(
+    bag: str | PathLike[str], method: str, truth: str | None, laser_pose: Sequence[float] | None
+) -> None:
+    """Raise, before any work, if a bag is a pipe, or a method is unknown or given what it does not take.
+
+    Raises
+    ------
+    OdomCorruptError
+        If the bag is a pipe.
+    MapError
+        If the method is unknown, or the laser's with a truth or a pose of the laser.
+    """
+    if fspath(bag) == "-":
+        raise OdomCorruptError("-: a map is made from the whole drive, which is impossible on a pipe; name a file")
+    if method not in get_args(Method):
+        raise MapError(f"--method {method}: is not one of {', '.join(get_args(Method))}")
+    if method == "laser" and (truth is not None or laser_pose is not None):
+        raise MapError("--method laser finds where the laser sits and takes no --truth; leave them out")
+
+
+def draw_maps(
+    bag: str | PathLike[str],
+    model: ModelLike = "typical",
+    *,
+    method: Method = "odometry",
+    seed: int | None = None,
+    run: int = 0,
+    scan: str | None = None,
+    odom_topic: str | None = None,
+    truth: str | None = None,
+    laser_pose: Sequence[float] | None = None,
+    max_yaw_rate: float | None = None,
+    resolution: float = 0.05,
+    watch: Watch = lambda _stage, _share: None,
+) -> Maps:
+    """Draw the maps that a laser makes through a bag's odometry and through the same odometry with noise on it.
+
+    Parameters
+    ----------
+    bag : path
+        Bag of any kind with odometry and laser scans; not a pipe.
+    model : Model, Noise, path of a model file or name of a preset
+        Noise and effects of the noisy odometry.
+    method : {"odometry", "laser"}
+        Place scans by odometry, or by matching them, which corrects the odometry; needs the extra `study`.
+    seed : int, optional
+        Seed of all random draws; by default a random one, stated in the result.
+    run : int
+        Number of the run under this seed: the noise is that of `corrupt` with the same seed and run.
+    scan : str, optional
+        Topic of laser scans; by default the only one.
+    odom_topic : str, optional
+        Odometry topic; by default the only one.
+    truth : str, optional
+        Topic of poses through which a third map is drawn. By odometry only.
+    laser_pose : (3,), optional
+        Pose of the laser on the robot, metres and radians, in place of the one in TF. By odometry only: matching scans
+        estimates it.
+    max_yaw_rate : float, optional
+        Leave out rays received while turning faster, rad/s. By odometry only.
+    resolution : float
+        Side of a cell, metres.
+    watch : callable
+        Called with the name of each stage and the completed share of the work.
+
+    Returns
+    -------
+    Maps
+        `maps` are occupancy grids with their wall thickness along the drive; `save` writes them for nav2.
+
+    Raises
+    ------
+    BagError, TopicError, RecordingError, MapError, ModelError
+        If the bag cannot be read, a topic or the pose of the laser is missing, the scans do not match, or a value is
+        invalid.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> drawn = oc.draw_maps("fixtures/office.mcap", "typical", seed=1, resolution=0.1)
+    >>> [one.name for one in drawn.maps]
+    ['clean odometry', 'noisy odometry']
+    >>> [file.name for file in drawn.save("office.yaml")]
+    ['office_clean.pgm', 'office_clean.yaml', 'office_noisy.pgm', 'office_noisy.yaml']
+    """
+    require_method(bag, method, truth, laser_pose)
+    if not (isfinite(resolution) and resolution > 0.0):
+        raise MapError(f"--resolution {resolution}: the side of a cell must be more than zero metres")
+    if max_yaw_rate is not None and not max_yaw_rate >= 0.0:
+        raise MapError(f"--max-yaw-rate {max_yaw_rate}: it must be zero rad/s or more")
+    path, chosen = Path(fspath(bag)), as_model(model)
+    drawn_seed = draw_seed() if seed is None else seed
+
+    def error_of(odometry: Trajectory) -> Array:
+        noise = NoisyPath(chosen.motion_model, drawn_seed, run)
+        return noise.feed(odometry.stamps_ns, odometry.xyt).error_xyt
+
+    if method == "laser":
+        require("scipy", "the study needs it", "study")
+        from odomcorrupt.laser.mapping import laser_maps
+        from odomcorrupt.study.io.laser_truth import laser_run
+
+        matched = laser_run(path, str(path), odom_topic, scan, watch)
+        drawn = laser_maps(matched, error_of(matched.odometry), resolution)
+        following = ("odomcorrupt", "map", path, "--method", "laser", "-o", "map.yaml")
+        return Maps(
+            source=fspath(bag), model=chosen, seed=drawn_seed, run=run, maps=drawn.maps, notes=drawn.notes,
+            matched=drawn, following=following,
+        )  # fmt: skip
+    watch("drawing maps", 0.0)
+    drive = read_drive(path, odom_topic)
+    rays = read_rays(path, scan, drive.child_frame_id, None if laser_pose is None else _mount(laser_pose))
+    slow = slow_rays(rays, drive, max_yaw_rate)
+    noisy = Trajectory(drive.stamps_ns, drive.xyt + error_of(drive.trajectory))
+    paths = {"clean odometry": drive.trajectory, "noisy odometry": noisy}
+    if truth is not None:
+        paths[f"truth ({truth})"] = read_poses(path, truth)
+    maps = scan_maps(slow.rays, slow.travelled_m, paths, resolution)
+    notes = (*drive.notes, f"{len(slow.rays)} rays of {rays.scans} scans from {rays.frame_id}", *slow.notes)
+    return Maps(
+        source=fspath(bag), model=chosen, seed=drawn_seed, run=run, maps=maps, notes=notes,
+        following=("odomcorrupt", "preview", path),
+    )  # fmt: skip
+
+
+def _mount(laser_pose: Sequence[float]) -> Mount:
+    pose = np.asarray(laser_pose, dtype=np.float64)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise MapError(f"--laser-pose {laser_pose}: give x, y and heading of the laser on the robot")
+    return mount_at(pose)
