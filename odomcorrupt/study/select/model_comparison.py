@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 _VARIED_S = 5.0
 """Time between changes of the speeds at which copies are recognised, s: slower than accelerations."""
 _AT_EDGES = 1e-3
-"""Fraction of a gain that the same function may lose at its edges: 11 of 86 242 nats of a strip, whose ends a patch cuts
+"""Fraction of a gain that the same function may lose at its edges: 11 of 86 242 nats of a strip, which a patch cuts
 within a step and a basis function between steps."""
 _MOST_SPARED = 15.0
 """Largest additional penalty, nats, of an effect that is the same function as a basis function: four parameters."""
