@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.corruption.odometry_source import ODOMETRY, plain
+from odomcorrupt.corruption.odometry_source import ODOMETRY, plain, says_truth
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.effects.effect import choices, parameters
@@ -274,6 +274,11 @@ def oddities(outcome: Outcome) -> list[str]:
     said += stream_oddities(
         outcome, follow="the drift", restart="each time the drift began again at zero", late="no noise of their own"
     )
+    if says_truth(outcome.odometry) and not outcome.added:
+        said.append(
+            f"{outcome.odometry} is named like a ground truth, and the output has no true poses: --keep-truth TOPIC "
+            "keeps a clean copy."
+        )
     edges = [tuple(edge.split(" -> ", 1)) for edge in (*outcome.changes.edges, *outcome.stayed) if " -> " in edge]
     tree = frame_faults([(above, below) for above, below in edges], outcome.frames.odom, outcome.frames.base)
     said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in tree]

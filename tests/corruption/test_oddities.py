@@ -99,3 +99,24 @@ def test_a_batch_makes_the_same_bytes_of_them(odd, tmp_path, capsys):
     assert run([str(odd), str(tmp_path / "one.mcap"), *NOISE, "--run", "1"]) == 0
     assert run(["batch", str(odd), str(tmp_path / "runs"), "--runs", "2", *NOISE]) == 0
     assert (tmp_path / "runs" / "run_000001.mcap").read_bytes() == (tmp_path / "one.mcap").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("topic", "kept", "warned"),
+    [
+        ("/sim/ground_truth/odom", (), True),
+        ("/odom", (), False),
+        ("/sim/ground_truth/odom", ("--keep-truth", "/clean"), False),
+    ],
+)
+def test_odometry_named_like_a_truth_is_reported_unless_a_clean_copy_is_kept(tmp_path, capsys, topic, kept, warned):
+    t, poses = office(20.0, 20.0)
+    with (tmp_path / "in.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        channel = writer.register_channel(topic, "cdr", writer.register_schema(ODOM.msgtype, "ros2msg", b""))
+        for log_ns, pose in zip(t, poses, strict=True):
+            writer.add_message(channel, int(log_ns), odometry(log_ns, pose), int(log_ns))
+        writer.finish()
+    assert run([str(tmp_path / "in.mcap"), str(tmp_path / "out.mcap"), *NOISE, *kept]) == 0
+    assert (f"{topic} is named like a ground truth" in " ".join(capsys.readouterr().err.split())) == warned
