@@ -210,7 +210,9 @@ def fit_problem(
         noise = _fitted_noise(problem, components, columns, coefficients, begin)
         start, weighted = noise.free, problem
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
-        whole = _extrapolated(noise.theta, *made) if len(made[0]) == len(noise.theta) else noise.theta
+        whole = noise.theta
+        if not free.any() and len(made[0]) == len(whole):  # of a clock, the likelihood may have several maxima
+            whole = _extrapolated(whole, *made)
         made = noise.theta, whole
         effects, clocks = moved(effects, whole), _moved_clocks(clocks, own_free, whole)
         clocks = tuple(clocks[leader] for leader in leaders)
