@@ -19,13 +19,12 @@ if TYPE_CHECKING:
 __all__ = ["write_bag", "write_gyro_bag"]
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
-BEAMS = 450
 MOST_M = 8.0
 
 
-def write_bag(path: Path, seen: Seen, *, sweep_s: float = 0.2) -> None:
+def write_bag(path: Path, seen: Seen, *, sweep_s: float = 0.2, beams: int = 450) -> None:
     """Write the bag that the robot would have recorded."""
-    _write(path, [*_odometry(seen.run), *_scans(seen, sweep_s)])
+    _write(path, [*_odometry(seen.run), *_scans(seen, sweep_s, beams)])
 
 
 def write_gyro_bag(path: Path, run: SimulatedRun, stamps_ns: NDArray[np.int64], rates: NDArray[np.float64]) -> None:
@@ -94,15 +93,15 @@ def _imu(stamps_ns: NDArray[np.int64], rates: NDArray[np.float64]) -> list[tuple
     return out
 
 
-def _scans(seen: Seen, sweep_s: float) -> list[tuple[int, str, str, Any]]:
-    step = 2.0 * np.pi / BEAMS
+def _scans(seen: Seen, sweep_s: float, beams: int) -> list[tuple[int, str, str, Any]]:
+    step = 2.0 * np.pi / beams
     out = []
     for sweep in seen.sweeps.sweeps:
-        ranges: NDArray[np.float32] = np.full(BEAMS, np.inf, dtype=np.float32)
-        beam = np.round(sweep.after_s / sweep_s * BEAMS).astype(np.int64)
+        ranges: NDArray[np.float32] = np.full(beams, np.inf, dtype=np.float32)
+        beam = np.round(sweep.after_s / sweep_s * beams).astype(np.int64)
         ranges[beam] = np.hypot(*sweep.xy.T)
         message = _new(
-            "sensor_msgs/LaserScan", _header(sweep.stamp_ns, "laser"), -np.pi, np.pi - step, step, sweep_s / BEAMS,
+            "sensor_msgs/LaserScan", _header(sweep.stamp_ns, "laser"), -np.pi, np.pi - step, step, sweep_s / beams,
             sweep_s, 0.05, MOST_M, ranges, np.zeros(0, dtype=np.float32),
         )  # fmt: skip
         out.append((sweep.stamp_ns, "/scan", "sensor_msgs/msg/LaserScan", message))

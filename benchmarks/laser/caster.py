@@ -32,7 +32,11 @@ class Laser:
     """Fraction of the rays at an edge that return a range between the near and the far surface (mixed pixels)."""
 
 
-LASERS = {"cheap": Laser(), "good": Laser(beams=720, rate_hz=10.0, reach_m=20.0, noise_m=0.008)}
+LASERS = {
+    "cheap": Laser(),
+    "quick": Laser(beams=360, rate_hz=10.0),
+    "good": Laser(beams=720, rate_hz=10.0, reach_m=20.0, noise_m=0.008),
+}
 
 
 @dataclass(frozen=True, slots=True)
