@@ -64,8 +64,8 @@ def cost() -> str:
         bag = Path(folder, "run.mcap")
         seen = drive(79_900, ["unequal_wheels"], "room", laser="quick", duration_s=900.0, route="office")
         write_bag(bag, seen, sweep_s=0.1, beams=360)
-        command = [sys.executable, "-m", "odomcorrupt", "learn", str(bag), "--scan", "/scan", "--track", str(seen.run.track_m)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        words = ["learn", str(bag), "--scan", "/scan", "--track", str(seen.run.track_m)]
+        done = subprocess.run([sys.executable, "-m", "odomcorrupt", *words], capture_output=True, text=True, check=True)
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
     took = f"{used.ru_utime + used.ru_stime:.1f} CPU s (goal 60), {used.ru_maxrss / 1e3:.0f} MB (goal 500)"
     return f"{took}\n{done.stdout}"
