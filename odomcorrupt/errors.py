@@ -3,8 +3,8 @@
 import re
 
 COMMAND_LINE_ONLY = frozenset((
-    "--clock", "--dask", "--help", "--layout", "--rate", "--save", "--shard", "--speed", "--to", "--to-step",
-    "--turn-rate",
+    "--clock", "--dask", "--help", "--layout", "--rate", "--returns", "--save", "--shard", "--speed", "--to",
+    "--to-step", "--turn-rate",
 ))  # fmt: skip
 """Options in messages that no argument in Python corresponds to."""
 _ARGUMENTS = {

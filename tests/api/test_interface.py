@@ -233,7 +233,10 @@ def test_values_texts_and_pictures_are_those_of_the_command_line(name, tmp_path,
     assert run([*words, "-v"]) == 0
     assert capsys.readouterr().out == result.details() + "\n"
     assert run(words) == 0
-    assert capsys.readouterr().out.partition("\nnext")[0].rstrip() == str(result).partition("\nnext")[0]
+    shown, own = (text.partition("\nnext")[0].rstrip().splitlines() for text in (capsys.readouterr().out, str(result)))
+    shown = [line for line in shown if "more line" not in line]  # the next command takes a line or two of eight
+    assert own[: len(shown)] == shown
+    assert len(shown) > 2
     assert len(result.rows()) > 3
     if words[0] == "info":
         with pytest.raises(OdomCorruptError, match="no picture of a result of class Info"):
