@@ -110,7 +110,7 @@ def driven_speeds(motions: Sequence[Motion]) -> Array:
     return speeds[speeds > _STILL_MPS]
 
 
-@lru_cache(maxsize=4)  # a shape search asks for the same ones a thousand times
+@lru_cache(maxsize=4)  # a shape search needs the same ones a thousand times
 def wheel_motions(motion: Motion, track_m: float) -> tuple[Motion, Motion]:
     """Return the motion of the right wheel and of the left one: rim speed, acceleration and position.
 

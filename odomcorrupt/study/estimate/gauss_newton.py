@@ -243,7 +243,7 @@ def _extrapolated(step: Array, before: Array, made: Array) -> Array:
     Effects that round or accumulate are not undone exactly, so that each step goes the same fraction too far or not far
     enough.
 
-    before, made : (q,) the step before it, and what was made of that
+    before, made : (q,) the step before it, as computed and as applied
     """
     factor = np.divide(made, before - step, out=np.ones_like(step), where=np.abs(step) > _FIRM * np.abs(before))
     return step * np.clip(factor, *_FACTORS)

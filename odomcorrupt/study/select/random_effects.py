@@ -71,7 +71,7 @@ class DetectedRandomEffect:
 _REFIT_NATS = 15.0
 """Largest gain by fitting the noise again, nats, once a process has its own parameters; at most 10 was observed."""
 _SEEN_NATS = 1.0
-"""Gain in the test above which a bias that walks may be there: the least of nine such drives was 3.6 nats."""
+"""Gain in the test from which a random walk of the bias is refitted: the smallest of nine drives with one was 3.6."""
 
 
 def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) -> list[DetectedRandomEffect]:
@@ -115,8 +115,8 @@ def _measured(fit: Fit, one: DetectedRandomEffect, least: float, *, last: bool) 
 
     If intervals last seconds, as with poses of a localisation, or if the angle random walk of a gyro is fitted, the
     fitted noise absorbs most of a random walk of the bias, and a test beside that noise has little power. Otherwise,
-    and if no refit is likely to gain `least` nats, both are returned unchanged. Beside intervals of half a second that
-    test sees something of a bias that walks; if it sees nothing, a refit can wait for the `last` step.
+    and if no refit is likely to gain `least` nats, both are returned unchanged. With intervals of half a second that
+    test keeps some power: below a gain of `_SEEN_NATS`, the refit waits for the `last` step.
     """
     (process,) = processes_like(one.effect)
     approach = fit.problem.approach
