@@ -155,7 +155,7 @@ def test_drives_that_come_back_show_unequal_wheels_and_the_track(tmp_path):
     found = {row["parameter"]: row for row in fit_returns(files, track_m=track).rows()}
     assert found["wheelbase.e"]["value"] == pytest.approx(e, abs=2e-3)
     assert abs(found["unequal_wheels.curvature"]["value"]) == pytest.approx(curvature, rel=0.05)
-    with pytest.raises(FitError, match="deg from the given one: turn back to the first heading"):
+    with pytest.raises(FitError, match="deg from the given pose: end the drive there"):
         fit_returns(files, [(0.0, 0.0, 1.5), (0.0, 0.0, 3.0)], track_m=track)
 
 
@@ -168,3 +168,8 @@ def test_squares_one_way_round_do_not_tell_wheels_from_track(tmp_path, capsys):
     assert "the other way round" in capsys.readouterr().err
     assert run(["fit", str(path), "--end", "0,0"]) == 2
     assert "x,y,yaw" in capsys.readouterr().err
+
+
+def test_a_drive_that_did_not_come_back_is_refused(capsys):
+    assert run(["fit", "fixtures/mystery.mcap", "--returns"]) == 1
+    assert "ends 7.87 m and 116 deg from the first pose" in capsys.readouterr().err

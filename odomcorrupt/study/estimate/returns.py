@@ -46,7 +46,9 @@ _PULSE_S = 1.0
 _TURNED_RAD = np.radians(30.0)
 """Error of the final heading that no usual track causes in a few turns: the drive ended in another heading."""
 _SCATTERED = 5.0
-"""Ratio of the ends' scatter to placing errors and usual noise above which the given end poses must be wrong."""
+"""Ratio of the ends' scatter to placing errors and usual noise that is too large for a robot put back by hand."""
+_EXPLAINED = 0.5
+"""Share of the error at scattered ends that the effects must remove; otherwise the given end poses are wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +89,8 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
     Raises
     ------
     FitError
-        If the drives do not separate the effects (all driven the same way round, for instance), or if removing the
-        effects increases the error at the ends.
+        If the drives do not separate the effects (all driven the same way round, for instance), or if an effect
+        reaches its bound, or if the ends scatter and the effects do not remove half of their error.
     """
     if set(USUAL) <= set(names):
         _check_both_ways(drives)
@@ -117,13 +119,13 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
     first = left.residual if first is None else first
     before, after = (float(np.sqrt(np.mean(np.sum(r[:, :2] ** 2, axis=1)))) for r in (first, left.residual))
     beyond = "".join(f" ({effect.name} beyond what is possible)" for effect in effects if on_bound(effect))
-    if beyond or (spread > _SCATTERED and after > before):
+    if beyond or (spread > _SCATTERED and after > _EXPLAINED * before):
         turned = float(np.median(np.abs(wrap(first[:, 2]))))
         if turned > _TURNED_RAD:
             given = "given" if any(np.ptp(drive.truth.xyt[:, 2]) for drive in drives) else "first"
             raise FitError(
-                f"the odometry's final heading is {np.degrees(turned):.0f} deg from the {given} one: turn back to the "
-                "first heading before the end, or give the measured end with --end X,Y,YAW or --scan TOPIC"
+                f"the odometry ends {before:.2f} m and {np.degrees(turned):.0f} deg from the {given} pose: end the drive "
+                "there, in that heading, or give the measured end with --end X,Y,YAW or --scan TOPIC"
             )
         raise FitError(
             f"the ends lie {before:.2f} m off, and {after:.2f} m with the effects taken out{beyond}: these drives did "
