@@ -15,16 +15,28 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    from odomcorrupt.api.assembly import Assembly, assemble
     from odomcorrupt.api.batch import Batch, batch
+    from odomcorrupt.api.catalogue import (
+        EffectDescription,
+        EffectList,
+        PresetList,
+        describe_effect,
+        list_effects,
+        list_presets,
+    )
     from odomcorrupt.api.comparison import Comparison, compare
     from odomcorrupt.api.corruption import Correction, Corruption, correct, corrupt
+    from odomcorrupt.api.export import Export, export_parameters
     from odomcorrupt.api.findings import Diagnosis, Learned, diagnose, learn
     from odomcorrupt.api.fit import Fit, SquareTest, fit, fit_returns
     from odomcorrupt.api.info import Info, info
     from odomcorrupt.api.integration import Integration, integrate
     from odomcorrupt.api.maps import Maps, draw_maps
-    from odomcorrupt.api.model import Model, Noise
+    from odomcorrupt.api.model import Model
     from odomcorrupt.api.motion import Density, Samples, density, sample
+    from odomcorrupt.api.noise import Conversion, Noise, convert_alpha
+    from odomcorrupt.api.particles import Particles, sample_along
     from odomcorrupt.api.preview import Preview, preview
     from odomcorrupt.api.recordings import Recordings, read_recordings
     from odomcorrupt.api.score import Score, score
@@ -35,31 +47,41 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "api.assembly": ("Assembly", "assemble"),
     "api.batch": ("Batch", "batch"),
+    "api.catalogue": (
+        "EffectDescription", "EffectList", "PresetList", "describe_effect", "list_effects", "list_presets",
+    ),
     "api.comparison": ("Comparison", "compare"),
     "api.corruption": ("Correction", "Corruption", "correct", "corrupt"),
+    "api.export": ("Export", "export_parameters"),
     "api.findings": ("Diagnosis", "Learned", "diagnose", "learn"),
     "api.fit": ("Fit", "SquareTest", "fit", "fit_returns"),
     "api.info": ("Info", "info"),
     "api.integration": ("Integration", "integrate"),
     "api.maps": ("Maps", "draw_maps"),
-    "api.model": ("Model", "Noise"),
+    "api.model": ("Model",),
     "api.motion": ("Density", "Samples", "density", "sample"),
+    "api.noise": ("Conversion", "Noise", "convert_alpha"),
+    "api.particles": ("Particles", "sample_along"),
     "api.preview": ("Preview", "preview"),
     "api.recordings": ("Recordings", "read_recordings"),
     "api.score": ("Score", "score"),
     "api.simulation": ("Simulation", "simulate"),
     "api.spread": ("Spread", "spread"),
     "errors": ("OdomCorruptError",),
-}
+}  # fmt: skip
 """Modules of the public names."""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Batch", "Comparison", "Correction", "Corruption", "Density", "Diagnosis", "Fit", "Info", "Integration", "Learned",
-    "Maps", "Model", "Noise", "OdomCorruptError", "Preview", "Recordings", "Samples", "Score", "Simulation", "Spread",
-    "SquareTest", "__version__", "batch", "compare", "correct", "corrupt", "density", "diagnose", "draw_maps", "fit",
-    "fit_returns", "info", "integrate", "learn", "preview", "read_recordings", "sample", "score", "simulate", "spread",
+    "Assembly", "Batch", "Comparison", "Conversion", "Correction", "Corruption", "Density", "Diagnosis",
+    "EffectDescription", "EffectList", "Export", "Fit", "Info", "Integration", "Learned", "Maps", "Model", "Noise",
+    "OdomCorruptError", "Particles", "PresetList", "Preview", "Recordings", "Samples", "Score", "Simulation",
+    "Spread", "SquareTest", "__version__", "assemble", "batch", "compare", "convert_alpha", "correct", "corrupt",
+    "density", "describe_effect", "diagnose", "draw_maps", "export_parameters", "fit", "fit_returns", "info",
+    "integrate", "learn", "list_effects", "list_presets", "preview", "read_recordings", "sample", "sample_along",
+    "score", "simulate", "spread",
 ]  # fmt: skip
 
 

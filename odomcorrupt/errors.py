@@ -4,13 +4,15 @@ import re
 
 COMMAND_LINE_ONLY = frozenset((
     "--clock", "--dask", "--help", "--layout", "--rate", "--returns", "--save", "--shard", "--speed", "--to",
-    "--to-step", "--turn-rate",
+    "--turn-rate",
 ))  # fmt: skip
 """Options in messages that no argument in Python corresponds to."""
 _ARGUMENTS = {
-    "--add": "effects", "--effect": "effects", "--end": "ends", "--exclude-topic": "exclude", "--map": "within",
+    "--add": "effects", "--effect": "effects", "--end": "ends", "--exclude-topic": "exclude", "--input": "original",
+    "--map": "within",
     "--overwrite": "overwrite=True", "--recover": "recover=True", "--robot-radius": "radius_m",
-    "--start": "start_xyt", "--sweep": "sweeps", "--track": "track_m", "--truth-shift": "truth_shift_s",
+    "--start": "start_xyt", "--sweep": "sweeps", "--to-step": "step", "--track": "track_m",
+    "--truth-shift": "truth_shift_s",
     "with --tf odometry": "without new_odom_frame", "--max-unpacked ": "ODOMCORRUPT_MAX_UNPACKED=",
 }  # fmt: skip
 """Arguments in Python that are not called like the option."""

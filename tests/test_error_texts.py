@@ -17,7 +17,7 @@ from odomcorrupt.mapping.map_condition import read_condition
 
 ROOT = Path(__file__).parents[1]
 OFFICE = ROOT / "fixtures" / "office.mcap"
-NOT_IN_ERRORS = {"--covariance", "--drive", "--json", "--plot", "--report", "--tf", "--twist", "--validate"}
+NOT_IN_ERRORS = {"--covariance", "--drive", "--json", "--plot", "--preset", "--report", "--tf", "--twist", "--validate"}
 """Options that only notes and recorded commands name."""
 
 

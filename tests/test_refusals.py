@@ -99,7 +99,7 @@ def test_ends_that_only_an_impossible_track_explains_are_refused(here, capsys):
     """This drive is open, and its ends come a little closer with a track of five times the real one."""
     assert run([OFFICE, "noisy.mcap", "--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1", "-q"]) == 0
     capsys.readouterr()
-    assert "turn back to the first heading before the end" in refused("fit noisy.mcap --returns", capsys)
+    assert "ends 1.84 m and 173 deg from the first pose" in refused("fit noisy.mcap --returns", capsys)
 
 
 @pytest.mark.parametrize("words", PIPES)

@@ -1,12 +1,13 @@
-"""Motion models: noise coefficients, systematic effects, the model file; and corruption of a path given as arrays."""
+"""Motion models: noise, systematic effects, the model file; and corruption of a path given as arrays."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.api.noise import Noise
 from odomcorrupt.errors import ModelError
 from odomcorrupt.result_files import refuse_existing, write_text
 
@@ -16,92 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.model import motion_model
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.model.noise_laws import Law
 
     EffectsLike = str | Effect | Sequence[str | Effect]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Noise:
-    """Noise of a motion model, in the notation of its source.
-
-    Alphas of different laws are not interchangeable: under `diffusion` each is the standard deviation after one metre
-    or one radian, under `linear` (MRPT) that of one step over its motion, under `quadratic` (nav2's amcl) the variance
-    over the squared motion.
-
-    Parameters
-    ----------
-    alpha : sequence of float or str
-        rot_rot, rot_trans, trans_trans, trans_rot (alpha1 to alpha4), and further ones if the law has more; metres and
-        radians. Strings may be angles: "5deg" (after one radian) or "10deg/m" (after one metre).
-    law : str
-        diffusion, linear, quadratic, velocity or omni.
-    step : str, optional
-        Step of path to which a stepwise law is applied, as in "0.25m,0.2rad"; by default once per message.
-    twist_noise : (float, float), optional
-        White noise on every twist, m/s and rad/s.
-
-    Raises
-    ------
-    ModelError
-        If there is no such law, or a number is invalid in it.
-
-    Examples
-    --------
-    >>> import odomcorrupt as oc
-    >>> oc.Noise(alpha=(0.05, "2deg/m", 0.05, 0.01)).law
-    'diffusion'
-    """
-
-    alpha: Sequence[float | str] = (0.0, 0.0, 0.0, 0.0)
-    law: str = "diffusion"
-    step: str | None = None
-    twist_noise: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        self.as_motion_noise()
-
-    def as_motion_noise(self) -> motion_model.Noise:
-        """Return the law, its coefficients in radians and metres, and the step of its application.
-
-        Raises
-        ------
-        ModelError
-            If there is no such law, or a number is invalid in it.
-        """
-        from odomcorrupt.model import motion_model
-        from odomcorrupt.model.noise_laws import law_named
-
-        law = law_named(self.law)
-        names = law.alphas + ("",) * len(self.alpha)
-        values = [_coefficient(value, name, law) for value, name in zip(self.alpha, names, strict=False)]
-        coefficients = law.coefficients(values)
-        if self.twist_noise is not None:
-            white_v, white_omega = self.twist_noise
-            coefficients = replace(coefficients, white_v=white_v, white_omega=white_omega)
-        step = None if self.step is None else motion_model.Step.parse(self.step)
-        return motion_model.Noise(law.name, coefficients, step)
-
-
-def _coefficient(value: float | str, name: str, law: Law) -> float:
-    """Return a coefficient; angles are valid for coefficients of rotation only, per the metre or radian they state."""
-    from odomcorrupt.model.motion_model import parse_alpha
-
-    if not isinstance(value, str):
-        return float(value)
-    number = parse_alpha(value)
-    unit = next((unit for unit in ("deg", "rad") if unit in value.split("/", maxsplit=1)[0]), None)
-    after = value.partition("/")[2]
-    cause = "m" if name.endswith("_trans") else "rad"
-    if unit is not None and law.degree == 1:
-        raise ModelError(f"{name}: {value}; alphas of the law {law.name} scale variances, write them without a unit")
-    if unit is not None and name and not name.startswith("rot_"):
-        raise ModelError(f"{name}: {value} is an angle, but this coefficient is in metres; write a number")
-    if after and name and after != cause:
-        raise ModelError(f"{name}: {value}; this coefficient is per {cause}, not per {after}")
-    return number
 
 
 class Model:
@@ -188,7 +106,7 @@ class Model:
         Parameters
         ----------
         name : str
-            Preset: `typical`, `article`, or one fitted to a real robot; `odomcorrupt presets` lists them.
+            Preset: `typical`, `article`, or one fitted to a real robot; `list_presets` has them all.
 
         Returns
         -------
@@ -204,7 +122,8 @@ class Model:
         from odomcorrupt.model.presets import preset_named
 
         preset = preset_named(name)
-        return cls.of(MotionModel(preset.noise), f"preset {preset.name}: {preset.source}")
+        robot = MotionModel(preset.noise, source={"preset": preset.name, "from": preset.source})
+        return cls.of(robot, f"preset {preset.name}: {preset.source}")
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the model as human-readable TOML; return the path.
@@ -226,12 +145,16 @@ class Model:
         OdomCorruptError
             If the file exists and `overwrite` is false.
         """
-        from odomcorrupt.model.model_file import format_model
-
         target = Path(fspath(path))
         refuse_existing(target, overwrite=overwrite)
-        write_text(target, format_model(self.motion_model))
+        write_text(target, self.toml())
         return target
+
+    def toml(self) -> str:
+        """Return the text of the model file, as `save` writes it."""
+        from odomcorrupt.model.model_file import format_model
+
+        return format_model(self.motion_model)
 
     def with_effects(self, effects: EffectsLike) -> Model:
         """Return this model with effects added.

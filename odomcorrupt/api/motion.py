@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from odomcorrupt.api.bag_options import as_condition
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError
@@ -28,6 +29,7 @@ from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from os import PathLike
 
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
@@ -54,7 +56,7 @@ class Samples(Result):
     seed, origin : seed of the random draws, and source of the noise in words
     space : free space that constrains the samples, None without a map
     notes : effect of a map on the draws, in sentences
-    following : suggested next command, "" for none
+    following : words of the suggested next command
     """
 
     move: Move
@@ -65,7 +67,7 @@ class Samples(Result):
     origin: str
     space: FreeSpace | None = None
     notes: tuple[str, ...] = ()
-    following: str = ""
+    following: tuple[object, ...] = ()
 
     def summary(self) -> Summary:
         """Return mean and spread of the samples beside those of the linearised model."""
@@ -180,7 +182,7 @@ def sample(
     model: ModelLike | None = None,
     count: int = 1000,
     seed: int | None = None,
-    within: MapCondition | None = None,
+    within: MapCondition | str | PathLike[str] | None = None,
 ) -> Samples:
     """Draw samples of the end pose of one motion.
 
@@ -194,7 +196,7 @@ def sample(
         Number of samples.
     seed : int, optional
         Seed of the random draws; by default a random one, stated in the result.
-    within : MapCondition, optional
+    within : MapCondition or path of a map's .yaml, optional
         Free space in which samples must end.
 
     Returns
@@ -216,14 +218,14 @@ def sample(
     chosen = as_model(model)
     move, variances = _motion(start_xyt, end_xyt, chosen.motion_model)
     seed = draw_seed() if seed is None else seed
-    rng = stream(seed, 0, "sample")
+    rng, condition = stream(seed, 0, "sample"), as_condition(within)
     space: FreeSpace | None = None
     notes: tuple[str, ...] = ()
-    if within is None:
+    if condition is None:
         xyt = move_sampled(move, variances, count, rng)
     else:
-        free = move_sampled_in_map(move, variances, count, rng, within)
-        xyt, space, notes = free.xyt, within.space, (free.account(),)
+        free = move_sampled_in_map(move, variances, count, rng, condition)
+        xyt, space, notes = free.xyt, condition.space, (free.account(),)
     return Samples(
         move=move, noise=chosen.motion_model.noise, variances=variances, xyt=xyt, seed=seed, origin=chosen.origin,
         space=space, notes=notes,
@@ -251,7 +253,7 @@ class Density(Result):
     reading : "pose", "product" or "hypothetical"
     grid : density over x and y, marginalised over the heading
     within, free_part : map condition, and the fraction of the unconstrained density that is in free space
-    following : suggested next command, "" for none
+    following : words of the suggested next command
     """
 
     poses: NDArray[Any]
@@ -263,7 +265,7 @@ class Density(Result):
     law: str
     free_part: float = 1.0
     within: MapCondition | None = None
-    following: str = ""
+    following: tuple[object, ...] = ()
 
     @property
     def unit(self) -> str:

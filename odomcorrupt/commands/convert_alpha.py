@@ -32,17 +32,7 @@ def command(
     odomcorrupt convert-alpha 5deg 2deg/m 0.05 0.01 --from diffusion \\
         --to quadratic --to-step 0.25m,0.2rad
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.model.motion_model import Noise, Step, parse_alpha
-    from odomcorrupt.model.noise_laws import law_named
-    from odomcorrupt.sampling.convert import conversion_brief, conversion_json, conversion_text, convert
-
-    def step_of(text: str | None) -> Step | None:
-        return None if text is None else Step.parse(text)
+    from odomcorrupt.api.noise import Noise, convert_alpha
 
     with usage_errors(ModelError):
-        law, other = law_named(source), law_named(target)
-        before = Noise(
-            source, law.coefficients([parse_alpha(a) for a in alphas]), step_of(step) if law.per_step else None
-        )
-        after = convert(before, other, step_of(to_step or step) if other.per_step else None)
-    console.print(conversion_brief(before, after), conversion_text(before, after), conversion_json(before, after))
+        console.show(convert_alpha(Noise(alpha=alphas, law=source, step=step), target, step=to_step))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -64,5 +63,5 @@ def command(
     following = ["density", *typed_words("--output", "--overwrite"), "-o", "density.png"]
     if output is not None:
         following = ["sample", *typed_words("--output", "--overwrite", "--at", "--reading")]
-    shown = replace(found, following=shlex.join(["odomcorrupt", *following]))
+    shown = replace(found, following=("odomcorrupt", *following))
     console.show(shown, files=written(output, draw))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -9,14 +10,11 @@ import click
 from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Decorator, Number, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError
-from odomcorrupt.result_files import write_text
-from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
-    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.api.export import Target
 
 _EVERY = "nothing would let amcl update at every scan"
 
@@ -31,7 +29,9 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
     "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization"]), required=True,
     help="Wheel multipliers, amcl's alphas, or covariances.",
 )  # fmt: skip
-@click.option("--track", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]")
+@click.option(
+    "--track", "track_m", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]"
+)
 @_number("--update-min-d", Number("metres", 0.0, 1e3, above=True, else_=_EVERY), 0.25, "M", "amcl's update distance.")
 @_number("--update-min-a", Number("radians", 0.0, 1e3, above=True, else_=_EVERY), 0.2, "RAD", "amcl's update angle.")
 @click.option(
@@ -51,54 +51,25 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
 @click.option("-o", "--output", type=OUTPUT, help="Write the YAML to a file.")
 @overwrite_option()
 @standard_options
-def command(model: Path, *, target: str, controller: str, output: Path | None, console: Console, **given: Any) -> None:
+def command(model: Path, *, target: Target, output: Path | None, console: Console, **given: Any) -> None:
     """Print a model's parameters as YAML for another program.
 
     -v adds comments: assumptions, and effects that the program cannot express. -o writes all of it to a file.
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
-    from odomcorrupt.export import (
-        Steady,
-        amcl_alphas,
-        amcl_text,
-        condensed,
-        twist_variances,
-        twists_text,
-        wheel_multipliers,
-        wheels_text,
-    )
-    from odomcorrupt.model.model_file import read_model
+    from odomcorrupt.api.export import export_parameters
+    from odomcorrupt.api.model import Model
 
-    robot = read_model(model)
+    robot = Model.load(model)
     with usage_errors(ModelError):
-        drive = Steady(given["speed"], given["turn_rate"], given["rate"])
-        if target == "nav2":
-            update, turn = (given["update_min_d"], given["update_min_a"]), given["turn"]
-            text = amcl_text(robot, amcl_alphas(robot.noise, *update, turn=turn, drive=drive), *update, turn)
-        elif target == "robot_localization":
-            text = twists_text(robot, twist_variances(robot.noise, drive), drive, controller)
-    if target == "ros2_control":
-        text = wheels_text(robot, wheel_multipliers(robot, given["track"]), controller)
-    values = {"schema": 2, "to": target, "yaml": text}
+        result = export_parameters(robot, target, **given)
     if output is None:
-        console.print(condensed(text, robot), text, values)
+        console.print(result.result.condensed(), result.details(), result.to_dict())
         return
     load = {
         "nav2": ["ros2", "run", "nav2_amcl", "amcl", "--ros-args", "--params-file", output],
-        "ros2_control": ["ros2", "run", "controller_manager", "spawner", controller, "--param-file", output],
+        "ros2_control": ["ros2", "run", "controller_manager", "spawner", given["controller"], "--param-file", output],
         "robot_localization": ["ros2", "run", "robot_localization", "ekf_node", "--ros-args", "--params-file", output],
     }
-    brief = _brief(robot, f"{model.name} for {target}", text, load[target])
-    console.print(brief, text, values, files={output: lambda: write_text(output, text + "\n")})
-
-
-def _brief(robot: MotionModel, name: str, text: str, following: Sequence[object]) -> Summary:
-    """Return the exported numbers, the effects that cannot be expressed, and the suggested next command."""
-    from odomcorrupt.export import numbers_of, unexpressed
-
-    left = unexpressed(text, robot)
-    lines = [Line("EXPORTED", name, "warning" if left else "good")]
-    if left:
-        lines.append(Line("left out", f"{', '.join(left)}: comments in the file say why", "warning"))
-    lines.append(Line("values", ", ".join(numbers_of(text))))
-    return Summary((*lines, command_line(following)))
+    shown = replace(result, name=model.name, following=tuple(load[target]))
+    console.show(shown, files={output: lambda: result.save(output, overwrite=True)})

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,85 +12,17 @@ import click
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
-from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, save_picture, usage_errors
+from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
-from odomcorrupt.errors import ModelError, OdomCorruptError
+from odomcorrupt.errors import ModelError
 from odomcorrupt.result_files import write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from odomcorrupt.api.motion import Samples
+    from odomcorrupt.api.particles import Particles
 
 
 _RESULT = OutputFile(*PICTURES, "csv", "json")
-_RUNS = 300
-"""Default number of runs along a bag."""
-
-
-def _sample_along(bag: Path, output: Path | None, *, console: Console, given: Mapping[str, Any]) -> None:
-    """Draw runs of a bag's drive, evaluate them at distances along it, and print and write the result."""
-    from odomcorrupt.corruption.summary import model_brief
-    from odomcorrupt.mapping.conditioned_runs import free_paths
-    from odomcorrupt.rng import draw_seed
-    from odomcorrupt.sampling.particles import (
-        brief,
-        csv_text,
-        particles_at,
-        particles_json,
-        places_along,
-        report_text,
-        sample_particles,
-    )
-    from odomcorrupt.trajectories import read_drive
-
-    taken = [name for name in ("example", "start", "end") if given[name] is not None]
-    if taken:
-        raise click.UsageError(f"--{taken[0]}: the motion is that of {bag}; leave it out")
-    if str(bag) == "-":
-        raise OdomCorruptError("-: the whole drive is read first, which is impossible on a pipe; name a file")
-    chosen = choose_model(given)
-    drive = read_drive(bag, given["odom_topic"])
-    # about six particle sets, at round distances
-    every = given["every"] or _round(float(drive.distance_m[-1]) / 6.0)
-    seed = draw_seed() if given["seed"] is None else given["seed"]
-    runs = given["count"] or _RUNS
-    condition = choose_condition(given, bag, drive.frame_id)
-    if condition is None:
-        cloud = sample_particles(drive, chosen.motion_model, seed=seed, runs=runs, every_m=every)
-    else:
-        places = places_along(drive, every)
-        free = free_paths(
-            drive.stamps_ns, drive.xyt, chosen.motion_model, condition, seed=seed, runs=range(runs), places=places
-        )  # fmt: skip
-        cloud = particles_at(drive, places, free.xyt, seed)
-        console.note(free.account())
-    origin = f" ({chosen.origin})" if chosen.origin else ""
-    text = f"noise: {chosen.motion_model.noise.words}{origin}\n{report_text(cloud)}"
-    values = particles_json(cloud)
-
-    def write(path: Path) -> None:
-        if kind_of(path) not in PICTURES:
-            as_json = json.dumps(values, indent=1) + "\n"
-            write_text(path, csv_text(cloud) if kind_of(path) == "csv" else as_json)
-            return
-        from odomcorrupt.report.plots.samples import draw_cloud
-
-        law = chosen.motion_model.noise.law_name
-        within = "" if condition is None else " within the map"
-        space = None if condition is None else condition.space
-        save_picture(path, draw_cloud(cloud, f"Where the robot may be{within}: law {law}, seed {seed}", space))
-
-    following = ["odomcorrupt", "sample", *typed_words("--output", "--overwrite"), "-o", "cloud.png"]
-    if output is not None:
-        following = ["odomcorrupt", "preview", str(bag)]
-    words = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
-    said = brief(cloud, words, f"{drive.topic} of {bag}", following)
-    console.print(said, text, {"schema": 2, **values}, files=written(output, write))
-
-
-def _round(value: float) -> float:
-    """Return the smallest of 1, 2 or 5 times a power of ten that is not below a value."""
-    power = 10.0 ** math.floor(math.log10(max(value, 1e-6)))
-    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= 0.999 * value)
 
 
 @click.command("sample", cls=AlphaCommand, short_help="Sample the end poses of one motion (the banana-shaped cloud).")
@@ -123,27 +53,42 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
     odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import sample
+    from odomcorrupt.api.particles import sample_along
+    from odomcorrupt.trajectories import read_drive
 
-    if bag is not None:
-        _sample_along(bag, output, console=console, given=given)
-        return
-    chosen = choose_move(given)
-    condition = choose_condition(given, None, "odom")
-    with usage_errors(ModelError):
-        asked = {"count": chosen.count, "seed": given["seed"], "within": condition}
-        drawn = sample(chosen.start_xyt, chosen.end_xyt, model=chosen.model, **asked)
+    following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png" if bag is None else "cloud.png"]
+    drawn: Samples | Particles
+    if bag is None:
+        chosen = choose_move(given)
+        condition = choose_condition(given, None, "odom")
+        with usage_errors(ModelError):
+            asked = {"count": chosen.count, "seed": given["seed"], "within": condition}
+            drawn = sample(chosen.start_xyt, chosen.end_xyt, model=chosen.model, **asked)
+        if output is not None:
+            left = ("--output", "--overwrite", "--every", "--odom-topic", "--max-unpacked")
+            following = ["density", *typed_words(*left)]
+    else:
+        taken = [name for name in ("example", "start", "end") if given[name] is not None]
+        if taken:
+            raise click.UsageError(f"--{taken[0]}: the motion is that of {bag}; leave it out")
+        model, topic = choose_model(given), given["odom_topic"]
+        frame = "odom" if given["map_"] is None else read_drive(bag, topic).frame_id
+        asked = {"runs": given["count"] or 300, "seed": given["seed"], "every_m": given["every"], "odom_topic": topic}
+        drawn = sample_along(bag, model, **asked, within=choose_condition(given, bag, frame))
+        for sentence in drawn.notes:
+            console.note(sentence)
+        if output is not None:
+            following = ["preview", str(bag)]
 
     def write(path: Path) -> None:
         if kind_of(path) in PICTURES:
             drawn.plot(path)
+        elif kind_of(path) == "csv":
+            write_text(path, drawn.csv())
         else:
             values = drawn.to_dict()
             del values["schema"]
-            as_json = json.dumps(values, indent=1) + "\n"
-            write_text(path, drawn.csv() if kind_of(path) == "csv" else as_json)
+            write_text(path, json.dumps(values, indent=1) + "\n")
 
-    following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png"]
-    if output is not None:
-        following = ["density", *typed_words("--output", "--overwrite", "--every", "--odom-topic", "--max-unpacked")]
-    shown = replace(drawn, following=shlex.join(["odomcorrupt", *following]))
+    shown = replace(drawn, following=("odomcorrupt", *following))
     console.show(shown, files=written(output, write))

@@ -52,12 +52,13 @@ def places_along(drive: Drive, every_m: float) -> NDArray[np.intp]:
     return np.append(np.searchsorted(travelled, marks), len(drive) - 1)
 
 
-def sample_particles(drive: Drive, model: MotionModel, *, seed: int, runs: int, every_m: float) -> ParticleSet:
-    """Return the poses of noisy runs of a drive every `every_m` metres, and at the end.
+def sample_particles(
+    drive: Drive, model: MotionModel, places: NDArray[np.intp], *, seed: int, runs: int
+) -> ParticleSet:
+    """Return the poses of noisy runs of a drive at the pose indices (k,).
 
     Run k is the path that corruption with `--seed` and `--run k` writes.
     """
-    places = places_along(drive, every_m)
     xyt, systematic = np.empty((runs, len(places), 3)), SystematicEffects(model)
     for run in range(runs):
         samples = NoisyPath(model, seed, run, covariance=False, systematic=systematic).feed(drive.stamps_ns, drive.xyt)

@@ -202,51 +202,6 @@ def test_corrupting_again_is_said(tmp_path, capsys):
     assert [one["seed"] for one in json.loads(capsys.readouterr().out)["provenance"]] == ["7", "8"]
 
 
-ALPHA = ["--alpha", "0.05", "0.02", "0.05", "0.01"]
-READS = {
-    "preview": (
-        lambda: oc.preview(OFFICE, NOISE, seed=4, run=3, runs=2),
-        ["preview", str(OFFICE), *ALPHA, "--seed", "4", "--run", "3", "--runs", "2"],
-    ),
-    "preview of a topic": (
-        lambda: oc.preview(OFFICE, runs=2, odom_topic="odom", odom_frame="odom", base_frame="base_link"),
-        ["preview", str(OFFICE), "--runs", "2", "--odom", "odom", "--odom-frame", "odom", "--base-frame", "base_link"],
-    ),
-    "spread": (lambda: oc.spread("runs"), ["spread", "runs"]),
-    "info": (lambda: oc.info(OFFICE), ["info", str(OFFICE)]),
-    "info of a frame": (
-        lambda: oc.info(OFFICE, odom_topic="odom", odom_frame="map", base_frame="base"),
-        ["info", str(OFFICE), "--odom", "odom", "--odom-frame", "map", "--base-frame", "base"],
-    ),
-}
-
-
-@pytest.mark.parametrize("name", READS)
-def test_values_texts_and_pictures_are_those_of_the_command_line(name, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    call, words = READS[name]
-    if name == "spread":
-        oc.batch(OFFICE, "runs", model=NOISE, runs=3, seed=1, output="trajectories")
-    result = call()
-    assert run([*words, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result.to_dict()))
-    assert run([*words, "-v"]) == 0
-    assert capsys.readouterr().out == result.details() + "\n"
-    assert run(words) == 0
-    shown, own = (text.partition("\nnext")[0].rstrip().splitlines() for text in (capsys.readouterr().out, str(result)))
-    shown = [line for line in shown if "more line" not in line]  # the next command takes a line or two of eight
-    assert own[: len(shown)] == shown
-    assert len(shown) > 2
-    assert len(result.rows()) > 3
-    if words[0] == "info":
-        with pytest.raises(OdomCorruptError, match="no picture of a result of class Info"):
-            result.plot("ours.svg")
-    else:
-        result.plot("ours.svg")
-        assert run([*words, "-o", "theirs.svg"]) == 0
-        assert (tmp_path / "ours.svg").read_bytes() == (tmp_path / "theirs.svg").read_bytes()
-
-
 def free_box(folder, low_xy, high_xy):
     """Write a map that is free within a box, and return its path."""
     across, along = (round((high - low) / 0.05) for low, high in zip(low_xy, high_xy, strict=True))

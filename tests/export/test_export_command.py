@@ -87,7 +87,7 @@ def test_a_file_has_the_whole_text_and_the_terminal_eight_lines(tmp_path, export
 
 def test_a_missing_track_is_asked_for(export):
     code, _, text, said = export("ros2_control", more="")
-    assert (code, text) == (1, "")
+    assert (code, text) == (2, "")
     assert "give --track" in said
     assert export("ros2_control", "--track", "0.4", more="")[0] == 0
 

@@ -5,15 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import odomcorrupt as oc
 from odomcorrupt.cli import run
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.model.motion_model import MotionModel, Noise
-from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.sampling.particles import sample_particles
+from odomcorrupt.sampling.particles import places_along, sample_particles
 from odomcorrupt.trajectories import Drive, read_drive
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
-MODEL = MotionModel(Noise("diffusion", Coefficients(0.05, 0.02, 0.05, 0.01)))
+NOISE = oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
 
 
 def straight(length, n=500):
@@ -26,14 +25,15 @@ def test_run_of_the_cloud_is_the_path_that_corruption_writes(tmp_path):
     noisy = tmp_path / "noisy.mcap"
     arguments = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "9"]
     assert run([str(OFFICE), str(noisy), *arguments, "--run", "3"]) == 0
-    cloud = sample_particles(read_drive(OFFICE, None), MODEL, seed=9, runs=4, every_m=7.0)
+    cloud = oc.sample_along(OFFICE, NOISE, seed=9, runs=4, every_m=7.0).result
     np.testing.assert_allclose(cloud.xyt[3, -1, :2], read_drive(noisy, None).xyt[-1, :2], atol=1e-9)
 
 
 @pytest.mark.slow
 def test_cloud_spreads_as_the_law_says():
     """On a straight drive: along by sqrt(distance), heading by sqrt(distance), across by distance^1.5."""
-    cloud = sample_particles(straight(16.0), MODEL, seed=1, runs=3000, every_m=4.0)
+    drive = straight(16.0)
+    cloud = sample_particles(drive, oc.Model(NOISE).motion_model, places_along(drive, 4.0), seed=1, runs=3000)
     np.testing.assert_allclose(cloud.distance_m, [4, 8, 12, 16], atol=0.05)
     spread = cloud.xyt.std(axis=0)
     d = cloud.distance_m
@@ -44,12 +44,12 @@ def test_cloud_spreads_as_the_law_says():
 
 def test_parked_robot_has_no_cloud():
     with pytest.raises(RecordingError, match="does not move"):
-        sample_particles(straight(0.0), MODEL, seed=1, runs=2, every_m=1.0)
+        places_along(straight(0.0), 1.0)
 
 
 def test_last_place_is_the_end_and_no_place_is_near_it():
-    cloud = sample_particles(straight(10.1), MODEL, seed=1, runs=2, every_m=5.0)
-    np.testing.assert_allclose(cloud.distance_m, [5, 10.1], atol=0.05)
+    drive = straight(10.1)
+    np.testing.assert_allclose(drive.distance_m[places_along(drive, 5.0)], [5, 10.1], atol=0.05)
 
 
 def test_command_writes_every_run(tmp_path):

@@ -124,8 +124,8 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
         if turned > _TURNED_RAD:
             given = "given" if any(np.ptp(drive.truth.xyt[:, 2]) for drive in drives) else "first"
             raise FitError(
-                f"the odometry ends {before:.2f} m and {np.degrees(turned):.0f} deg from the {given} pose: end the drive "
-                "there, in that heading, or give the measured end with --end X,Y,YAW or --scan TOPIC"
+                f"the odometry ends {before:.2f} m and {np.degrees(turned):.0f} deg from the {given} pose: end the "
+                "drive there, in that heading, or give the measured end with --end X,Y,YAW or --scan TOPIC"
             )
         raise FitError(
             f"the ends lie {before:.2f} m off, and {after:.2f} m with the effects taken out{beyond}: these drives did "

@@ -1,0 +1,248 @@
+"""Descriptions of the physical effects, and of the ready-made noise models."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.api.result import Result
+from odomcorrupt.effects import effect_named, registry
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.model.presets import PRESETS
+from odomcorrupt.report.json.numbers import picked
+from odomcorrupt.summary import Line, Summary, command_line
+
+if TYPE_CHECKING:
+    from odomcorrupt.effects.effect import Effect, Parameter
+    from odomcorrupt.model.presets import Preset
+
+_FAMILIES = {"effect": "SYSTEMATIC", "setup": "setup", "event": "event", "noise": "random"}
+"""Labels of the kinds of effects, in order of listing."""
+_LEGEND = """
+effect: systematic; setup: of the measurement, not of the robot; noise: random
+odomcorrupt effects NAME explains one"""
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class EffectList(Result):
+    """The physical effects that make odometry depart from the truth.
+
+    kinds : classes of the effects, by name
+    """
+
+    kinds: dict[str, type[Effect]]
+
+    def summary(self) -> Summary:
+        """Return the names by kind."""
+        kinds = self.kinds.values()
+        names = {label: ", ".join(k.name for k in kinds if k.kind == kind) for kind, label in _FAMILIES.items()}
+        lines = [Line(label, text) for label, text in names.items()]
+        return Summary((*lines, command_line("odomcorrupt effects NAME, or -v for all in words")), most=20)
+
+    def details(self) -> str:
+        """Return a table of names, kinds and meanings."""
+        width = max(map(len, self.kinds))
+        rows = [f"{n:<{width}}  {k.kind:<6}  {k.summary}" for n, k in self.kinds.items()]
+        return "\n".join([*rows, _LEGEND])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the rows."""
+        return {"schema": 2, "effects": self.rows()}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return name, kind and meaning of every effect."""
+        return [{"name": n, "kind": k.kind, "summary": k.summary} for n, k in self.kinds.items()]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class EffectDescription(Result):
+    """An effect: its equation, its parameters, its source, and what it can be confused with.
+
+    kind : class of the effect
+    """
+
+    kind: type[Effect]
+
+    def summary(self) -> Summary:
+        """Return the meaning of the effect and of its parameters, and a command that applies it to a bag."""
+        kind = self.kind
+        lines = [Line(kind.name, f"{kind.summary} ({kind.kind})", "good")]
+        lines += [Line(p.name, f"{p.meaning}; typically {p.typical:g} {p.unit}".rstrip()) for p in parameters(kind)]
+        lines += [Line(word, " or ".join(options)) for word, options in choices(kind).items()]
+        if kind.aliased_with is not None:
+            lines.append(Line("alias", f"{kind.aliased_with}: no recording of poses separates them"))
+        if kind.about is not None:
+            lines += [Line("adds", kind.about.equation), Line("source", kind.about.source)]
+        return Summary((*lines, command_line(_example(kind))))
+
+    def details(self) -> str:
+        """Return everything known of the effect, and a command that applies it to a bag."""
+        kind = self.kind
+        own = parameters(kind)
+        lines = [f"{kind.name} ({kind.kind}): {kind.summary}", ""]
+        if kind.about is not None:
+            lines += [f"truth minus odometry:  {kind.about.equation}", ""]
+        lines.append("parameters")
+        lines += [f"  {p.name:<12} {p.meaning}; {_range(p)}" for p in own]
+        lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
+        if kind.needs_track:
+            track = ", or its parameter track" if any(p.name == "track" for p in own) else ""
+            lines.append(f"  needs the distance between the wheels: --track, or [robot] track in a model file{track}")
+        if kind.drives is not None:
+            lines.append(f"  for the drive types {', '.join(sorted(kind.drives))}")
+        if kind.needs_sideways:
+            lines.append("  for robots that can drive sideways, on mecanum or other omnidirectional wheels")
+        if kind.about is not None:
+            lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
+            lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
+        if kind.aliased_with is not None:
+            lines.append(
+                f"alias          {kind.aliased_with}: the same motion; no recording of poses can separate them"
+            )
+        return "\n".join([*lines, "", _example(kind)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all of it by name."""
+        kind, about = self.kind, self.kind.about
+        return {
+            "schema": 2,
+            **picked(kind, "name", "kind", "summary"),
+            "equation": about.equation if about else None,
+            "parameters": self.rows(),
+            "words": {word: list(options) for word, options in choices(kind).items()},
+            "typical": about.typical if about else None,
+            "source": about.source if about else None,
+            "confused_with": list(about.confused_with) if about else [],
+            "twin_of": kind.aliased_with,
+            "drive": about.drive if about else None,
+            "drive_types": sorted(kind.drives) if kind.drives is not None else None,
+            **picked(kind, "needs_gyro", "needs_track", "needs_sideways"),
+        }  # fmt: skip
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the parameters: meaning, unit, range, typical value, value if not given, and role."""
+        return [
+            picked(p, "name", "meaning", "unit", "low", "high", "typical")
+            | {"default": p.identity, "role": "amplitude" if p.amplitude else "shape"}
+            for p in parameters(self.kind)
+        ]
+
+
+def _example(kind: type[Effect]) -> str:
+    """Return a command that applies an effect of typical size to a bag."""
+    values = ",".join(f"{p.name}={p.typical:g}" for p in amplitudes(kind))
+    return f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"
+
+
+def _range(p: Parameter) -> str:
+    unit = f" {p.unit}" if p.unit else ""
+    shape = "" if p.amplitude else f"; {p.identity:g}{unit} if not given"
+    return f"typically {p.typical:g}{unit}, from {p.low:g} to {p.high:g}{shape}"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class PresetList(Result):
+    """Ready-made noise models with law, numbers and source; `Model.preset` returns one of them.
+
+    presets : the noise models
+    """
+
+    presets: tuple[Preset, ...]
+
+    def summary(self) -> Summary:
+        """Return the names, fitted presets on a separate line."""
+        fitted = [p.name for p in self.presets if p.source.startswith("fitted")]
+        stated = [p.name for p in self.presets if p.name not in fitted]
+        first = self.presets[0].name
+        count = f"{len(self.presets)} noise models; -v has their laws, numbers and sources"
+        lines = [Line("PRESETS", count, "good"), Line("stated", ", ".join(stated)), Line("fitted", ", ".join(fitted))]
+        lines.append(Line("use", f"odomcorrupt INPUT OUTPUT --preset {first}"))
+        return Summary((*lines, command_line(f"odomcorrupt presets {first} > robot.toml")))
+
+    def details(self) -> str:
+        """Return law, numbers and source of each."""
+        lines = []
+        for row in self._values():
+            numbers = "  ".join(f"{key} {value:.4g}" for key, value in row["coefficients"].items())
+            lines.append(f"{row['name']}\n  law {row['law']}: {numbers}\n  {row['source']}\n")
+        use = "odomcorrupt INPUT OUTPUT --preset NAME uses it; odomcorrupt presets NAME > robot.toml writes a file"
+        return "\n".join([*lines, use])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return name, law, coefficients and source of each."""
+        return {"schema": 2, "presets": self._values()}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the presets, with a column for every coefficient."""
+        return [{**row, **row.pop("coefficients")} for row in self._values()]
+
+    def _values(self) -> list[dict[str, Any]]:
+        found = []
+        for preset in self.presets:
+            noise = preset.noise
+            numbers = dataclasses.asdict(noise.coefficients)
+            shown = {key: value for key, value in numbers.items() if value or key in noise.law.alphas}
+            found.append({"name": preset.name, "law": noise.law_name, "coefficients": shown, "source": preset.source})
+        return found
+
+
+def list_effects() -> EffectList:
+    """Return the physical effects of the library: systematic, of the set-up, events and random ones.
+
+    Returns
+    -------
+    EffectList
+        `rows()` and `to_pandas()` have name, kind and meaning of each.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> [row["name"] for row in oc.list_effects().rows() if row["kind"] == "event"]
+    ['odometry_stop', 'push', 'slip_event']
+    """
+    return EffectList(dict(registry()))
+
+
+def describe_effect(name: str) -> EffectDescription:
+    """Return equation, parameters, typical size and source of an effect, and what it can be confused with.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect, as in `list_effects`.
+
+    Returns
+    -------
+    EffectDescription
+        `rows()` and `to_pandas()` have the parameters.
+
+    Raises
+    ------
+    EffectError
+        If there is no such effect.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> oc.describe_effect("wheelbase").to_dict()["twin_of"]
+    'gyro_scale'
+    """
+    return EffectDescription(effect_named(name))
+
+
+def list_presets() -> PresetList:
+    """Return the ready-made noise models with law, numbers and source.
+
+    Returns
+    -------
+    PresetList
+        `rows()` and `to_pandas()` have one row for each; `Model.preset(name)` returns one as a model.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> [row["name"] for row in oc.list_presets().rows()][:2]
+    ['typical', 'article']
+    """
+    return PresetList(tuple(PRESETS.values()))

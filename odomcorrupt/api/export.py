@@ -1,0 +1,161 @@
+"""Numbers of a model as parameters of ros2_control, nav2 or robot_localization."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from odomcorrupt.api.model import as_model
+from odomcorrupt.api.result import Result
+from odomcorrupt.errors import ModelError
+from odomcorrupt.export import (
+    Steady,
+    amcl_alphas,
+    amcl_snippet,
+    number,
+    twist_variances,
+    twists_snippet,
+    wheel_multipliers,
+    wheels_snippet,
+)
+from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.summary import Line, Summary, command_line
+
+if TYPE_CHECKING:
+    from odomcorrupt.api.model import ModelLike
+    from odomcorrupt.export import Snippet, Turn
+
+Target = Literal["ros2_control", "nav2", "robot_localization"]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Export(Result):
+    """Parameters of another program.
+
+    name, to : name of the model, and the program
+    result : complete result: YAML, comments, values by name, effects that the program cannot represent
+    following : words of the suggested next command
+    """
+
+    name: str
+    to: Target
+    result: Snippet
+    following: tuple[object, ...] = ()
+
+    def summary(self) -> Summary:
+        """Return the values, and the effects that cannot be represented."""
+        left = self.result.left_out
+        lines = [Line("EXPORTED", f"{self.name} for {self.to}", "warning" if left else "good")]
+        if left:
+            lines.append(Line("left out", f"{', '.join(left)}: comments in the file say why", "warning"))
+        values = {name: number(value) for name, value in self.result.values.items()}
+        shown = [f"{name} {value}" for name, value in values.items()]
+        if self.to == "robot_localization":
+            shown = [f"twist covariance diagonal {', '.join(values.values())}"]
+        lines.append(Line("values", ", ".join(shown)))
+        return Summary((*lines, command_line(self.following)))
+
+    def details(self) -> str:
+        """Return the YAML, with assumptions and effects left out as comments."""
+        return self.result.text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the program and the YAML."""
+        return {"schema": 2, "to": self.to, "yaml": self.result.text}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return names and values of the parameters."""
+        return [{"parameter": name, "value": value} for name, value in self.result.values.items()]
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the YAML; return the path.
+
+        Parameters
+        ----------
+        path : path
+            File to write.
+        overwrite : bool
+            Whether an existing file is replaced.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Raises
+        ------
+        OdomCorruptError
+            If the file exists and `overwrite` is false.
+        """
+        target = Path(fspath(path))
+        refuse_existing(target, overwrite=overwrite)
+        write_text(target, self.result.text + "\n")
+        return target
+
+
+def export_parameters(
+    model: ModelLike,
+    to: Target,
+    *,
+    track_m: float | None = None,
+    update_min_d: float = 0.25,
+    update_min_a: float = 0.2,
+    turn: Turn = "rolling",
+    speed: float = 0.5,
+    turn_rate: float = 0.5,
+    rate: float = 50.0,
+    controller: str = "diff_drive_controller",
+) -> Export:
+    """Return wheel multipliers, amcl's alphas, or covariances for robot_localization.
+
+    Multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
+
+    Parameters
+    ----------
+    model : Model, Noise, path of a model file or name of a preset
+        Model of the robot.
+    to : str
+        "ros2_control", "nav2" or "robot_localization".
+    track_m : float, optional
+        Nominal distance between the wheels, metres; by default that of the model. Used by "ros2_control".
+    update_min_d, update_min_a : float
+        Distance (m) and angle (rad) after which amcl updates its particles.
+    turn : str
+        Turn on which amcl's noise is matched to the model's: "rolling" (along an arc) or on the "spot".
+    speed, turn_rate, rate : float
+        Speed (m/s) and turn rate (rad/s) at which the noise is evaluated, and rate of the odometry, Hz.
+    controller : str
+        Name of the node in the YAML.
+
+    Returns
+    -------
+    Export
+        `details()` is the YAML, `rows()` and `to_pandas()` have its values.
+
+    Raises
+    ------
+    ModelError
+        If the model or a number is invalid, or the track is needed and not known.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> alphas = oc.export_parameters("typical", "nav2", update_min_d=0.2)
+    >>> [(row["parameter"], round(row["value"], 5)) for row in alphas.rows()[:2]]
+    [('alpha1', 0.025), ('alpha2', 0.001)]
+    """
+    robot = as_model(model).motion_model
+    drive = Steady(speed, turn_rate, rate)
+    match to:
+        case "nav2":
+            alphas = amcl_alphas(robot.noise, update_min_d, update_min_a, turn=turn, drive=drive)
+            snippet = amcl_snippet(robot, alphas, update_min_d, update_min_a, turn)
+        case "robot_localization":
+            snippet = twists_snippet(robot, twist_variances(robot.noise, drive), drive, controller)
+        case "ros2_control":
+            snippet = wheels_snippet(robot, wheel_multipliers(robot, track_m), controller)
+        case _:
+            raise ModelError(f"to: {to!r}; write ros2_control, nav2 or robot_localization")
+    return Export(Path(fspath(model)).name if isinstance(model, str | PathLike) else "model", to, snippet)
