@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from odomcorrupt.api.assembly import Assembly, assemble
-    from odomcorrupt.api.batch import Batch, batch
+    from odomcorrupt.api.batch import Batch, BatchCost, batch, estimate_batch
     from odomcorrupt.api.catalogue import (
         EffectDescription,
         EffectList,
@@ -48,7 +48,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "api.assembly": ("Assembly", "assemble"),
-    "api.batch": ("Batch", "batch"),
+    "api.batch": ("Batch", "BatchCost", "batch", "estimate_batch"),
     "api.catalogue": (
         "EffectDescription", "EffectList", "PresetList", "describe_effect", "list_effects", "list_presets",
     ),
@@ -75,13 +75,13 @@ _HOMES = {
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Assembly", "Batch", "Comparison", "Conversion", "Correction", "Corruption", "Density", "Diagnosis",
-    "EffectDescription", "EffectList", "Export", "Fit", "Info", "Integration", "Learned", "Maps", "Model", "Noise",
-    "OdomCorruptError", "Particles", "PresetList", "Preview", "Recordings", "Samples", "Score", "Simulation",
-    "Spread", "SquareTest", "__version__", "assemble", "batch", "compare", "convert_alpha", "correct", "corrupt",
-    "density", "describe_effect", "diagnose", "draw_maps", "export_parameters", "fit", "fit_returns", "info",
-    "integrate", "learn", "list_effects", "list_presets", "preview", "read_recordings", "sample", "sample_along",
-    "score", "simulate", "spread",
+    "Assembly", "Batch", "BatchCost", "Comparison", "Conversion", "Correction", "Corruption", "Density",
+    "Diagnosis", "EffectDescription", "EffectList", "Export", "Fit", "Info", "Integration", "Learned", "Maps",
+    "Model", "Noise", "OdomCorruptError", "Particles", "PresetList", "Preview", "Recordings", "Samples", "Score",
+    "Simulation", "Spread", "SquareTest", "__version__", "assemble", "batch", "compare", "convert_alpha", "correct",
+    "corrupt", "density", "describe_effect", "diagnose", "draw_maps", "estimate_batch", "export_parameters", "fit",
+    "fit_returns", "info", "integrate", "learn", "list_effects", "list_presets", "preview", "read_recordings",
+    "sample", "sample_along", "score", "simulate", "spread",
 ]  # fmt: skip
 
 

@@ -3,20 +3,20 @@
 import re
 
 COMMAND_LINE_ONLY = frozenset((
-    "--clock", "--dask", "--help", "--layout", "--rate", "--returns", "--save", "--shard", "--speed", "--to",
-    "--turn-rate",
+    "--clock", "--help", "--rate", "--returns", "--save", "--speed", "--turn-rate",
 ))  # fmt: skip
 """Options in messages that no argument in Python corresponds to."""
 _ARGUMENTS = {
     "--add": "effects", "--effect": "effects", "--end": "ends", "--exclude-topic": "exclude", "--input": "original",
-    "--map": "within",
-    "--overwrite": "overwrite=True", "--recover": "recover=True", "--robot-radius": "radius_m",
+    "--map": "within", "--overwrite": "overwrite=True", "--recover": "recover=True", "--robot-radius": "radius_m",
     "--start": "start_xyt", "--sweep": "sweeps", "--to-step": "step", "--track": "track_m",
-    "--truth-shift": "truth_shift_s",
-    "with --tf odometry": "without new_odom_frame", "--max-unpacked ": "ODOMCORRUPT_MAX_UNPACKED=",
+    "--truth-shift": "truth_shift_s", "--max-unpacked ": "ODOMCORRUPT_MAX_UNPACKED=",
+    "with --tf odometry": "without new_odom_frame", "--tf correction": "new_odom_frame",
 }  # fmt: skip
 """Arguments in Python that are not called like the option."""
-_OPTION = re.compile(r"(?<![\w/.-])(?:with --tf odometry|--max-unpacked |--[a-z][a-z-]*[a-z](?![\w./-]))")
+_OPTION = re.compile(
+    r"(?<![\w/.-])(?:with --tf odometry|--tf correction|--max-unpacked |--[a-z][a-z-]*[a-z](?![\w./-]))"
+)
 
 
 class OdomCorruptError(Exception):
@@ -74,3 +74,7 @@ class FitError(OdomCorruptError):
 
 class BatchError(OdomCorruptError):
     """A batch cannot be started, continued or read."""
+
+
+class BatchOptionError(BatchError):
+    """Options of a batch contradict each other."""

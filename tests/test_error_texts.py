@@ -11,6 +11,7 @@ import pytest
 
 import odomcorrupt as oc
 from odomcorrupt.api.bag_options import BagOptions
+from odomcorrupt.api.batch import BatchOptions
 from odomcorrupt.cli import run
 from odomcorrupt.errors import COMMAND_LINE_ONLY, BagError, TopicError
 from odomcorrupt.mapping.map_condition import read_condition
@@ -39,7 +40,7 @@ def named():
 def test_every_option_in_a_text_is_an_argument_in_python():
     functions = [one for name in oc.__all__ if callable(one := getattr(oc, name)) and name != "OdomCorruptError"]
     arguments = {name for one in (*functions, read_condition) for name in inspect.signature(one).parameters}
-    arguments |= {"ODOMCORRUPT_MAX_UNPACKED", *BagOptions.__annotations__}
+    arguments |= {"ODOMCORRUPT_MAX_UNPACKED", *BagOptions.__annotations__, *BatchOptions.__annotations__}
     arguments |= set(inspect.signature(oc.Score.check).parameters)
     words = named()
     assert len(words) > 40

@@ -3,29 +3,39 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack, cast
 
 from odomcorrupt.api.bag_options import BagOptions, as_condition, split_options
 from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
-from odomcorrupt.batching.engine import run_batch
+from odomcorrupt.bags.pipeline import default_threads
+from odomcorrupt.batching.engine import Shard, require_odometry, run_batch
+from odomcorrupt.batching.estimate import need_of, require_space
 from odomcorrupt.batching.job import BatchSpec, Job, plan
 from odomcorrupt.batching.manifest import read_records, seed_of
+from odomcorrupt.batching.parameter_draws import fleet_model
 from odomcorrupt.corruption.summary import places_lines
-from odomcorrupt.errors import BatchError
+from odomcorrupt.errors import BatchError, BatchOptionError
+from odomcorrupt.model.model_file import read_model
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+    from contextlib import AbstractContextManager
 
     from matplotlib.figure import Figure
 
+    from odomcorrupt.batching.engine import Audience
+    from odomcorrupt.batching.estimate import Need
+    from odomcorrupt.batching.job import Format, Output
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.model.motion_model import MotionModel
 
 _NAMED = 8
 """Failed runs that are named."""
@@ -125,6 +135,89 @@ class Batch(Result):
         return draw_spread(measure(self.jobs[0].directory))
 
 
+@dataclass(frozen=True, slots=True, repr=False)
+class BatchCost(Result):
+    """Time and disk space of the missing runs of a batch.
+
+    result : number of runs, bytes, core seconds, free bytes, and bytes of overlays
+    processes, output : number of processes, and what is written
+    """
+
+    result: Need
+    processes: int
+    output: Output
+
+    def summary(self) -> Summary:
+        """Return number of runs, space and time."""
+        lacking = self.result.bytes > self.result.free_bytes
+        return Summary((Line("NEEDS", self.details(), "bad" if lacking else "good"),))
+
+    def details(self) -> str:
+        """Return the same in sentences."""
+        need, minutes = self.result, self.result.core_seconds / 60.0
+        text = (
+            f"{need.runs} runs to make, about {need.bytes / 1e9:.3g} GB ({need.free_bytes / 1e9:.3g} GB are free) and "
+            f"{minutes:.3g} core minutes"
+        )
+        text += f", {minutes / self.processes:.3g} minutes with {self.processes} processes" * (self.processes > 1) + "."
+        if self.output == "full":
+            saved = 1.0 - need.overlay_bytes / need.bytes if need.bytes else 0.0
+            text += f" --output overlay would write {need.overlay_bytes / 1e9:.3g} GB, {saved:.0%} less."
+        return text + " The disk cannot hold it." * (need.bytes > need.free_bytes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return number of runs, bytes and core seconds."""
+        return {"schema": 2, **asdict(self.result)}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the same in one row."""
+        return [asdict(self.result)]
+
+
+class BatchOptions(BagOptions, total=False):
+    """Options of a batch, beside those of `BagOptions`.
+
+    output : whole bags ("full", the default), only the changed topics ("overlay"), or only paths as TUM and npz
+        ("trajectories")
+    layout : chunks as in the input ("same"), or changed messages in chunks of their own ("split"), which is faster
+    to : format of the runs: bag, mcap, db3 or directory; by default that of the input
+    robots : draw for each run what the model states as "a +- b" ("stated"), or everything with a standard error
+        ("posterior")
+    fleet : model files of robots, instead of `model`: every run draws a robot by their mean and spread
+    sweeps : such as "alpha-scale=0.5,1,2"; each combination gets its own directory. Ranges as "wheel_scale.e=0..0.02"
+    points : number of Sobol points that cover all ranges
+    within : map that no noisy pose leaves, as in `corrupt`
+    jobs : number of processes. In a script, call from under ``if __name__ == "__main__"``
+    shard : part of the runs to make, and number of parts, as (3, 16), counted from 1
+    model_file : file of `model`, if that is not its path: what it states as "a +- b" is drawn for each run
+    model_words, map_words : options for model and map in the command of a single run, as the manifest has it; by
+        default the model file in the directory
+    """
+
+    output: Output
+    layout: Literal["same", "split"]
+    to: Format | None
+    robots: Literal["stated", "posterior"]
+    fleet: Sequence[str | PathLike[str]]
+    sweeps: Sequence[str]
+    points: int
+    within: MapCondition | str | PathLike[str] | None
+    jobs: int
+    shard: tuple[int, int] | None
+    model_file: Path | None
+    model_words: tuple[str, ...] | None
+    map_words: tuple[str, ...]
+
+
+class _Plan(NamedTuple):
+    """Jobs of a batch, the numbers of their runs, and which of these to make in how many processes."""
+
+    jobs: list[Job]
+    runs: range
+    shard: Shard
+    processes: int
+
+
 def batch(
     inputs: PathLikes,
     directory: str | PathLike[str],
@@ -132,13 +225,10 @@ def batch(
     model: ModelLike | None = None,
     runs: int,
     seed: int | None = None,
-    output: Literal["full", "overlay", "trajectories"] = "full",
-    robots: Literal["stated", "posterior"] = "stated",
-    sweeps: Sequence[str] = (),
-    points: int = 0,
-    jobs: int = 1,
-    within: MapCondition | str | PathLike[str] | None = None,
-    **options: Unpack[BagOptions],
+    verify: bool = False,
+    dask: str | None = None,
+    progress: Callable[[int], AbstractContextManager[Audience]] | None = None,
+    **options: Unpack[BatchOptions],
 ) -> Batch:
     """Make runs 0 to n - 1 of a seed: the same bytes as single calls of `corrupt`, much faster; existing runs are kept.
 
@@ -154,20 +244,14 @@ def batch(
         Number of runs.
     seed : int, optional
         Seed of all random draws; by default that of the batch in the directory, or a random one.
-    output : {"full", "overlay", "trajectories"}
-        Whole bags, only the changed topics, or only paths (TUM and npz).
-    robots : {"stated", "posterior"}
-        Draw for each run what the model states as "a +- b", or everything with a standard error.
-    sweeps : sequence of str
-        Such as "alpha-scale=0.5,1,2"; each combination gets its own directory. Ranges as "wheel_scale.e=0..0.02".
-    points : int
-        Number of Sobol points that cover all ranges.
-    jobs : int
-        Number of processes. In a script, call from under ``if __name__ == "__main__"``.
-    within : MapCondition or path of a map's .yaml, optional
-        As in `corrupt`.
+    verify : bool
+        Whether runs whose checksums differ from the manifest are made again.
+    dask : str, optional
+        Address of a Dask scheduler whose workers make the runs, as "tcp://host:8786".
+    progress : callable, optional
+        Called with the number of runs; returns a context manager with callbacks for progress.
     **options
-        See `BagOptions`.
+        See `BatchOptions` and `BagOptions`.
 
     Returns
     -------
@@ -177,7 +261,8 @@ def batch(
     Raises
     ------
     BatchError, BagError, TopicError, ModelError
-        If inputs would share a directory, the directory has another batch, or no run could be made.
+        If options contradict each other, inputs would share a directory, the directory has another batch, the disk
+        cannot hold the runs, or no run could be made.
 
     Examples
     --------
@@ -186,25 +271,103 @@ def batch(
     >>> len(runs.paths)
     3
     """
-    moved, container = split_options(options)
-    if runs < 1:
-        raise BatchError(f"runs: {runs}; make one or more")
-    chosen = as_model(model)
-    file = Path(fspath(model)) if isinstance(model, str | PathLike) and fspath(model).endswith(".toml") else None
+    if options.get("shard") and dask:
+        raise BatchOptionError("--shard and --dask: both spread the runs; give one of them")
+    planned = _plan(inputs, directory, model, runs, seed, options)
+    require_odometry(planned.jobs)
+    require_space(planned.jobs, planned.runs, planned.shard)
+    with nullcontext() if progress is None else progress(len(planned.jobs) * runs) as audience:
+        made = run_batch(
+            planned.jobs, planned.runs, processes=planned.processes, shard=planned.shard, verify=verify, dask=dask,
+            audience=audience,
+        )  # fmt: skip
+    failures = tuple((run, str(BatchError(why))) for run, why in made.failures)
+    return Batch(Path(fspath(directory)), tuple(planned.jobs), made.runs, failures)
+
+
+def estimate_batch(
+    inputs: PathLikes,
+    directory: str | PathLike[str],
+    *,
+    model: ModelLike | None = None,
+    runs: int,
+    seed: int | None = None,
+    **options: Unpack[BatchOptions],
+) -> BatchCost:
+    """Return the time and the disk space that the missing runs of a batch need, measured on the beginning of the bags.
+
+    Parameters
+    ----------
+    inputs, directory, model, runs, seed, **options
+        As of `batch`.
+
+    Returns
+    -------
+    BatchCost
+        `result` has bytes and core seconds.
+
+    Raises
+    ------
+    BatchError, BagError, TopicError, ModelError
+        As by `batch`.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> oc.estimate_batch("fixtures/office.mcap", "many", runs=1000, output="overlay").result.runs
+    1000
+    """
+    planned = _plan(inputs, directory, model, runs, seed, options)
+    need = need_of(planned.jobs, planned.runs, planned.shard)
+    return BatchCost(need, planned.processes, planned.jobs[0].batch.output)
+
+
+def _plan(
+    inputs: PathLikes,
+    directory: str | PathLike[str],
+    model: ModelLike | None,
+    runs: int,
+    seed: int | None,
+    options: BatchOptions,
+) -> _Plan:
+    """Return the jobs of a batch."""
+    own = set(BatchOptions.__annotations__) - set(BagOptions.__annotations__)
+    given: dict[str, Any] = {name: value for name, value in options.items() if name in own}
+    moved, container = split_options(cast("BagOptions", {k: v for k, v in options.items() if k not in own}))
+    jobs, shard, fleet = given.get("jobs", 1), given.get("shard"), given.get("fleet", ())
+    for name, count in (("runs", runs), ("jobs", jobs)):
+        if count < 1:
+            raise BatchError(f"{name}: {count}; make one or more")
+    if shard and seed is None:
+        raise BatchOptionError("--shard: all shards need the same --seed; give one")
+    file = given.get("model_file")
+    if isinstance(model, str | PathLike) and fspath(model).endswith(".toml"):
+        file = Path(fspath(model))
     target = Path(fspath(directory))
     spec = BatchSpec(
-        model=chosen.motion_model,
+        model=_fleet(fleet, model) if fleet else as_model(model).motion_model,
         seed=seed_of(target) if seed is None else seed,
         model_file=file,
-        sweeps=tuple(sweeps),
-        points=points,
-        posterior=robots == "posterior",
+        sweeps=tuple(given.get("sweeps", ())),
+        points=given.get("points", 0),
+        posterior=given.get("robots") == "posterior" or bool(fleet),
         options=moved,
-        container=container,
-        output=output,
-        condition=as_condition(within),
+        # an existing run is complete, and the threads are shared by the processes
+        container=replace(container, overwrite=False, threads=max(1, (container.threads or default_threads()) // jobs)),
+        output=given.get("output", "full"),
+        split=given.get("layout") == "split",
+        condition=as_condition(given.get("within")),
+        to=given.get("to"),
+        model_words=given.get("model_words"),
+        map_words=given.get("map_words", ()),
     )
-    planned = plan(as_paths(inputs), target, spec)
-    made = run_batch(planned, range(runs), processes=jobs)
-    failures = tuple((run, str(BatchError(why))) for run, why in made.failures)
-    return Batch(target, tuple(planned), made.runs, failures)
+    return _Plan(plan(as_paths(inputs), target, spec), range(runs), Shard(*(shard or (1, 1))), jobs)
+
+
+def _fleet(files: Sequence[str | PathLike[str]], model: ModelLike | None) -> MotionModel:
+    """Return the model of a fleet: mean and spread of its robots."""
+    if model is not None:
+        raise BatchOptionError("--fleet and --model: the files of a fleet are its whole model; leave --model out")
+    if len(set(files)) < len(files):
+        raise BatchOptionError("--fleet: a file is named twice; a robot counts once")
+    return fleet_model({fspath(path): read_model(Path(fspath(path))) for path in files})

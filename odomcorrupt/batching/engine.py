@@ -56,6 +56,10 @@ class Shard:
     number: int = 1
     count: int = 1
 
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= self.count:
+            raise BatchError(f"shard: {self.number} of {self.count}; count the parts from 1")
+
     def has(self, run: int) -> bool:
         """Whether a run belongs to this shard."""
         return run % self.count == self.number - 1

@@ -119,11 +119,15 @@ def need_of(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
     return Need(sum(n for n, _ in needs), size, seconds, overlay, free_bytes(jobs[0].directory))
 
 
-def require_space(need: Need, where: str) -> None:
-    """Raise BatchError where the runs need more than the free disk space."""
+def require_space(jobs: Sequence[Job], runs: range, shard: Shard) -> None:
+    """Raise BatchError if the disk cannot hold a batch; sizes are measured only if space may be short."""
+    if 5 * len(runs) * sum(bytes_of(job.source) for job in jobs) <= free_bytes(jobs[0].directory):
+        return
+    need = need_of(jobs, runs, shard)
     if need.bytes > need.free_bytes:
         raise BatchError(
-            f"{where}: {need.runs} runs need about {need.bytes / 1e9:.3g} GB, {need.free_bytes / 1e9:.3g} GB are free; "
+            f"{jobs[0].shown_directory}: {need.runs} runs need about {need.bytes / 1e9:.3g} GB, "
+            f"{need.free_bytes / 1e9:.3g} GB are free; "
             f"--output overlay would need {need.overlay_bytes / 1e9:.3g} GB, or name a directory on another disk"
         )
 

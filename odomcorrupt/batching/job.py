@@ -11,17 +11,20 @@ from odomcorrupt.batching.parameter_draws import Spread, draw_robot, spreads_of,
 from odomcorrupt.batching.sweep import variants
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options
-from odomcorrupt.errors import BatchError
+from odomcorrupt.errors import BatchError, BatchOptionError
 from odomcorrupt.model.model_file import format_model, parse_model, read_model_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
 Output = Literal["full", "overlay", "trajectories"]
+Format = Literal["bag", "mcap", "db3", "directory"]
+_SUFFIXES: Mapping[Format, str] = {"bag": ".bag", "mcap": ".mcap", "db3": ".db3", "directory": ""}
+"""Suffixes of the runs' names by format."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +41,7 @@ class BatchSpec:
     output : whole bags, changed topics only, or paths
     split : whether changed messages are written in chunks of their own
     condition : map to which every run is constrained
-    suffix : of the names of whole bags, which says what they become; None: that of the input
+    to : format of whole bags; None: that of the input
     model_words : command-line arguments for the model of a single run; None: the directory's model.toml
     map_words : command-line arguments for the map
     """
@@ -54,13 +57,29 @@ class BatchSpec:
     output: Output = "full"
     split: bool = False
     condition: MapCondition | None = None
-    suffix: str | None = None
+    to: Format | None = None
     model_words: tuple[str, ...] | None = None
     map_words: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.output not in get_args(Output):
-            raise BatchError(f"output: {self.output}; give one of {', '.join(get_args(Output))}")
+        for name, value, kinds in (("output", self.output, Output), ("to", self.to or "bag", Format)):
+            if value not in get_args(kinds):
+                raise BatchError(f"{name}: {value}; give one of {', '.join(get_args(kinds))}")
+        if self.output != "full":
+            self._require_changed_messages_only()
+
+    def _require_changed_messages_only(self) -> None:
+        """Refuse options that need whole bags if only parts of them are written."""
+        output = f"--output {self.output}"
+        adding = (("--keep-truth", self.options.keep_truth), ("--tf correction", self.options.new_odom_frame))
+        for flag in (flag for flag, value in adding if value):
+            raise BatchOptionError(
+                f"{flag}: adds messages, but {output} holds changed messages only; leave one of them out"
+            )
+        c = self.container
+        whole = (("--to", self.to), ("--exclude-topic", c.exclude), ("--ros", c.ros), ("--storage", c.storage))
+        for flag in (flag for flag, value in (*whole, ("--layout split", self.split)) if value):
+            raise BatchOptionError(f"{flag}: is for whole bags, not for {output}; leave one of them out")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,8 +116,8 @@ class Job:
     @property
     def _bag_suffix(self) -> str:
         """Suffix of a whole bag; a single compressed file is written as what is in it."""
-        if self.batch.suffix is not None:
-            return self.batch.suffix
+        if self.batch.to is not None:
+            return _SUFFIXES[self.batch.to]
         name = self.source.with_suffix("") if self.source.suffix in (".zstd", ".zst") else self.source
         return "" if self.source.is_dir() else name.suffix
 
@@ -140,17 +159,10 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     BatchError
         If inputs would share a directory, or do not support the requested output.
     """
-    stems = [source.stem for source in inputs]
-    if len(set(stems)) < len(stems):
-        twice = next(stem for stem in stems if stems.count(stem) > 1)
-        raise BatchError(f"inputs: two of them are called {twice}, and would share a directory; rename one")
-    if spec.posterior and not spec.model.standard_errors:
-        raise BatchError("--robots posterior: the model has no standard errors; give the --model that a fit wrote")
+    _require_inputs(inputs, target, spec)
     stated = frozenset[str]() if spec.model_file is None else stated_spreads(spec.model_file)
     jobs = []
     for source in inputs:
-        if source.is_dir() and target.resolve().is_relative_to(source.resolve()):
-            raise BatchError(f"{target}: lies in the input {source}, which stays as it is; name a directory elsewhere")
         if spec.split:
             _require_chunks(source, spec)
         for variant in variants(spec.model, spec.sweeps, spec.points):
@@ -184,6 +196,21 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     return jobs
 
 
+def _require_inputs(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> None:
+    """Raise BatchError for inputs that would share a directory, or do not go with the configuration."""
+    if spec.condition is not None and len(inputs) > 1:
+        raise BatchOptionError("--map: is for one drive; make a batch of each input")
+    stems = [source.stem for source in inputs]
+    if len(set(stems)) < len(stems):
+        twice = next(stem for stem in stems if stems.count(stem) > 1)
+        raise BatchError(f"inputs: two of them are called {twice}, and would share a directory; rename one")
+    if spec.posterior and not spec.model.standard_errors:
+        raise BatchError("--robots posterior: the model has no standard errors; give the --model that a fit wrote")
+    for source in inputs:
+        if source.is_dir() and target.resolve().is_relative_to(source.resolve()):
+            raise BatchError(f"{target}: lies in the input {source}, which stays as it is; name a directory elsewhere")
+
+
 def _require_chunks(source: Path, spec: BatchSpec) -> None:
     """Raise BatchError for runs that do not have the chunks of the input, which alone can be split."""
     with open_reader(source, recover=spec.container.recover) as reader:
@@ -194,7 +221,7 @@ def _require_chunks(source: Path, spec: BatchSpec) -> None:
             )
         modes = {getattr(reader, "mode", "none"), spec.container.compression}
     c = spec.container
-    if spec.suffix is not None or c.exclude or c.ros or c.storage or not modes.isdisjoint(("file", "message")):
+    if spec.to is not None or c.exclude or c.ros or c.storage or not modes.isdisjoint(("file", "message")):
         raise BatchError(
             f"{source}: --layout split needs the chunks of the input, and these runs are written in another way; leave "
             "--layout out"

@@ -78,7 +78,7 @@ def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
         "model": {"text": format_model(job.model), "hash": hashlib.sha256(repr(job.model).encode()).hexdigest()[:32]},
         "robots": [[spread.effect, spread.parameter, spread.deviation] for spread in job.spreads],
         "seed": batch.seed,
-        "output": [batch.output, layout, *([] if batch.suffix is None else [batch.suffix])],
+        "output": [batch.output, layout, *([] if batch.to is None else [batch.to])],
         "options": [repr(batch.options), repr(batch.container), *map_words],
     }
 

@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 import re
-from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from odomcorrupt.commands._bag import bag_words, container_options, moving_options, threads_option
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import FILE, one_of
+from odomcorrupt.commands._options import FILE, one_of, usage_errors
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from odomcorrupt.batching.engine import Shard
-    from odomcorrupt.batching.estimate import Need
-    from odomcorrupt.batching.job import Job
-    from odomcorrupt.model.motion_model import MotionModel
+from odomcorrupt.errors import BatchOptionError
 
 _MODEL_WORDS = {"alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step",
                 "preset": "--preset", "effects": "--effect", "track": "--track"}  # fmt: skip
 _MAP_WORDS = {
     "map_": "--map", "radius": "--robot-radius", "check": "--map-check", "unknown": "--unknown", "tries": "--max-tries",
 }  # fmt: skip
-_SUFFIXES = {"bag": ".bag", "mcap": ".mcap", "db3": ".db3", "directory": ""}
-"""Suffixes of the runs' names by output format."""
 
 
 class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
@@ -58,7 +49,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     text="Chunks as in the input, or changed messages in chunks of their own: faster.",
 )  # fmt: skip
 @click.option(
-    "--to", type=click.Choice([*_SUFFIXES]),
+    "--to", type=click.Choice(["bag", "mcap", "db3", "directory"]),
     help="Format of the runs: ROS 1 bag, MCAP, sqlite3, ROS 2 directory. [default: that of the input]",
 )  # fmt: skip
 @click.option(
@@ -91,29 +82,20 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
 
     Called again, it makes the missing runs. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
-    from odomcorrupt.api.batch import Batch
-    from odomcorrupt.batching.engine import Shard, require_odometry, run_batch
-    from odomcorrupt.batching.estimate import need_of
+    from odomcorrupt.api.batch import batch, estimate_batch
     from odomcorrupt.commands._progress import Rate
 
     inputs, target = _paths(paths, output_option)
-    jobs = _jobs(inputs, target, given)
-    shard = Shard(*(given["shard"] or (1, 1)))
-    runs = range(given["runs"])
-    if given["dry_run"]:
-        need = need_of(jobs, runs, shard)
-        said = _dry(need, jobs, given["jobs"])
-        console.print(said, said, {"schema": 2, **asdict(need)})
-        return 0
-    require_odometry(jobs)
-    _require_space(jobs, runs, shard)
-    with Rate(sum(len(runs) for _ in jobs), quiet=console.quiet) as rate:
-        made = run_batch(
-            jobs, runs, processes=given["jobs"], shard=shard, verify=given["verify"], dask=given["dask"], audience=rate
-        )
-    done = Batch(target, tuple(jobs), made.runs, made.failures)
+    options = _options(inputs, given)
+    with usage_errors(BatchOptionError):
+        if given["dry_run"]:
+            del options["verify"], options["dask"]
+            cost = estimate_batch(inputs, target, **options)
+            console.print(cost.details(), cost.details(), cost.to_dict())
+            return 0
+        done = batch(inputs, target, **options, progress=functools.partial(Rate, quiet=console.quiet))
     console.show(done, err=True)
-    return 1 if made.failures else 3 if done.losses else 0
+    return 1 if done.failures else 3 if done.losses else 0
 
 
 def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...], Path]:
@@ -130,73 +112,24 @@ def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...
     return inputs, target
 
 
-def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
+def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
+    """Return model, map and all other options under their names in the Python interface."""
     from odomcorrupt.api.bag_options import split_options
-    from odomcorrupt.bags.pipeline import default_threads
-    from odomcorrupt.batching.job import BatchSpec, plan
-    from odomcorrupt.batching.manifest import seed_of
 
-    model = _model(given)
-    options, container = split_options(bag_words(given))
-    threads = max(1, (given["threads"] or default_threads()) // given["jobs"])  # per process
-    container = replace(container, overwrite=False, threads=threads)
-    if given["output"] != "full":
-        _require_whole_bags(given)
-    if given["shard"] and given["dask"]:
-        raise click.UsageError("--shard and --dask: both spread the runs; give one of them")
-    if given["shard"] and given["seed"] is None:
-        raise click.UsageError("--shard: all shards need the same --seed; give one")
-    if given["map_"] is not None and len(inputs) > 1:
-        raise click.UsageError("--map: is for one drive; make a batch of each input")
-    spec = BatchSpec(
-        model=model,
-        seed=seed_of(target) if given["seed"] is None else given["seed"],
-        model_file=given["model"],
-        sweeps=given["sweeps"],
-        points=given["points"],
-        posterior=given["robots"] == "posterior" or bool(given["fleet"]),
-        options=options,
-        container=container,
-        output=given["output"],
-        split=given["layout"] == "split",
-        condition=choose_condition_of_run(given, inputs[0], options, model),
-        suffix=_SUFFIXES.get(given["to"]),
-        model_words=None if given["fleet"] else tuple(_words(_MODEL_WORDS, given)),
-        map_words=tuple(_map_words(given)),
-    )
-    return plan(inputs, target, spec)
-
-
-def _require_whole_bags(given: dict[str, Any]) -> None:
-    """Refuse options that need whole bags if only parts of them are written."""
-    output = f"--output {given['output']}"
-    for flag, name in (("--keep-truth", "keep_truth"), ("--tf correction", "new_odom_frame")):
-        if given[name]:
+    words = bag_words(given)
+    passed = ("runs", "seed", "output", "layout", "to", "robots", "fleet", "sweeps", "points")
+    options = {**words, **{name: given[name] for name in (*passed, "jobs", "shard", "verify", "dask")}}
+    if given["fleet"]:
+        other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]
+        if other:
             raise click.UsageError(
-                f"{flag}: adds messages, but {output} holds changed messages only; leave one of them out"
+                f"--fleet and {other[0]}: the files of a fleet are its whole model; leave {other[0]} out"
             )
-    for flag, name in (("--to", "to"), ("--exclude-topic", "exclude"), ("--ros", "ros"), ("--storage", "storage")):
-        if given[name]:
-            raise click.UsageError(f"{flag}: is for whole bags, not for {output}; leave one of them out")
-    if given["layout"] == "split":
-        raise click.UsageError(f"--layout split: is for whole bags, not for {output}; leave one of them out")
-
-
-def _model(given: dict[str, Any]) -> MotionModel:
-    """Return the requested model, or that of a fleet."""
-    if not given["fleet"]:
-        return choose_model(given).motion_model
-    from odomcorrupt.batching.parameter_draws import fleet_model
-    from odomcorrupt.model.model_file import read_model
-
-    other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]
-    if other:
-        raise click.UsageError(
-            f"--fleet and {other[0]}: the files of a fleet are its whole model; leave {other[0]} out"
-        )
-    if len(set(given["fleet"])) < len(given["fleet"]):
-        raise click.UsageError("--fleet: a file is named twice; a robot counts once")
-    return fleet_model({str(path): read_model(path) for path in given["fleet"]})
+        return options
+    model = choose_model(given)
+    condition = choose_condition_of_run(given, inputs[0], split_options(words)[0], model.motion_model)
+    model_words = {"model_file": given["model"], "model_words": tuple(_words(_MODEL_WORDS, given))}
+    return {**options, "model": model, **model_words, "within": condition, "map_words": tuple(_map_words(given))}
 
 
 def _map_words(given: dict[str, Any]) -> list[str]:
@@ -220,27 +153,3 @@ def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
         elif value is not None:
             words += [flag, str(value)]
     return words
-
-
-def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:
-    """Return the resources that a batch needs, in sentences."""
-    saved = 1.0 - need.overlay_bytes / need.bytes if need.bytes else 0.0
-    text = (
-        f"{need.runs} runs to make, about {need.bytes / 1e9:.3g} GB ({need.free_bytes / 1e9:.3g} GB are free) and "
-        f"{need.core_seconds / 60.0:.3g} core minutes"
-    )
-    text += f", {need.core_seconds / 60.0 / processes:.3g} minutes with {processes} processes" * (processes > 1) + "."
-    if jobs[0].batch.output == "full":
-        text += f" --output overlay would write {need.overlay_bytes / 1e9:.3g} GB, {saved:.0%} less."
-    if need.bytes > need.free_bytes:
-        text += " The disk cannot hold it."
-    return text
-
-
-def _require_space(jobs: Sequence[Job], runs: range, shard: Shard) -> None:
-    """Refuse a batch that the disk cannot hold; sizes are estimated only if space may be short."""
-    from odomcorrupt.batching.estimate import free_bytes, need_of, require_space
-    from odomcorrupt.batching.manifest import bytes_of
-
-    if 5 * len(runs) * sum(bytes_of(job.source) for job in jobs) > free_bytes(jobs[0].directory):
-        require_space(need_of(jobs, runs, shard), jobs[0].shown_directory)

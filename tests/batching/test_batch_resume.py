@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
+import odomcorrupt as oc
 from odomcorrupt.bags.placement import beside
 from odomcorrupt.batching import manifest
 from odomcorrupt.batching import runner as making
-from odomcorrupt.batching.estimate import Need, require_space
 from odomcorrupt.cli import run
 from odomcorrupt.commands._progress import left_words
 from odomcorrupt.errors import BatchError
@@ -265,10 +265,15 @@ def test_a_full_disk_is_refused_before_anything_is_made(here, monkeypatch, capsy
     assert batch(1) == 0
 
 
-def test_space_is_compared_with_the_need():
-    require_space(Need(1, 10, 0.0, 5, 10), "here")
-    with pytest.raises(BatchError, match="here: 1 runs need"):
-        require_space(Need(1, 11, 0.0, 5, 10), "here")
+def test_space_is_compared_with_the_need(here, capsys, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.batching.estimate.free_bytes", lambda _: 1000)
+    assert batch(3) == 1
+    assert "runs: 3 runs need about" in capsys.readouterr().err
+    assert not (here / "runs").exists()
+    with pytest.raises(BatchError, match="output overlay would need"):
+        oc.batch("in.mcap", here / "runs", runs=3)
+    monkeypatch.setattr("odomcorrupt.batching.estimate.free_bytes", lambda _: 10**12)
+    assert batch(3) == 0
 
 
 def test_no_odometry_fails_at_once_and_leaves_nothing(here, capsys):
