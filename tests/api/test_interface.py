@@ -123,6 +123,7 @@ def test_integrated_odometry_has_its_runs_and_its_errors():
     assert oc.integrate(OFFICE, twist_noise=(0.2, 0.04), seed=drawn).seed == drawn
 
 
+@pytest.mark.slow
 def test_maps_by_odometry_are_those_of_the_command_line(tmp_path, capsys):
     options = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7", "--run", "2", "--resolution", "0.2"]
     more = ["--max-yaw-rate", "0.5", "--truth", "/odom", "--laser-pose", "0.1,0,0.1"]

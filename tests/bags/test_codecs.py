@@ -133,6 +133,7 @@ def test_a_whole_frame_behind_one_of_the_stated_size_is_found():
     assert decompress("zstd", memoryview(frame + frame), 2 * DATA.size, "chunk", BufferPool()).size == 2 * DATA.size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["lz4 linked", "lz4 high"])
 def test_a_large_lz4_chunk_is_read_piece_by_piece_with_the_same_checks(frame, monkeypatch):
     monkeypatch.setattr(codecs, "ARENA_BYTES", -1)

@@ -220,6 +220,7 @@ def test_a_run_that_fails_once_is_made_the_second_time_and_one_that_fails_always
     assert len(records(here / "runs")) == 5
 
 
+@pytest.mark.slow
 def test_processes_and_shards_make_the_same_files_as_one(here):
     assert batch(7, target="one") == 0
     assert batch(7, "--jobs", "2", target="jobs") == 0

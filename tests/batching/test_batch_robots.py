@@ -180,9 +180,10 @@ def test_a_sweep_that_makes_no_sense_is_refused(sweep):
         variants(parse_model(MODEL), [sweep])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("model", ["noise", "robots"])
-@pytest.mark.parametrize(("runs", "off"), [(60, 0.4), pytest.param(400, 0.15, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("runs", "off"), [(60, 0.4), (400, 0.15)])
 def test_the_spread_is_what_the_linear_model_predicts(model, runs, off, capsys):
     """A deviation of n draws is known to 1/sqrt(2 n); turns of some degrees are linear to a few per cent."""
     Path("small.toml").write_text(

@@ -208,7 +208,7 @@ def exact_speed(true_v):
 LAG = effect_from_values("channel_lag", {"tau": 0.1})
 
 
-@pytest.mark.parametrize("others", [(), (LAG,)])
+@pytest.mark.parametrize("others", [(), pytest.param((LAG,), marks=pytest.mark.slow)])
 def test_a_law_beyond_its_inverse_is_the_same_however_the_path_is_cut(others):
     t, poses = speeding(np.linspace(0.9, 1.5, 100))  # beyond from 1.28 m/s on, in two of the three parts
     model = learned(CAPPED, *others)
@@ -224,7 +224,7 @@ def learned(*effects):
     return replace(silent(effects, track_m=0.4), source={"recordings": ["a.mcap"]})
 
 
-@pytest.mark.parametrize(("others", "size"), [((LAG,), 41), ((), 1000)])
+@pytest.mark.parametrize(("others", "size"), [((LAG,), 41), pytest.param((), 1000, marks=pytest.mark.slow)])
 def test_runs_that_share_the_systematic_part_have_the_bits_of_single_runs(others, size):
     t, poses = speeding(np.linspace(0.9, 1.5, 100))
     model = learned(CAPPED, BURSTS, *others)

@@ -86,6 +86,7 @@ def test_the_same_drive_spreads_the_same_at_every_message_rate(law, step):
         assert spreads[rate] == pytest.approx(spreads[50.0], rel=0.12)
 
 
+@pytest.mark.slow
 def test_a_book_law_applied_per_message_depends_on_the_rate():
     slow, fast = (last_errors(model("linear"), office(rate, 40.0), 300).std(axis=0) for rate in (10.0, 200.0))
     assert slow[2] > 3.0 * fast[2]

@@ -87,6 +87,7 @@ def test_a_thousand_times_a_second_twists_are_the_steps_of_the_poses():
     np.testing.assert_allclose(told, twists(t, noisy)[1:], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_noise_does_not_depend_on_how_often_odometry_is_published():
     ends = []
     for rate_hz in (100, 1000):

@@ -31,6 +31,7 @@ def bag(path, seed, walk, **options):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("walk", [5e-5, 5e-4])
 def test_the_level_of_the_walk_is_estimated_to_a_factor_of_two(tmp_path, walk):
     runs = list(read_runs(Source(bag(tmp_path / "run.mcap", 5, walk, duration_s=240.0))))

@@ -21,6 +21,7 @@ def bag(tmp_path_factory):
     return raycaster.drive(tmp_path_factory.mktemp("laser") / "run.mcap", stated=(0.1, 0.0, 0.0), rate_hz=2.0)
 
 
+@pytest.mark.slow
 def test_maps_by_the_laser_are_those_of_the_command_line(bag, tmp_path, capsys):
     words = ["map", str(bag), "--method", "laser", "--seed", "2", "-o", str(tmp_path / "b.yaml"), "--json"]
     assert run(words) == 0

@@ -501,6 +501,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     assert printed["comparison"]["models"][0]["name"] == sequence.judgements[0].name
 
 
+@pytest.mark.slow
 def test_the_mean_of_a_dependence_on_time_is_reported_beside_it(rich, sequence):
     one = UNKNOWNS[-1]
     mean = user_effect(f"mean_of_{one.name}", "along += v * k", {"k": 0.0})

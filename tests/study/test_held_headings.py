@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from wandering import RATE_HZ, recording
 
 from odomcorrupt.effects import effect_from_values
@@ -53,6 +54,7 @@ def test_unequal_wheels_are_not_taken_for_a_threshold_within_the_noise_of_the_ya
     assert found > DECISIONS.alternative_nats > plain
 
 
+@pytest.mark.slow
 def test_the_yaw_rate_with_which_unequal_wheels_are_counteracted_is_no_threshold():
     run = held_on_line(3, curvature=0.04)
     fitted = fit([run], [effect_from_values("unequal_wheels", {"curvature": 0.0})], approach=Approach())

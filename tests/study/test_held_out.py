@@ -75,6 +75,7 @@ def test_what_was_true_of_one_half_alone_is_dropped_and_what_is_true_of_both_sta
     assert "mm" in failure or "nats" in failure
 
 
+@pytest.mark.slow
 def test_other_recordings_of_the_robot_decide_where_there_are_any():
     learned = learned_with(with_truth(drive(4, scale=1.03, wide=1.03), 5), "wheel_scale")
     same, other = with_truth(drive(6, scale=1.03, wide=1.03), 7), with_truth(drive(6), 7)

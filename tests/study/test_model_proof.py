@@ -94,6 +94,7 @@ def test_a_sound_model_is_left_as_it_is(drive):
     assert found.model == model
 
 
+@pytest.mark.slow
 def test_of_rough_odometry_a_correction_takes_what_the_fit_took(drive, monkeypatch):
     # from one pose to the next it seems to brake hard half of the time
     rough = drive.odometry.xyt + np.random.default_rng(2).normal(0.0, [1e-3, 1e-3, 0.0], drive.odometry.xyt.shape)

@@ -230,6 +230,7 @@ def test_sliding_in_turns_to_one_side_is_no_error_of_the_headings():
     assert found.truth is run.truth
 
 
+@pytest.mark.slow
 def test_a_bias_that_walks_does_not_stand_for_the_errors_of_a_localisations_headings():
     """A field without any error of headings was likelier than errors along the path, which alone had a prior."""
     walk = np.cumsum(np.random.default_rng(2).normal(0.0, 5e-4 / np.sqrt(50.0), 15000))
