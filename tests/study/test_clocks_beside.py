@@ -12,6 +12,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
 from odomcorrupt.simulation import simulate
+from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.clock import Clock
@@ -50,3 +51,15 @@ def test_odometry_that_a_filter_makes_late_is_told_from_odometry_with_a_late_clo
     else:
         assert found.more_nats > DECISIONS.replacement_nats
         assert found.fit.effects[-1].tau == pytest.approx(tau_s, abs=0.003)
+
+
+def test_the_clock_of_a_laser_is_free_even_if_slip_pulls_it_to_where_it_increases_the_drift(monkeypatch):
+    """Slip while speeding up is late travel; with turns in time and a fixed clock it was a lag of the turns, sure."""
+    monkeypatch.setattr("odomcorrupt.study.estimate.clocks._harmless", lambda *_: False)
+    recording = as_recording(simulate(93, "accel_slip", duration_s=120.0))
+    approach = choose_approach([recording])
+    assert find_clocks([recording], approach).free == ((False, False),)
+    covariance = np.broadcast_to(np.diag([4e-6, 4e-6, 1e-5]), (len(recording.truth), 3, 3))
+    seen = replace(recording, truth=replace(recording.truth, covariance=covariance), truth_scale_error=0.003)
+    found = find_clocks([seen], approach)
+    assert (found.free, found.clocks[0].offset_s) == (((True, False),), 0.0)
