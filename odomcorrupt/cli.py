@@ -20,6 +20,7 @@ from click.shell_completion import CompletionItem
 from odomcorrupt import __version__
 from odomcorrupt.commands._standard import WORDS, command_names
 from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.extras import explained
 from odomcorrupt.standard_streams import install, leave, visible
 
 if TYPE_CHECKING:
@@ -118,6 +119,11 @@ def run(args: Sequence[str]) -> int:
     OdomCorruptError.names_options = True
     try:
         result = cli.main(args=list(args), prog_name="odomcorrupt", standalone_mode=False)
+    except ImportError as error:
+        known = explained(error)
+        if known is error:
+            raise
+        return _report_error(known, args)
     except (click.ClickException, click.Abort, KeyboardInterrupt, OdomCorruptError, OSError, MemoryError) as error:
         return _report_error(error, args)
     finally:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from odomcorrupt.errors import OdomCorruptError
 
+_EXTRAS = {
+    "matplotlib": ("pictures need it", "study"),
+    "pandas": ("tables need it", "pandas"),
+    "scipy": ("the study needs it", "study"),
+}
+"""Purposes of optional libraries, and the extras of this package that include them."""
 
-def require(library: str, purpose: str, extra: str) -> None:
+
+def require(library: str, purpose: str = "") -> None:
     """Import an optional library; if it is missing, raise an error with the command to install it.
 
     library : name of the module
-    purpose : purpose of the library, as in "pictures need it"
-    extra : extra of this package that includes it: "study", "dask" or "pandas"
+    purpose : purpose of the library, if it is not the usual one, as in "pictures need it"
 
     Raises
     ------
@@ -20,6 +26,17 @@ def require(library: str, purpose: str, extra: str) -> None:
     try:
         __import__(library)
     except ImportError as error:
-        raise OdomCorruptError(
-            f'{library} is not installed; {purpose}: in a copy of the repository, pip install ".[{extra}]"'
-        ) from error
+        raise _missing(library, purpose) from error
+
+
+def explained(error: ImportError) -> ImportError | OdomCorruptError:
+    """Return the error for a missing optional library, with the command to install it; any other error unchanged."""
+    library = (error.name or "").partition(".")[0]
+    return _missing(library) if library in _EXTRAS else error
+
+
+def _missing(library: str, purpose: str = "") -> OdomCorruptError:
+    usual, extra = _EXTRAS[library]
+    return OdomCorruptError(
+        f'{library} is not installed; {purpose or usual}: in a copy of the repository, pip install ".[{extra}]"'
+    )

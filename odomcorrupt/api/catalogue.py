@@ -199,7 +199,7 @@ def list_effects() -> EffectList:
     --------
     >>> import odomcorrupt as oc
     >>> [row["name"] for row in oc.list_effects().rows() if row["kind"] == "event"]
-    ['odometry_stop', 'push', 'slip_event']
+    ['latency', 'odometry_stop', 'push', 'slip_event']
     """
     return EffectList(dict(registry()))
 
@@ -225,8 +225,8 @@ def describe_effect(name: str) -> EffectDescription:
     Examples
     --------
     >>> import odomcorrupt as oc
-    >>> oc.describe_effect("wheelbase").to_dict()["twin_of"]
-    'gyro_scale'
+    >>> oc.describe_effect("gyro_scale").to_dict()["twin_of"]
+    'wheelbase'
     """
     return EffectDescription(effect_named(name))
 

@@ -12,6 +12,7 @@ from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, require_travel
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError
+from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -125,6 +126,7 @@ def compare(
     >>> [row["model"] for row in table]
     ['typical', 'model 2']
     """
+    require("scipy")
     named = named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
     drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")

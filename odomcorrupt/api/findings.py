@@ -11,6 +11,7 @@ from odomcorrupt.api.comparison import Comparison
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, refuse_turns_alone, require_travel
 from odomcorrupt.api.result import Result
+from odomcorrupt.extras import require
 from odomcorrupt.result_files import refuse_existing, write_bytes
 from odomcorrupt.summary import Line, Summary
 
@@ -186,6 +187,7 @@ def diagnose(
     >>> oc.diagnose("fixtures/mystery.mcap").verdict
     'missing'
     """
+    require("scipy")
     known = None if model is None else as_model(model).motion_model
     runs = refuse_turns_alone(as_recordings(recordings))
     if known is not None:
@@ -305,6 +307,7 @@ def learn(
     >>> result.missing
     ('wheelbase',)
     """
+    require("scipy")
     runs = require_travel(as_recordings(recordings))
     held_out = validate if isinstance(validate, Recordings) or validate else ()
     others = as_recordings(held_out, like=runs).in_frame(runs.geodetic_origin) if held_out else ()

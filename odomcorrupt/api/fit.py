@@ -111,6 +111,7 @@ def fit(
     >>> "wheel_scale.e" in result.model.parameters
     True
     """
+    require("scipy")
     from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
     from odomcorrupt.study.pipeline import LAW
     from odomcorrupt.study.validate.round_trip import verified_model
@@ -131,7 +132,7 @@ def fit(
 
 def require_effects(start: Model | None, effects: Sequence[str]) -> None:
     """Raise EffectError if one of the effects cannot be fitted; called before recordings are read."""
-    require("scipy", "the study needs it", "study")
+    require("scipy")
     from odomcorrupt.study.estimate.calibrate import effects_to_fit
 
     effects_to_fit(None if start is None else start.motion_model, effects)
@@ -260,7 +261,7 @@ def fit_returns(
     RecordingError
         If the last sweeps of a drive do not match its first.
     """
-    require("scipy", "the study needs it", "study")
+    require("scipy")
     import numpy as np
 
     from odomcorrupt.study.estimate.returns import USUAL, closed_drive

@@ -268,7 +268,7 @@ def draw_maps(
         return noise.feed(odometry.stamps_ns, odometry.xyt).error_xyt
 
     if method == "laser":
-        require("scipy", "the study needs it", "study")
+        require("scipy")
         from odomcorrupt.laser.mapping import laser_maps
         from odomcorrupt.study.io.laser_truth import laser_run
 

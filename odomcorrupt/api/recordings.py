@@ -220,7 +220,7 @@ def read_recordings(
     >>> rec[0].name
     'mystery.mcap'
     """
-    require("scipy", "the study needs it", "study")
+    require("scipy")
     from odomcorrupt.study.io import Source
 
     if drive_type not in (AUTO, *DRIVE_TYPES):

@@ -64,7 +64,7 @@ class Result(ABC):
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the rows of `rows()` as a pandas data frame; needs the extra `pandas`."""
-        require("pandas", "tables need it", "pandas")
+        require("pandas")
         import pandas as pd
 
         return pd.DataFrame(self.rows())
@@ -90,7 +90,7 @@ class Result(ABC):
         OdomCorruptError
             If there is no such figure, the name is not that of a picture file, or the file exists and is not replaced.
         """
-        require("matplotlib", "pictures need it", "study")
+        require("matplotlib")
         figure = self.draw(picture)
         if path is not None:
             from odomcorrupt.report.plots.figure import rendered

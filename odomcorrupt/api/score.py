@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
+from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -151,6 +152,7 @@ def score(
     >>> oc.score("scored", "/odom", align="origin").result.runs[0].status
     'lost'
     """
+    require("scipy")
     from odomcorrupt.scoring.run import score as score_runs
 
     roots = as_paths(runs)

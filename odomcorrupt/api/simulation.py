@@ -168,7 +168,7 @@ def simulate(
     >>> run.answer["cause"]
     'wheelbase'
     """
-    require("scipy", "the study needs it", "study")
+    require("scipy")
     from odomcorrupt.simulation.bag import write_mcap
     from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
     from odomcorrupt.simulation.routes import read_commands

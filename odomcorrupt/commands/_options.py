@@ -65,7 +65,7 @@ class OutputFile(click.Path):
             *others, last = (f".{one}" for one in self._kinds)
             raise click.UsageError(f"{path}: ends in {path.suffix or 'nothing'}; write {', '.join(others)} or {last}")
         if self._drawn or kind in PICTURES:
-            require("matplotlib", "pictures need it", "study")
+            require("matplotlib")
         refuse_existing(path, overwrite=overwrite)
 
 

@@ -39,7 +39,7 @@ class Reading(NamedTuple):
 
     def stages(self, console: Console) -> Stages:
         """Return the progress display."""
-        require("scipy", "the study needs it", "study")
+        require("scipy")
         return Stages(quiet=console.quiet)
 
     def read(

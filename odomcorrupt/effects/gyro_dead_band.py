@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import ndtr
 
 from odomcorrupt.effects.effect import (
     About,
@@ -89,5 +89,9 @@ class GyroDeadBand(Effect):
     def _lost(self, motion: Motion) -> Array:
         """Return the probability (n,) that a turn is lost."""
         above, below = ((side * self.threshold - motion.omega) / self.noise for side in (1.0, -1.0))
-        lost: Array = ndtr(above) - ndtr(below)
-        return np.where(motion.dt_s > 0.0, lost, 0.0)
+        return np.where(motion.dt_s > 0.0, _normal_cdf(above) - _normal_cdf(below), 0.0)
+
+
+def _normal_cdf(z: Array) -> Array:
+    """Return the cumulative standard normal distribution (n,), without SciPy, which corruption does not need."""
+    return 0.5 * np.array([math.erfc(-one * math.sqrt(0.5)) for one in z])
