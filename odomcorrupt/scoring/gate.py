@@ -224,9 +224,21 @@ def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str
     Raises
     ------
     ScoreError
-        If a rule is invalid, a rise has no baseline, or the two have too few runs with equal seeds.
+        If a rule is invalid, a rise has no baseline, the two were scored differently, or they have too few runs with
+        equal seeds.
     """
+    if baseline is not None:
+        _require_alike(report, baseline)
     return [_verdict(parse_rule(text), report, baseline) for text in rules]
+
+
+def _require_alike(report: Mapping[str, Any], baseline: Mapping[str, Any]) -> None:
+    """Refuse a baseline whose errors have another meaning."""
+    options = {"align": "--align", "count_missing": "--count-missing", "limits": "limits of failures"}
+    for key, option in options.items():
+        own, other = report.get(key), baseline.get(key) if "runs" in baseline else report.get(key)
+        if own != other:
+            raise ScoreError(f"{option}: {own}, but {other} in the baseline; score both with the same options")
 
 
 def _verdict(rule: Rule, report: Mapping[str, Any], baseline: Mapping[str, Any] | None) -> Verdict:

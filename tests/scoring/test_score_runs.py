@@ -195,5 +195,7 @@ def test_a_score_from_python_is_small_to_print_and_has_a_gate(batch, estimates, 
     assert [row["run"] for row in result.rows()] == list(range(10))
     assert result.rows()[3]["ate_m"] == result.result.runs[3].metrics["ate_m"]
     assert not result.check(["ate_p90 +20%"], baseline=result.to_dict()).failed
+    with pytest.raises(ScoreError, match="but origin in the baseline; score both with the same"):
+        result.check(["ate_p90 +20%"], baseline=result.to_dict() | {"align": "origin"})
     assert result.check(["ate_median > 0"]).failed
     result.plot(tmp_path / "score.png")
