@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from odomcorrupt.study.design.advise import Advice, advise
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
@@ -18,7 +18,7 @@ from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, clocks_beside, compare, sequence_comparison
-from odomcorrupt.study.validate.held_out import drop_unsupported_parts
+from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts
 from odomcorrupt.study.validate.predictive_check import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
 from odomcorrupt.study.work import Watch, Work, no_progress
@@ -82,14 +82,10 @@ def learn_robot(
     )
     search = learn(recordings, work=work)
     work.begin("each part on held-out data", 1.5, 4.0)
-    search, parts = drop_unsupported_parts(search, held_out)
-    remarks = [part.remark for part in parts if part.failure]
-    work.begin("what the data leave open", 0.7, 3.3)
-    advice = advise(search)
-    work.begin("fit", 0.8, 2.5)
+    search, (robot, proof, reproduction), remarks = _supported(search, recordings, held_out, work)
     base = fit_robot(recordings, (), law_name=LAW, clocks=search.clocks)
-    search, (robot, proof, reproduction), more = _without_excess(search, recordings)
-    remarks += more
+    work.begin("what the data leave open", 0.7, 2.5)
+    advice = advise(search)
     models = {"without effects": base.model}
     names = [*search.added, *(one.title for one in search.laws), *search.means]
     names += [gain.effect.name for gain in search.noise]
@@ -115,7 +111,32 @@ def learn_robot(
     )
 
 
-def _written(search: Learned, recordings: Sequence[Recording]) -> tuple[RobotFit, RoundTrip, Reproduction]:
+_Written: TypeAlias = tuple[RobotFit, RoundTrip, Reproduction]
+
+
+def _supported(
+    search: Learned, recordings: Sequence[Recording], held_out: Sequence[Recording], work: Work
+) -> tuple[Learned, _Written, list[str]]:
+    """Return a search without the parts that held-out data do not support or that no model file can have, and remarks.
+
+    A part that has no inverse may have been balanced by another one, so the others are refitted and tested again.
+    """
+    remarks: list[str] = []
+    while True:
+        search, parts = drop_unsupported_parts(search, held_out)
+        work.begin("fit", 0.8, 3.2)
+        remaining, written, more = _without_excess(search, recordings)
+        robot, proof, _ = written
+        kept = {effect.name for effect in proof.model.effects}
+        unusable = [effect.name for effect in robot.model.effects if effect.name not in kept]
+        remarks += [part.remark for part in parts if part.failure]
+        if not unusable:
+            return remaining, written, [*remarks, *more]
+        remarks += [change for change in proof.changes if any(name in change for name in unusable)]
+        search = without_parts(search, dict.fromkeys(unusable, "no odometry of the fitted drive satisfies it"))
+
+
+def _written(search: Learned, recordings: Sequence[Recording]) -> _Written:
     """Return the fit of all that a search found, its model in a usable form, and the drift of that model."""
     found = (*search.fit.effects, *(gain.effect for gain in search.noise))
     robot = fit_robot(recordings, found, law_name=LAW, clocks=search.clocks, shaped=search.added)
@@ -123,9 +144,7 @@ def _written(search: Learned, recordings: Sequence[Recording]) -> tuple[RobotFit
     return robot, proof, reproduction_of(robot.fit, proof.model, recordings)
 
 
-def _without_excess(
-    search: Learned, recordings: Sequence[Recording]
-) -> tuple[Learned, tuple[RobotFit, RoundTrip, Reproduction], list[str]]:
+def _without_excess(search: Learned, recordings: Sequence[Recording]) -> tuple[Learned, _Written, list[str]]:
     """Return a search, what is written of it, and remarks.
 
     Random processes with which the model drifts clearly farther than the recordings, and without which it does not, are

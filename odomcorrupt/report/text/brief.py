@@ -254,7 +254,9 @@ def _found_lines(
     ranked: list[tuple[tuple[_Group, float], Line]] = []  # in a group the one with the most evidence is first
     ranks: dict[str, tuple[_Group, float]] = {}
     small: list[str] = []
-    for one in effects_found(search, fit):
+    effects = effects_found(search, fit)
+    sure = any(one.confidence >= EVEN_ODDS and not one.negligible for one in effects)
+    for one in effects:
         name, said = one.effect.name, f"{one.names}  {', '.join(numbers_text(one.effect, one.errors))}"
         if one.negligible:
             small.append(said)
@@ -268,7 +270,8 @@ def _found_lines(
             group, label = _Group.SET_UP, "set-up"
         ranks[name] = (group, -one.gain_nats)
         said += _contact_words(one.effect, search)
-        ranked.append((ranks[name], Line(label, said, weight=SPARE if doubtful else USUAL)))
+        # without any likelier effect it is what the errors fall by
+        ranked.append((ranks[name], Line(label, said, weight=SPARE if doubtful and sure else USUAL)))
     for unknown in dependences_found(search, fit)[:2]:
         law = unknown.law
         if law in search.unexplained or law.instead_of:

@@ -35,7 +35,7 @@ from odomcorrupt.study.validate.cross_validation import split_of
 from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -121,6 +121,26 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
             fitted = fitted.refit((*fitted.effects, mean))
     if fitted is learned.fit:
         return learned, tuple(said)
+    left_out = {one.name: one.failure for one in said if one.failure}
+    return _limited_to(learned, fitted, left_out, tuple(means)), tuple(said)
+
+
+def without_parts(learned: Learned, reasons: Mapping[str, str]) -> Learned:
+    """Return the learned model without some parts, the others refitted.
+
+    reasons : why each part is left out, by its name
+    """
+    parts = [part for part in _parts(learned.fit) if part.name in reasons]
+    noise = tuple(gain for gain in learned.noise if gain.effect.name not in reasons)
+    return _limited_to(replace(learned, noise=noise), _without(learned.fit, parts), reasons, learned.means)
+
+
+def _limited_to(learned: Learned, fitted: Fit, left_out: Mapping[str, str], means: Sequence[str]) -> Learned:
+    """Return the learned model with a fit that has fewer parts.
+
+    left_out : why the others are left out, by their names
+    means : names of the means of dependences on time among the parts
+    """
     kept = {effect.name for effect in (*fitted.effects, *fitted.random)}
     fitted = with_robust_errors(fitted, kept)
     laws = tuple(one for one in learned.laws if one.name in kept)
@@ -132,8 +152,8 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
         replace(one, instead_of=tuple(name for name in one.instead_of if name in kept)) for one in learned.unknown
     )
     learned = replace(learned, laws=laws, noise=noise, unknown=unknown, means=tuple(m for m in means if m in kept))
-    left_out = {one.name: one.failure for one in said if one.failure}
-    return replace(learned, fit=fitted, error_m=ten_second_error(fitted), left_out=left_out), tuple(said)
+    left_out = {**learned.left_out, **left_out}
+    return replace(learned, fit=fitted, error_m=ten_second_error(fitted), left_out=left_out)
 
 
 def _needs_support(one: HeldOut, others: Sequence[Recording]) -> HeldOut:
