@@ -63,3 +63,20 @@ def test_the_clock_of_a_laser_is_free_even_if_slip_pulls_it_to_where_it_increase
     seen = replace(recording, truth=replace(recording.truth, covariance=covariance), truth_scale_error=0.003)
     found = find_clocks([seen], approach)
     assert (found.free, found.clocks[0].offset_s) == (((True, False),), 0.0)
+
+
+def test_a_late_truth_of_odometry_with_coarse_ticks_is_no_lag_of_the_motors():
+    """A first-order lag smooths ticks, and gained 40 nats over the clock of a truth that was 50 ms late."""
+    recording = as_recording(simulate(93, None, duration_s=120.0))
+    steps, track_m, tick_m = increments(recording.odometry.xyt), recording.track_m, 0.004
+    wheels = np.cumsum([steps.ds_m + s * steps.dtheta_rad * track_m / 2.0 for s in (1.0, -1.0)], axis=1)
+    right, left = np.diff(np.floor(wheels / tick_m) * tick_m, axis=1, prepend=0.0)
+    counted = Increments((right + left) / 2.0, np.zeros_like(right), (right - left) / track_m)
+    odometry = replace(recording.odometry, xyt=accumulate(recording.odometry.xyt[0], counted))
+    late = replace(recording.truth, stamps_ns=recording.truth.stamps_ns + 50_000_000)
+    recording = replace(recording, odometry=odometry, truth=late)
+    clocked = fit(
+        [recording], clocks=(Clock(-0.05),), free_clocks=((True, False),), approach=choose_approach([recording])
+    )
+    assert clocked.problem.clocks[0].offset_s == pytest.approx(-0.05, abs=0.005)
+    assert lag_in_place(clocked, DECISIONS, first=True) is None

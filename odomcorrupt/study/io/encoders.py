@@ -39,7 +39,7 @@ _STILL_M = 1e-6
 def encoder_effects(recording: Recording) -> list[Effect]:
     """Return `lost_increments`, `quantization` and `gyro_dead_band`, with parameters, if the odometry shows them."""
     found = _losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
-    step = _tick(recording)
+    step = tick_of(recording)
     if step is not None:
         found.append(effect_from_values("quantization", {"step": step}))
     if recording.yaw_dead_band_radps:
@@ -67,7 +67,7 @@ def _losses(motion: Motion) -> list[Effect]:
 def hides_losses(recording: Recording) -> bool:
     """Return whether ticks are so coarse that most lost increments look like zeros between two counts."""
     shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
-    return shown.hidden > _MAX_HIDDEN and _tick(recording) is not None
+    return shown.hidden > _MAX_HIDDEN and tick_of(recording) is not None
 
 
 def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
@@ -80,7 +80,7 @@ def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
     return replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
 
 
-def _tick(recording: Recording) -> float | None:
+def tick_of(recording: Recording) -> float | None:
     """Return the wheel travel per tick, metres, or None if the increments are no multiples of a tick.
 
     With a known track, both wheels are tested. Otherwise the robot's travel is, which is half a tick per wheel tick.

@@ -12,6 +12,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate import gauss_newton
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.io.encoders import tick_of
 from odomcorrupt.study.select.candidates import library_candidates, tried, with_shape_refined
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.elimination import drop_term
@@ -57,7 +58,8 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> Cloc
     A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it. If the
     odometry leads, it may integrate commands, which motors follow with a lag; if it is late, it may be filtered. A
     filter of all speeds is not tested before all effects (`first`), because filters with two time constants resemble
-    it; by the later test these are explained by a clock and the lag of one speed.
+    it; by the later test these are explained by a clock and the lag of one speed. Odometry of whole ticks integrates no
+    commands, and a lag gains beside it because it smooths the ticks.
     """
     late_s = [clock.offset_s for clock in fit.problem.clocks]
     motors = max(late_s) < 0.0
@@ -66,6 +68,8 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> Cloc
     # A laser has a separate clock, so an offset is no sign of a lag.
     tested = sees_travel(recordings) and not any(r.matched for r in recordings)
     if not np.any(fit.free_clocks) or tau_s < _LEAST_S or not tested:
+        return None
+    if motors and any(tick_of(r) is not None for r in recordings):
         return None
     late = registry()["motor_lag"]() if motors else effect_from_values("channel_lag", {"channel": "all"})
     if late.name in fit.by_name or (first and not motors):
