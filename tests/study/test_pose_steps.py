@@ -20,13 +20,15 @@ from odomcorrupt.study.estimate.outliers import single_events
 PUSHED_S = 200.0
 
 
-def localised(seed, *, pushed_m=0.0, jump_m=0.0):
+def localised(seed, *, pushed_m=0.0, turned_rad=0.0, jump_m=0.0):
     """Return a recording with poses of a localisation at 1.25 Hz, correlated errors, and a push or a jump."""
     steps = wander(seed, 420.0)
     run = recording(steps, noisy_path(steps, Coefficients(0.003, 0.003, 0.003, 0.001), seed), seed=seed)
     travel = steps.ds_m.copy()
+    turn = steps.dtheta_rad.copy()
     travel[round(50 * PUSHED_S) : round(50 * PUSHED_S) + 75] += pushed_m / 75.0
-    true = accumulate(np.zeros(3), Increments(travel, steps.dl_m, steps.dtheta_rad))[::40]
+    turn[round(50 * PUSHED_S) : round(50 * PUSHED_S) + 75] += turned_rad / 75.0
+    true = accumulate(np.zeros(3), Increments(travel, steps.dl_m, turn))[::40]
     rng = np.random.default_rng(seed)
     errors = np.zeros_like(true)
     for i in range(1, len(true)):
@@ -47,6 +49,15 @@ def test_a_push_is_found_with_time_and_size_and_no_interval_contains_it(seed, pu
     intervals = intervals_of(run, 2.0)
     assert not np.any((intervals.start_s < step.end_s) & (intervals.end_s > step.start_s))
     assert np.abs(intervals.residual[:, :2]).max() < 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turned_rad", [0.4, -0.4])
+def test_a_robot_that_is_turned_is_not_moved_far(turned_rad):
+    """The step is described where it happened; seconds before, a turn is a displacement of metres."""
+    (step,) = with_pose_steps(localised(0, turned_rad=turned_rad)).pose_steps
+    assert step.apart[2] == pytest.approx(turned_rad, abs=0.05)
+    assert np.hypot(*step.apart[:2]) < 0.3
 
 
 @pytest.mark.slow

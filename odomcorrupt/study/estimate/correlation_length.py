@@ -101,12 +101,23 @@ def _largest(t_s: Array, truth: Array, own: Array, found: list[PoseStep]) -> Pos
         return None
     apart = long.apart[best]
     before, after = _edges(t_s, truth, own, float(long.start_s[best]), long.usual, apart)
+    apart = _at_middle(apart, own[np.searchsorted(t_s, long.start_s[best])], own[before], own[after])
     return PoseStep(
         start_s=float(t_s[before]),
         end_s=float(t_s[after]),
         apart=(float(apart[0]), float(apart[1]), float(apart[2])),
         place_xy=(float(truth[before, 0]), float(truth[before, 1])),
     )
+
+
+def _at_middle(apart: Array, at: Array, before: Array, after: Array) -> Array:
+    """Return a step (3,) that is described at the odometry pose `at` as one at the middle of its two edges.
+
+    If the robot was turned, the description depends on the place: poses after the step were carried to `at` past it.
+    """
+    way = between(at, compose(before, between(before, after) / 2.0))
+    there: Array = between(way, compose(apart, way))
+    return np.append(there[:2], apart[2])
 
 
 def _edges(t_s: Array, truth: Array, own: Array, start_s: float, usual: Array, apart: Array) -> tuple[int, int]:
