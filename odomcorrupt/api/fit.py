@@ -180,6 +180,8 @@ class SquareTest(Result):
         ]
         before, after = (self._rms(ends) for ends in (found.before, found.after))
         lines.append(Line("ends", f"{before} -> {after} (RMS of {len(found.before)} drives)"))
+        if all(abs(row["value"]) < 2.0 * row["standard_error"] for row in self.rows()):
+            lines.append(Line("none", "no effect exceeds two standard errors: these ends show none", "warning"))
         unseen = "travel: a closed path does not show wheel_scale; drive a straight of measured length"
         return Summary((*lines, Line("open", unseen, "warning")))
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 FOUND = 4.2
 """Size in standard errors at which an effect is found nearly always."""
+_LARGE = 2.0
+"""Multiple of its typical size from which an effect has to be detectable; smaller limits are stated as such."""
 _RULER_ERRORS = 2.0
 """An unnamed scale of the wheels is reported if it exceeds this many standard errors of the laser's scale."""
 MASKED = 4.0
@@ -66,11 +68,11 @@ class DetectionLimit:
 
 
 def is_untestable(candidate: Candidate) -> bool:
-    """Return whether a candidate was refused because of the drive, or its typical size was not detectable."""
+    """Return whether a candidate was refused because of the drive, or even a large size was not detectable."""
     if candidate.refused.startswith(_REFUSALS) or not candidate.score.separable:
         return True
     sizes_of = zip(amplitudes(candidate.score.effect), candidate.score.standard_error, strict=True)
-    return bool(candidate.refused) and any(FOUND * error > p.typical for p, error in sizes_of)
+    return bool(candidate.refused) and any(FOUND * error > _LARGE * p.typical for p, error in sizes_of)
 
 
 def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
