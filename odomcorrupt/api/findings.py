@@ -243,7 +243,7 @@ class Learned(Findings):
             reproduction=found.reproduction,
             written=found.proof.model,
             notes=(*found.dropped, *found.proof.changes, *replace(self.recordings, runs=tuple(found.recordings)).notes),
-            alerts=self.recordings.alerts,
+            alerts=(*found.alerts, *self.recordings.alerts),
             following=self.following,
         )
 
@@ -256,7 +256,7 @@ class Learned(Findings):
         said = found_text(found.search, found.advice, evaluated=self._evaluated, fit=self._fit)
         fitted = [fit_text(found.robot, clocks=False), *found.proof.changes]
         drifts = [one for one in (reproduction_sentence(found.reproduction),) if one]
-        return "\n".join([said, *drifts, *found.dropped, *fitted, "", comparison_text(found.comparison)])
+        return "\n".join([said, *drifts, *found.alerts, *found.dropped, *fitted, "", comparison_text(found.comparison)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the findings and the comparison in the form of docs/json.md."""

@@ -13,6 +13,7 @@ from odomcorrupt.study.design.advise import Advice, advise
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
+from odomcorrupt.study.estimate.drift_error import with_gyros_corrected
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
@@ -46,6 +47,8 @@ class LearnedRobot:
     reproduction : drift of the model compared with the recordings, including stretches excluded from the fit
     dropped : sentences on effects that were found but dropped because of held-out data
     comparison : both models, evaluated on the held-out recordings or by cross-validation
+    unplaced : names of effects of places that the held-out recordings could not test, because their frame is another
+        one; the comparison is by cross-validation then
     """
 
     recordings: Sequence[Recording]
@@ -58,6 +61,16 @@ class LearnedRobot:
     reproduction: Reproduction
     dropped: tuple[str, ...]
     comparison: Comparison
+    unplaced: tuple[str, ...] = ()
+
+    @property
+    def alerts(self) -> tuple[str, ...]:
+        """Restrictions of the evaluation that every summary states."""
+        if not self.unplaced:
+            return ()
+        names = " and ".join(self.unplaced)
+        why = "the other recordings have places of their own (a laser's map)"
+        return (f"{names}: {why}, so errors are those of halves of the fitted drive",)
 
     @property
     def sequence(self) -> Comparison:
@@ -92,8 +105,10 @@ def learn_robot(
     if names:
         models["with " + ", ".join(names)] = proof.model
     work.begin("comparison on held-out data", 2.5, 0.0)
-    judged_on = held_out or recordings
-    plain = None if held_out else search.first_clocks
+    placed = [effect.name for effect in proof.model.effects if effect.reads_places]
+    unplaced = placed if held_out and shared_frame([*recordings, *held_out]) is None else []
+    judged_on = recordings if unplaced else held_out or recordings
+    plain = search.first_clocks if judged_on is recordings else None
     clocks = clocks_beside(judged_on, choose_approach(judged_on), list(models.values())[-1], plain)
     comparison = compare(judged_on, models, clocks=clocks)
     explained = contributions(search.fit, judged_on, comparison.clocks.clocks)
@@ -108,6 +123,7 @@ def learn_robot(
         reproduction=reproduction,
         dropped=tuple(remarks),
         comparison=comparison,
+        unplaced=tuple(unplaced),
     )
 
 
@@ -207,6 +223,6 @@ def diagnose_model(
     work.begin("what the data leave open", 0.7, 3.0)
     advice = advise(search)
     work.begin("comparison of the additions", 3.0, 0.0)
-    sequence = sequence_comparison(search, recordings, name or "without effects")
+    sequence = sequence_comparison(search, with_gyros_corrected(recordings, search.fit), name or "without effects")
     search = replace(search, contributions=contributions(search.fit))
     return DiagnosedModel(search=search, advice=advice, sequence=sequence)

@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.study.estimate.truth_bias import scale_errors
+from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.study.estimate.truth_bias import scale_errors, turn_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.headings import with_recomputed_headings
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
@@ -58,16 +61,42 @@ class Drift(NamedTuple):
         return bool(np.mean([np.mean(d) for d in more]) > errors * deviation)
 
 
-def drift(fitted: Fit, *, truths_scaled: bool = False) -> Drift:
+def drift(fitted: Fit, *, truths_corrected: bool = False) -> Drift:
     """Return the drift after 10 s of odometry corrected by a fit's effects, on the fitted recordings themselves.
 
-    truths_scaled : whether to correct the truths (a laser's) by the scale errors that the fit estimates for them
+    truths_corrected : whether to correct the truths by the errors that the fit estimates for them: scales of lasers and
+        biases of gyros, which would be compared with an effect that they resemble
     """
     left = [with_recomputed_headings(recording) for recording in fitted.problem.left]
-    if truths_scaled:
+    if truths_corrected:
         errors = scale_errors(fitted.problem, fitted.noise).tolist()
         left = [_scaled(recording, 1.0 / (1.0 + error)) for recording, error in zip(left, errors, strict=True)]
+        left = with_gyros_corrected(left, fitted)
     return Drift(tuple(phased_misses(left)))
+
+
+def with_gyros_corrected(recordings: Sequence[Recording], fitted: Fit) -> list[Recording]:
+    """Return recordings with the biases that a fit to them estimates removed from those truths that are gyros."""
+    if all(recording.positioned for recording in recordings):
+        return list(recordings)
+    turns = turn_errors(fitted.problem, fitted.noise)
+    return [_turned(recording, fitted, i, turns) for i, recording in enumerate(recordings)]
+
+
+def _turned(recording: Recording, fitted: Fit, number: int, turns: Array) -> Recording:
+    """Return a recording whose truth, if it is a gyro, turns more by `turns` (K,), the fit's intervals being K."""
+    own, truth = fitted.problem.run == number, recording.truth
+    if recording.positioned or not own.any():
+        return recording
+    intervals = fitted.problem.intervals
+    more = np.interp(
+        recording.truth_s,
+        np.append(intervals.start_s[own][:1], intervals.end_s[own]),
+        np.append(0.0, np.cumsum(turns[own])),
+    )
+    steps = rotate(np.diff(truth.xyt[:, :2], axis=0), 0.5 * (more[1:] + more[:-1]))
+    xy = truth.xyt[0, :2] + np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+    return replace(recording, truth=replace(truth, xyt=np.column_stack((xy, truth.xyt[:, 2] + more))))
 
 
 def _scaled(recording: Recording, factor: float) -> Recording:

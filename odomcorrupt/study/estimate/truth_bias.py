@@ -63,10 +63,7 @@ def bias_roots(problem: Problem) -> Array:
     if kind is not None:
         lag_s = np.maximum(LAG_BIAS_S * matched, GYRO_LAG_S * by_gyro)
         columns += [lag_s[:, None] * part for part in np.moveaxis(problem.columns(kind()), 2, 0)]
-    walk = np.array([USUAL_WALK if r.turn_bias_walk is None else r.turn_bias_walk for r in runs])[problem.run]
-    start, steps = bias_steps(problem)
-    columns += [GYRO_BIAS * one for one in np.moveaxis(start, 2, 0)]
-    columns += [walk[:, None] * one for one in np.moveaxis(steps, 2, 0)]
+    columns += [*np.moveaxis(_gyro_roots(problem), 2, 0)]
     for r, run in enumerate(runs):
         if run.matched:
             own = along * (problem.run == r)[:, None]
@@ -81,6 +78,14 @@ def bias_roots(problem: Problem) -> Array:
         if here.any():
             columns.append(_of_travel(LOCAL_BIAS * along * here[:, None]))
     return np.stack(columns, axis=2)
+
+
+def _gyro_roots(problem: Problem) -> Array:
+    """Return the columns (K, 3, m) of `bias_roots` that belong to the biases of gyros."""
+    runs = problem.recordings
+    walk = np.array([USUAL_WALK if r.turn_bias_walk is None else r.turn_bias_walk for r in runs])[problem.run]
+    start, steps = bias_steps(problem)
+    return np.concatenate((GYRO_BIAS * start, walk[:, None, None] * steps), axis=2)
 
 
 def bias_steps(problem: Problem) -> tuple[Array, Array]:
@@ -102,6 +107,13 @@ def bias_steps(problem: Problem) -> tuple[Array, Array]:
         later = intervals.start_s[:, None] >= np.arange(first_s + step_s, last_s, step_s)
         steps.append(np.sqrt(step_s) * turn * later)
     return _of_turns(np.concatenate(start, axis=1)), _of_turns(np.concatenate(steps, axis=1))
+
+
+def turn_errors(problem: Problem, noise: NoiseFit) -> Array:
+    """Return the posterior mean (K,) of the turn, rad, that a gyro's bias takes from the truth of each interval."""
+    roots = _gyro_roots(problem)
+    turns: Array = (roots @ (noise.whitener.whiten(roots).T @ noise.innovations))[:, 2]
+    return turns
 
 
 def scale_errors(problem: Problem, noise: NoiseFit) -> Array:

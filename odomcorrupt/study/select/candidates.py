@@ -276,7 +276,7 @@ def tried(
     worse = drift_grows(after, before, decisions)
     if worse and has_bias(fit.problem):
         # compare without the truth's own scale errors: a move from one wrong scale to another is no deterioration
-        worse = drift_grows(drift(with_it, truths_scaled=True), drift(fit, truths_scaled=True), decisions)
+        worse = drift_grows(drift(with_it, truths_corrected=True), drift(fit, truths_corrected=True), decisions)
     refused = "gains nothing when everything is fitted together" if gain <= least else _DRIFT if worse else ""
     return Candidate(score=score, fit=with_it, gain=gain, rmse=(before.rmse, after.rmse), refused=refused)
 
