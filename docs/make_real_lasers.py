@@ -97,11 +97,11 @@ def held_out(learning: Sequence[Recording], judging: Sequence[Recording]) -> Hel
                 ("learned", list(learned.fit.effects)),
             )
         }
-        judged = compare(judging, {name: fitted.model for name, fitted in fits.items()}).judgements
+        judged = compare(judging, {name: fitted.model for name, fitted in fits.items()}).evaluations
     except OdomCorruptError as error:
         return f"- ({error})"
     count = sum(len(time_windows(run)) for run in judging)
-    return HeldOut(learned.added, *(judgement.ten_second_error_m for judgement in judged), count)
+    return HeldOut(learned.added, *(evaluation.ten_second_error_m for evaluation in judged), count)
 
 
 def against_the_laser(runs: Sequence[Recording]) -> list[str]:

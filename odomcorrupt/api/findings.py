@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
-    from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.validate.compare import ModelEvaluation
     from odomcorrupt.study.work import Watch
 
 
@@ -88,7 +88,7 @@ class Findings(Result):
         return drive_sentence(plan)
 
     @property
-    def _evaluated(self) -> Judgement | None:
+    def _evaluated(self) -> ModelEvaluation | None:
         """Held-out evaluation of the model with all findings; None if it lacks one of them."""
         raise NotImplementedError
 
@@ -103,7 +103,7 @@ class Findings(Result):
 
         found = self.result
         return learned_json(
-            found.search, found.sequence.judgements, found.advice, evaluated=self._evaluated, fit=self._fit
+            found.search, found.sequence.evaluations, found.advice, evaluated=self._evaluated, fit=self._fit
         )
 
     def report(self) -> str:
@@ -122,9 +122,9 @@ class Diagnosis(Findings):
     result: DiagnosedModel
 
     @property
-    def _evaluated(self) -> Judgement | None:
+    def _evaluated(self) -> ModelEvaluation | None:
         # the sequence contains no noise term: its lack of fit may be due to the noise found
-        return None if self.result.search.noise else self.result.sequence.judgements[-1]
+        return None if self.result.search.noise else self.result.sequence.evaluations[-1]
 
     def summary(self) -> Summary:
         """Return the missing effects, their size and probability, and the gain of each."""
@@ -152,7 +152,7 @@ class Diagnosis(Findings):
         said = found_text(found.search, found.advice, evaluated=self._evaluated)
         parts = [candidates_table(found.search.rounds[0]), said]
         if found.search.added:
-            parts.append(shares_text(found.sequence.judgements))
+            parts.append(shares_text(found.sequence.evaluations))
         return "\n\n".join([*parts, *([f"next: {self.following}"] if self.following else [])])
 
     def _figure(self) -> Figure:
@@ -223,8 +223,8 @@ class Learned(Findings):
         return Comparison(self.result.comparison)
 
     @property
-    def _evaluated(self) -> Judgement:
-        return self.result.comparison.judgements[-1]
+    def _evaluated(self) -> ModelEvaluation:
+        return self.result.comparison.evaluations[-1]
 
     @property
     def _fit(self) -> ModelFit:
