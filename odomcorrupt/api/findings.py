@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
+    from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.validate.compare import ModelEvaluation
     from odomcorrupt.study.work import Watch
 
@@ -163,7 +164,11 @@ class Diagnosis(Findings):
 
 
 def diagnose(
-    recordings: Recordings | PathLikes, model: ModelLike | None = None, *, watch: Watch = lambda _stage, _share: None
+    recordings: Recordings | PathLikes,
+    model: ModelLike | None = None,
+    *,
+    decisions: Decisions | None = None,
+    watch: Watch = lambda _stage, _share: None,
 ) -> Diagnosis:
     """Name the physical effects that a model lacks, with the held-out gain of each.
 
@@ -173,6 +178,8 @@ def diagnose(
         Runs of one robot.
     model : Model or path of a model file, optional
         Known part of the model; None for noise alone.
+    decisions : odomcorrupt.study.select.decisions.Decisions, optional
+        Thresholds of inclusion, replacement and removal of effects; None for the defaults, `DECISIONS` of that module.
     watch : callable
         Called with the name of each stage and the completed share of the work.
 
@@ -193,9 +200,10 @@ def diagnose(
     if known is not None:
         runs = runs.on_track(known.track_m).of_drive_type(known.setup.drive_type).in_frame(known.setup.origin)
     from odomcorrupt.study.pipeline import diagnose_model
+    from odomcorrupt.study.select.decisions import DECISIONS
 
     name = Path(fspath(model)).name if isinstance(model, str | PathLike) else "the model" if known else ""
-    return Diagnosis(runs, diagnose_model(runs, known, name=name, watch=watch))
+    return Diagnosis(runs, diagnose_model(runs, known, name=name, decisions=decisions or DECISIONS, watch=watch))
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -276,6 +284,7 @@ def learn(
     recordings: Recordings | PathLikes,
     *,
     validate: Recordings | PathLikes = (),
+    decisions: Decisions | None = None,
     watch: Watch = lambda _stage, _share: None,
 ) -> Learned:
     """Learn a robot's effects: fit, search for a missing effect, add it, and repeat until none is missing.
@@ -286,6 +295,8 @@ def learn(
         Runs of one robot.
     validate : Recordings or paths, optional
         Recordings to evaluate the result on, read like the first ones; if none, the result is cross-validated.
+    decisions : odomcorrupt.study.select.decisions.Decisions, optional
+        Thresholds of inclusion, replacement and removal of effects; None for the defaults, `DECISIONS` of that module.
     watch : callable
         Called with the name of each stage and the completed share of the work.
 
@@ -312,5 +323,6 @@ def learn(
     held_out = validate if isinstance(validate, Recordings) or validate else ()
     others = as_recordings(held_out, like=runs).in_frame(runs.geodetic_origin) if held_out else ()
     from odomcorrupt.study.pipeline import learn_robot
+    from odomcorrupt.study.select.decisions import DECISIONS
 
-    return Learned(runs, learn_robot(runs, others, watch=watch))
+    return Learned(runs, learn_robot(runs, others, decisions=decisions or DECISIONS, watch=watch))
