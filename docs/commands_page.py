@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from mkdocs.structure.pages import Page
 
 _COLUMNS = 80
+_NOTE = "This page is filled when the site is built; in the repository use `odomcorrupt COMMAND -h`.\n"
 
 
 def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
@@ -25,7 +26,7 @@ def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
         if command is not None and name != DEFAULT:
             own = click.Context(command, group, name, terminal_width=_COLUMNS)
             parts.append(_section(f"odomcorrupt {name}", command.get_help(own)))
-    return "\n\n".join([markdown.rstrip(), *parts]) + "\n"
+    return "\n\n".join([markdown.replace(_NOTE, "").rstrip(), *parts]) + "\n"
 
 
 def _section(name: str, text: str) -> str:

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
 
-_PLACE = "The site of this documentation has a table of all effects here, made from the code.\n"
+_PLACE = (
+    "The site of this documentation has a table of all effects here, made from the code; in the repository use\n"
+    "`odomcorrupt effects`.\n"
+)
 _KINDS = {
     "effect": "Systematic errors",
     "noise": "Random errors",

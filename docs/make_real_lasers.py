@@ -3,10 +3,10 @@
     python docs/make_real_lasers.py FOLDER [BAG ...]
 
 FOLDER holds bags with odometry and laser scans, no truth. For each: lag; scale and turns (what the odometry has to be
-multiplied by) and bow against the laser with their robust standard errors (all three fitted at once); what is learned
-from the whole drive; and the error of odometry after 10 s on each half of the drive, measured against the laser, clock
-and mounting right, before and after what was learned from the other half alone is taken out. A pair of recordings of
-one robot is learned on one and judged on the other in the same way.
+multiplied by) and curvature on straights (heading error per metre) against the laser with their robust standard errors
+(all three fitted at once); what is learned from the whole drive; and the error of odometry after 10 s on each half of
+the drive, measured against the laser, clock and mounting right, before and after what was learned from the other half
+alone is taken out. A pair of recordings of one robot is learned on one and evaluated on the other in the same way.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class HeldOut:
     """Error of odometry after 10 s (m) against the laser on a drive that was not learned from.
 
     names : what was learned
-    before_m, calibrated_m, after_m : as measured; with scale, turns and bow taken out; with what was learned taken out
+    before_m, calibrated_m, after_m : as measured; with scale, turns and curvature taken out; with what was learned
+        taken out
     windows : number of windows of 10 s
     """
 
@@ -97,15 +98,15 @@ def held_out(learning: Sequence[Recording], judging: Sequence[Recording]) -> Hel
                 ("learned", list(learned.fit.effects)),
             )
         }
-        judged = compare(judging, {name: fitted.model for name, fitted in fits.items()}).judgements
+        judged = compare(judging, {name: fitted.model for name, fitted in fits.items()}).evaluations
     except OdomCorruptError as error:
         return f"- ({error})"
     count = sum(len(time_windows(run)) for run in judging)
-    return HeldOut(learned.added, *(judgement.ten_second_error_m for judgement in judged), count)
+    return HeldOut(learned.added, *(evaluation.ten_second_error_m for evaluation in judged), count)
 
 
 def against_the_laser(runs: Sequence[Recording]) -> list[str]:
-    """Return lag, and the scale, turns and bow of the odometry with their standard errors."""
+    """Return lag, and the scale, turns and curvature of the odometry with their standard errors."""
     approach = choose_approach(runs)
     clocks = find_clocks(runs, approach)
     setup = [effect_from_values(name, {}) for name in ("lever_arm", "mount_yaw")]
@@ -114,13 +115,13 @@ def against_the_laser(runs: Sequence[Recording]) -> list[str]:
         fit(runs, effects, approach=approach, clocks=clocks.clocks, free_clocks=clocks.free, start=clocks.noise)
     )
     sizes = np.concatenate([[getattr(e, p.name) for p in amplitudes(e)] for e in found.effects])
-    (scale, turns, bow), errors = sizes[:3], found.standard_errors[:3]
+    (scale, turns, curvature), errors = sizes[:3], found.standard_errors[:3]
     lag_s = np.mean([clock.offset_s for clock in found.problem.clocks])
     return [
         f"{lag_s:.2f} s",
         f"{1.0 + scale:.4f} +- {errors[0]:.4f}",
         f"{1.0 / (1.0 + turns):.3f} +- {errors[1]:.3f}",
-        f"{np.degrees(bow):+.2f} +- {np.degrees(errors[2]):.2f} deg/m",
+        f"{np.degrees(curvature):+.2f} +- {np.degrees(errors[2]):.2f} deg/m",
     ]
 
 
@@ -138,7 +139,7 @@ def learned_names(runs: Sequence[Recording]) -> str:
 
 def main(folder: Path, names: Sequence[str]) -> None:
     """Print a row for each bag, then one for each pair."""
-    heads = ("recording", "lag", "scale", "turns", "bow", "learned from all of it", "second half", "first half")
+    heads = ("recording", "lag", "scale", "turns", "curvature", "learned from all of it", "second half", "first half")
     print("| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
     known = {}
     for name in names:

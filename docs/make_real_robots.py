@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from odomcorrupt.study.io.recording import Recording
-    from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.validate.compare import ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation
 
 HERE = Path(__file__).parent
@@ -178,16 +178,16 @@ def section(folder: Path, robot: Robot) -> list[str]:
     )
     lines += ["", "| | " + " | ".join(fits) + " |", "|---|" + "---|" * len(fits)]
     clouds, remarks = {}, []
-    for j in comparison.judgements:
+    for j in comparison.evaluations:
         piece = j.pieces[0]
         try:
             clouds[j.name] = replay(piece, runs=RUNS)
         except EffectError:
             clouds[j.name], left_out = tamer(piece)
             remarks = ["", f"Its {left_out} are too strong for this drive and were left out of the runs."]
-    for label, values in rows(fits, comparison.judgements, clouds):
+    for label, values in rows(fits, comparison.evaluations, clouds):
         lines.append(f"| {label} | " + " | ".join(values) + " |")
-    last = comparison.judgements[-1]
+    last = comparison.evaluations[-1]
     lines += ["", *verdict(last, clouds[last.name], judging), *remarks]
     picture = HERE / "images" / f"real_{robot.key}.png"
     draw(clouds, picture)
@@ -208,7 +208,7 @@ def tamer(piece: Evaluation) -> tuple[Replay, str]:
 
 
 def rows(
-    fits: dict[str, RobotFit], judgements: tuple[Judgement, ...], clouds: dict[str, Replay]
+    fits: dict[str, RobotFit], evaluations: tuple[ModelEvaluation, ...], clouds: dict[str, Replay]
 ) -> list[tuple[str, list[str]]]:
     """Return the table's rows: a label, and a cell for each model."""
     models = list(fits.values())
@@ -218,20 +218,20 @@ def rows(
         for name in ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans")
     ]
     table.append(("truth's noise", [truth_text(fit) for fit in models]))
-    table.append(("error after 10 s", [f"{j.ten_second_error_m * 1e3:.1f} mm" for j in judgements]))
-    table.append(("nats per metre", [f"{j.nats.per_m:.1f} ± {j.nats.error:.1f}" for j in judgements]))
+    table.append(("error after 10 s", [f"{j.ten_second_error_m * 1e3:.1f} mm" for j in evaluations]))
+    table.append(("nats per metre", [f"{j.nats.per_m:.1f} ± {j.nats.error:.1f}" for j in evaluations]))
     for length in LENGTHS_M:
         cells = [next((f"{h.nees:.2f} (chance {h.nees_bounds[0]:.2f} to {h.nees_bounds[1]:.2f})"
-                       for h in j.horizons if h.distance_m == length), "–") for j in judgements]  # fmt: skip
+                       for h in j.horizons if h.distance_m == length), "–") for j in evaluations]  # fmt: skip
         table.append((f"NEES over {length:g} m", cells))
-        inside = [cloud_cover(clouds[j.name], j, length) for j in judgements]
+        inside = [cloud_cover(clouds[j.name], j, length) for j in evaluations]
         table.append((f"in the runs' 50 / 90 % region over {length:g} m", [str(c) if c else "–" for c in inside]))
     return table
 
 
-def cloud_cover(paths: Replay, judgement: Judgement, length_m: float) -> Covered | None:
+def cloud_cover(paths: Replay, evaluation: ModelEvaluation, length_m: float) -> Covered | None:
     """Return coverage under the truth's noise that the model states."""
-    truth = judgement.pieces[0].truth
+    truth = evaluation.pieces[0].truth
     return covered(paths, truth.xy_m, truth.yaw_rad, length_m)
 
 
@@ -252,18 +252,18 @@ def effects_text(fit: RobotFit) -> str:
     return "; ".join(texts) or "none"
 
 
-def verdict(judgement: Judgement, paths: Replay, judging: Recording) -> list[str]:
+def verdict(evaluation: ModelEvaluation, paths: Replay, judging: Recording) -> list[str]:
     """Say whether the measured odometry is covered; where not, what is left of it and what would explain it."""
-    found = [c for length in LENGTHS_M if (c := cloud_cover(paths, judgement, length)) is not None]
+    found = [c for length in LENGTHS_M if (c := cloud_cover(paths, evaluation, length)) is not None]
     short = [c for c in found if c.most < least_covered(c.windows)]
     if not short:
-        wide = [h for h in judgement.horizons if h.nees < h.nees_bounds[0]]
+        wide = [h for h in evaluation.horizons if h.nees < h.nees_bounds[0]]
         cautious = " The model predicts larger errors than were measured: its noise is too large." if wide else ""
         return [f"**Covered**: the number of windows in the runs' 90 % region agrees with a right model.{cautious}"]
     where = ", ".join(
         f"{c.length_m:g} m (a right model: at least {100 * least_covered(c.windows):.1f} %)" for c in short
     )
-    rates = [f for f in judgement.failures if f.kind in {"motion", "place", "time"}]
+    rates = [f for f in evaluation.failures if f.kind in {"motion", "place", "time"}]
     lines = [f"**Not covered** over {where}." + (" What is left, odometry minus truth:" if rates else "")]
     lines += ["", *(f"- {sentence(f)}" for f in rates[:4])] if rates else []
     own = drop_unsupported_parts(learn([judging]))[0]

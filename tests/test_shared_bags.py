@@ -64,12 +64,12 @@ THROUGH = (
     Through(
         "evo/nav2_turtlebot.mcap",
         frozenset({"/odom", "/tf"}),
-        "Moved: 2639 messages on /odom, 2639 transforms odom -> base_link, driven by /odom",
+        "Moved: 2639 messages on /odom, 2639 transforms odom -> base_link, computed from the poses of /odom",
     ),
     Through(
         "evo/tf_example.bag",
         frozenset({"/tf"}),
-        "Moved: 517 transforms odom -> base_footprint, driven by TF odom -> base_footprint",
+        "Moved: 517 transforms odom -> base_footprint, computed from the poses of TF odom -> base_footprint",
         ("--odom-frame", "odom", "--base-frame", "base_footprint"),
     ),
     Through(

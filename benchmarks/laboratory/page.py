@@ -31,14 +31,15 @@ Rows = list[dict[str, Any]]
 FINDINGS = Path(__file__).with_name("findings.md")
 """Conclusions from the figures, written by hand."""
 HEAD = """\
-# The hidden-effect laboratory
+# Benchmark of hidden effects
 
 How far to trust `learn`, measured on simulated recordings whose hidden cause is known. The cause is one effect, two
 effects, noise, a cause that is not in the library, or none (controls); the truth is motion capture or RTK.
 
 - **Excited**: the drive contains what shows the cause, by its expected information alone. **Separable**: also beside
   any other single effect.
-- **Right**: the name is the cause, or an effect that equals it in every recording.
+- **Named**: identified as the cause by `learn`; the effect that is reported is called its name. **Right**: this effect
+  is the cause, or equals it in every recording.
 - **Error**: 10 s error on another drive of the same robot, after correction with what was learned, over that of the
   same drive without the fault.
 

@@ -22,7 +22,7 @@ FINDINGS = Path(__file__).parent / "findings.md"
 Rows = list[dict[str, Any]]
 Lines = list[str]
 HEAD = """\
-# The ordinary laboratory
+# Benchmark of ordinary recordings
 
 How far to trust `learn` on recordings as users have them: a truth of AMCL, SLAM or RTK, odometry from a filter, cars,
 hobby robots, bad clocks, single events, monotonous drives, skids. The recordings are simulated, so the hidden cause
@@ -33,8 +33,8 @@ is known; two drives in five have none (controls). Every command of a user is ru
   same drive without the fault, uncorrected. After a filter's lag has been removed too, an error is below its floor
   (`ekf`).
 - **Excited**: the drive contains what shows the cause, decided before any run by the generator alone.
-- **Right**: the first name is the cause or an effect that equals it. **Confidently wrong**: a drive with a wrong name
-  of confidence 0.9 or more. **Harm**: the error after `correct` is more than 3 % above that before.
+- **Right**: the first effect that is identified (its name) is the cause, or equals it. **Confidently wrong**: a drive
+  with a wrong effect of confidence 0.9 or more. **Harm**: the error after `correct` is more than 3 % above that before.
 
 `benchmarks/ordinary/protocol.md` has the details; `python benchmarks/ordinary.py page` writes this page.
 """

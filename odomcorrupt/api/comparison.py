@@ -36,12 +36,12 @@ class Comparison(Result):
     @property
     def rejected(self) -> bool:
         """Whether the data reject the last model, however small the deviation."""
-        return self.result.judgements[-1].verdict.rejected
+        return self.result.evaluations[-1].verdict.rejected
 
     @property
     def fails(self) -> bool:
         """Whether the deviation matters: errors are 1.25 times larger or smaller than the last model predicts."""
-        return self.result.judgements[-1].verdict.fails
+        return self.result.evaluations[-1].verdict.fails
 
     def summary(self) -> Summary:
         """Return whether the last model is better than the first by all measures, and one line per model."""
@@ -75,7 +75,7 @@ class Comparison(Result):
                 "rpe_1m_m": j.trajectory.rpe_m,
                 "rejected": j.verdict.rejected,
             }
-            for j in self.result.judgements
+            for j in self.result.evaluations
         ]
 
     def report(self) -> str:

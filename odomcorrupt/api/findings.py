@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
-    from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.validate.compare import ModelEvaluation
     from odomcorrupt.study.work import Watch
 
 
@@ -88,7 +89,7 @@ class Findings(Result):
         return drive_sentence(plan)
 
     @property
-    def _evaluated(self) -> Judgement | None:
+    def _evaluated(self) -> ModelEvaluation | None:
         """Held-out evaluation of the model with all findings; None if it lacks one of them."""
         raise NotImplementedError
 
@@ -103,7 +104,7 @@ class Findings(Result):
 
         found = self.result
         return learned_json(
-            found.search, found.sequence.judgements, found.advice, evaluated=self._evaluated, fit=self._fit
+            found.search, found.sequence.evaluations, found.advice, evaluated=self._evaluated, fit=self._fit
         )
 
     def report(self) -> str:
@@ -122,9 +123,9 @@ class Diagnosis(Findings):
     result: DiagnosedModel
 
     @property
-    def _evaluated(self) -> Judgement | None:
+    def _evaluated(self) -> ModelEvaluation | None:
         # the sequence contains no noise term: its lack of fit may be due to the noise found
-        return None if self.result.search.noise else self.result.sequence.judgements[-1]
+        return None if self.result.search.noise else self.result.sequence.evaluations[-1]
 
     def summary(self) -> Summary:
         """Return the missing effects, their size and probability, and the gain of each."""
@@ -152,7 +153,7 @@ class Diagnosis(Findings):
         said = found_text(found.search, found.advice, evaluated=self._evaluated)
         parts = [candidates_table(found.search.rounds[0]), said]
         if found.search.added:
-            parts.append(shares_text(found.sequence.judgements))
+            parts.append(shares_text(found.sequence.evaluations))
         return "\n\n".join([*parts, *([f"next: {self.following}"] if self.following else [])])
 
     def _figure(self) -> Figure:
@@ -163,7 +164,11 @@ class Diagnosis(Findings):
 
 
 def diagnose(
-    recordings: Recordings | PathLikes, model: ModelLike | None = None, *, watch: Watch = lambda _stage, _share: None
+    recordings: Recordings | PathLikes,
+    model: ModelLike | None = None,
+    *,
+    decisions: Decisions | None = None,
+    watch: Watch = lambda _stage, _share: None,
 ) -> Diagnosis:
     """Name the physical effects that a model lacks, with the held-out gain of each.
 
@@ -173,6 +178,8 @@ def diagnose(
         Runs of one robot.
     model : Model or path of a model file, optional
         Known part of the model; None for noise alone.
+    decisions : odomcorrupt.study.select.decisions.Decisions, optional
+        Thresholds of inclusion, replacement and removal of effects; None for the defaults, `DECISIONS` of that module.
     watch : callable
         Called with the name of each stage and the completed share of the work.
 
@@ -193,9 +200,10 @@ def diagnose(
     if known is not None:
         runs = runs.on_track(known.track_m).of_drive_type(known.setup.drive_type).in_frame(known.setup.origin)
     from odomcorrupt.study.pipeline import diagnose_model
+    from odomcorrupt.study.select.decisions import DECISIONS
 
     name = Path(fspath(model)).name if isinstance(model, str | PathLike) else "the model" if known else ""
-    return Diagnosis(runs, diagnose_model(runs, known, name=name, watch=watch))
+    return Diagnosis(runs, diagnose_model(runs, known, name=name, decisions=decisions or DECISIONS, watch=watch))
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -223,8 +231,8 @@ class Learned(Findings):
         return Comparison(self.result.comparison)
 
     @property
-    def _evaluated(self) -> Judgement:
-        return self.result.comparison.judgements[-1]
+    def _evaluated(self) -> ModelEvaluation:
+        return self.result.comparison.evaluations[-1]
 
     @property
     def _fit(self) -> ModelFit:
@@ -276,6 +284,7 @@ def learn(
     recordings: Recordings | PathLikes,
     *,
     validate: Recordings | PathLikes = (),
+    decisions: Decisions | None = None,
     watch: Watch = lambda _stage, _share: None,
 ) -> Learned:
     """Learn a robot's effects: fit, search for a missing effect, add it, and repeat until none is missing.
@@ -286,6 +295,8 @@ def learn(
         Runs of one robot.
     validate : Recordings or paths, optional
         Recordings to evaluate the result on, read like the first ones; if none, the result is cross-validated.
+    decisions : odomcorrupt.study.select.decisions.Decisions, optional
+        Thresholds of inclusion, replacement and removal of effects; None for the defaults, `DECISIONS` of that module.
     watch : callable
         Called with the name of each stage and the completed share of the work.
 
@@ -312,5 +323,6 @@ def learn(
     held_out = validate if isinstance(validate, Recordings) or validate else ()
     others = as_recordings(held_out, like=runs).in_frame(runs.geodetic_origin) if held_out else ()
     from odomcorrupt.study.pipeline import learn_robot
+    from odomcorrupt.study.select.decisions import DECISIONS
 
-    return Learned(runs, learn_robot(runs, others, watch=watch))
+    return Learned(runs, learn_robot(runs, others, decisions=decisions or DECISIONS, watch=watch))

@@ -61,7 +61,7 @@ def info(
     recover: bool = False,
     watch: Callable[[Block], None] = lambda _: None,
 ) -> Info:
-    """Return a bag's topics, frames and TF edges, its motion, anomalies, and topics that still hold the true motion.
+    """Return a bag's topics, frames, TF edges, its motion, anomalies, and topics that still contain the true motion.
 
     Parameters
     ----------

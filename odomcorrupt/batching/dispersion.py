@@ -189,7 +189,7 @@ def spread_brief(report: SpreadReport, following: Sequence[object] = ()) -> Summ
     mean = f"{last.mean_m:.3g} m, {math.degrees(last.mean_rad):.3g} deg off on average at the end"
     lines.append(Line("mean", mean))
     if report.random_effects:
-        lines.append(Line("odd", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
+        lines.append(Line("note", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
     return Summary((*lines, command_line(following)))
 
 

@@ -50,10 +50,12 @@ moving_options = added(
     ),
     one_of(
         "--tf", among=["odometry", "correction", "subtraction"],
-        text="Move the odometry, or leave it and publish the drift as a transform: rigid, or noisy minus clean as in "
-        "the article's listing.",
+        text="Move the odometry, or leave it and publish the drift as a transform: a rigid transform (correction), or "
+        "noisy minus clean poses, which is not rigid (subtraction; Gazebo article, docs/laws.md).",
     ),
-    click.option("--new-odom-frame", metavar="FRAME", help="Parent of the odom frame for --tf correction."),
+    click.option(
+        "--new-odom-frame", metavar="FRAME", help="Parent of the odom frame, for --tf correction or subtraction."
+    ),
 )  # fmt: skip
 """Adds the options of the messages that corruption modifies and adds."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from odomcorrupt.commands._options import FILE, POSE, added, usage_errors
+from odomcorrupt.commands._options import FILE, POSE, Decorator, added, usage_errors
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
@@ -34,37 +34,44 @@ def _completing(module: str, table: str) -> Callable[..., list[str]]:
     return complete
 
 
-model_options = added(
-    click.option(
-        "--alpha", metavar="A1 A2 A3 A4",
-        help="Noise coefficients, as 0.05, 5deg (after 1 rad), 10deg/m (after 1 m). [omni: 4 or 5, velocity: 4 to 6]",
-    ),
-    click.option(
-        "--law", metavar="NAME", shell_complete=_completing("model.noise_laws", "LAWS"),
-        help="Noise law of A1...: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
-    ),
-    click.option(
-        "--twist-noise", nargs=2, type=float, metavar="V W", help="White noise on every twist, m/s and rad/s."
-    ),
-    click.option(
-        "--step", metavar="STEP",
-        help="Apply a step-dependent law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
-    ),
-    click.option(
-        "--preset", metavar="NAME", shell_complete=_completing("model.presets", "PRESETS"),
-        help="Ready-made noise: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
-        "[default: typical]",
-    ),
-    click.option(
-        "--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...",
-        shell_complete=_completing("effects", "registry"), help="Systematic error (repeatable).",
-    ),
-    click.option("--model", type=FILE, help="Motion model, as `fit` writes it."),
-    click.option(
-        "--track", type=float, metavar="M",
-        help="Distance between the wheels, for effects of single wheels. [default: the model's]",
-    ),
-)  # fmt: skip
+def _model_options(default: str) -> Decorator:
+    """Return a decorator that adds the options of `choose_model`; `default` is the noise without any of them."""
+    return added(
+        click.option(
+            "--alpha", metavar="A1 A2 A3 A4",
+            help="rot_rot rot_trans trans_trans trans_rot: noise in the first, caused by the second. Under diffusion, "
+            "the standard deviation after 1 rad or 1 m (0.05, 5deg, 10deg/m); other laws differ (velocity: also in the "
+            "order), and amcl's alphas are --law quadratic. [omni: 4 or 5 numbers, velocity: 4 to 6]",
+        ),
+        click.option(
+            "--law", metavar="NAME", shell_complete=_completing("model.noise_laws", "LAWS"),
+            help="Noise law of A1...: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
+        ),
+        click.option(
+            "--twist-noise", nargs=2, type=float, metavar="V W", help="White noise on every twist, m/s and rad/s."
+        ),
+        click.option(
+            "--step", metavar="STEP",
+            help="Apply a step-dependent law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
+        ),
+        click.option(
+            "--preset", metavar="NAME", shell_complete=_completing("model.presets", "PRESETS"),
+            help="Ready-made noise: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
+            f"[default: {default}]",
+        ),
+        click.option(
+            "--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...",
+            shell_complete=_completing("effects", "registry"), help="Systematic error (repeatable).",
+        ),
+        click.option("--model", type=FILE, help="Motion model, as `fit` writes it."),
+        click.option(
+            "--track", type=float, metavar="M",
+            help="Distance between the wheels, for effects of single wheels. [default: the model's]",
+        ),
+    )  # fmt: skip
+
+
+model_options = _model_options("typical, if no noise, effect or model is given")
 """Adds the options of `choose_model`."""
 
 
@@ -91,7 +98,7 @@ class AlphaCommand(click.Command):
 
 
 def choose_model(given: Mapping[str, Any]) -> Model:
-    """Return the model that the options describe; without any numbers, the default preset.
+    """Return the model that the options describe; without noise, effect or model, the preset `typical`.
 
     Raises
     ------
@@ -175,7 +182,7 @@ class ChosenMove:
 
 
 move_options = added(
-    model_options,
+    _model_options("the noise of --example; along a bag typical"),
     click.option(
         "--example", metavar="NAME",
         help="Motion, and noise if no option states any: article, or the lecture's balanced, translation-heavy, "

@@ -117,8 +117,8 @@ _OTHERS = (
     ),
     click.option(
         "--imu", metavar="TOPIC",
-        help="Gyro: separates wheel errors from heading errors; without truth or laser it is the truth of headings, "
-        "for diagnose alone. [default: the only Imu]",
+        help="Gyro: tells whether the heading is from wheels or a gyro. (Only `diagnose` can use it without a truth or "
+        "a laser.) [default: the only Imu]",
     ),
     click.option(
         "--gyro-scale-accuracy", type=Share("a share as in 1% or 0.01", 0.0, 20.0), metavar="SHARE", default="1%",
@@ -198,7 +198,7 @@ def _mcap(_ctx: click.Context, _option: click.Parameter, drive: Path | None) -> 
 advice_options = added(
     click.option(
         "--drive", type=OUTPUT, callback=_mcap,
-        help="Write the drive that would answer the open questions, as /cmd_vel in an MCAP.",
+        help="Write the manoeuvre that separates the effects that these data leave undecided, as /cmd_vel in an MCAP.",
     ),
     click.option("--report", type=PAGE, help="Write the full result as one HTML page with pictures."),
 )  # fmt: skip

@@ -54,7 +54,8 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 )  # fmt: skip
 @click.option(
     "--robots", type=click.Choice(["stated", "posterior"]), default="stated",
-    help='Draw for each run what the model states as "a +- b", or everything with a standard error.',
+    help='Parameters drawn for each run: those written "a +- b" in the model file (stated), or all with a standard '
+    "error (posterior). [default: stated]",
 )  # fmt: skip
 @click.option(
     "--fleet", multiple=True, type=FILE, metavar="FILE",

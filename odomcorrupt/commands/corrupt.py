@@ -49,8 +49,8 @@ def keep_freed_memory() -> None:
 def command(input_: str, output: str | None, output_option: str | None, *, console: Console, **given: Any) -> int:
     """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.
 
-    INPUT and OUTPUT are bags of any kind; - is a pipe. With --map no pose is drawn into a wall: motion as a particle
-    has it. Real odometry drifts through walls; leave --map out to imitate that.
+    INPUT and OUTPUT are bags of any kind; - is a pipe. With --map every drawn pose is in free space, as in the motion
+    model of a particle filter; real odometry drifts through walls, so leave --map out to imitate it.
     """
     from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.api.corruption import corrupt

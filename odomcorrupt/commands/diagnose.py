@@ -31,7 +31,7 @@ def command(
     report: Path | None,
     console: Console,
 ) -> None:
-    """Rank the effects by evidence, with what each would gain on held-out stretches, and suggest the next command."""
+    """Rank the effects by evidence, with what each would gain on held-out data, and suggest the next command."""
     from odomcorrupt.api.findings import diagnose
     from odomcorrupt.api.model import Model
 

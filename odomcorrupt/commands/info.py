@@ -16,7 +16,7 @@ from odomcorrupt.commands._standard import Console, standard_options
 @bag_options
 @standard_options
 def command(input_: str, *, console: Console, **given: Any) -> int:
-    """Show a bag's topics, frames and edges, its motion, anomalies, and topics that still hold the true motion."""
+    """Show a bag's topics, frames and edges, its motion, anomalies, and topics that still contain the true motion."""
     from odomcorrupt.api.info import info
 
     source_of(input_)  # a terminal is refused

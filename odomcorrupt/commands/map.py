@@ -49,7 +49,7 @@ _ASKED = ("seed", "run", "scan", "odom_topic", "truth", "laser_pose", "max_yaw_r
 @unpack_option
 @standard_options
 def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -> None:
-    """Draw the map a laser makes through a bag's odometry, and through the same odometry with noise on it.
+    """Draw the laser map with scans placed by a bag's odometry, and by the same odometry with noise.
 
     Reports the wall thickness of both, and its growth along the drive.
 

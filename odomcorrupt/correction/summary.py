@@ -69,7 +69,7 @@ def brief(corrected: Corrected, target: str) -> Summary:
     lines += [Line("remains", f"{e.name} {_AT_REST}") for e in corrected.effects.undone if e.shown_at_rest]
     lines += [Line("remains", sentence.removeprefix("What remains is ")) for sentence in _remains(corrected)]
     odd = (sentence for sentence in _oddities(corrected.run) if not sentence.startswith("Lost: "))
-    lines += [Line("odd", sentence, "warning") for sentence in odd]
+    lines += [Line("anomaly", sentence, "warning") for sentence in odd]
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
     return Summary((*lines, *following))
 
@@ -78,8 +78,9 @@ def correction_summary(corrected: Corrected) -> str:
     """Return one paragraph: effects removed, change of the odometry, effects that cannot be undone, remaining error."""
     run, taken = corrected.run, _taken_out(corrected)
     if taken:
+        source = f"the poses of {run.odometry}{topic_words(run)} ({travel_words(run)})"
         parts = [
-            f"Corrected: {moved_words(run)}, driven by {run.odometry}{topic_words(run)} ({travel_words(run)}).",
+            f"Corrected: {moved_words(run)}, computed from {source}.",
             f"Taken out: {taken}.",
             _shift(corrected),
         ]

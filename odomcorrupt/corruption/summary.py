@@ -69,13 +69,19 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     odd = [sentence for sentence in oddities(outcome) if not sentence.startswith("Lost: ")]
     true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
     if true and not is_identity:
-        lines.append(Line("true", f"{', '.join(true)}: these still hold the true motion", "warning"))
+        lines.append(leaks_line(true))
     lines += [Line("note", remark, "warning") for remark in remarks if remark]
-    lines += [Line("odd", sentence, "warning") for sentence in odd]
+    lines += [Line("anomaly", sentence, "warning") for sentence in odd]
     if not is_identity and per_message(outcome.model.noise):
         lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
     return Summary((*lines, *following))
+
+
+def leaks_line(topics: Sequence[str]) -> Line:
+    """Return a warning that names the unmodified topics from which a filter can still read the true motion."""
+    verb = "contains" if len(topics) == 1 else "contain"
+    return Line("leaks", f"{', '.join(topics)}: still {verb} the true motion", "warning")
 
 
 def lost_lines(outcome: Outcome) -> list[Line]:
@@ -115,7 +121,8 @@ def _counted(outcome: Outcome) -> str:
 def summary(outcome: Outcome, origin: str) -> str:
     """Return one paragraph: changed topics, model, drift, and topics that are not changed."""
     is_identity = _is_identity(outcome.model)
-    said = f"{moved_words(outcome)}, driven by {outcome.odometry}{topic_words(outcome)} ({travel_words(outcome)})"
+    source = f"the poses of {outcome.odometry}{topic_words(outcome)} ({travel_words(outcome)})"
+    said = f"{moved_words(outcome)}, computed from {source}"
     parts = [
         f"{'Nothing to change' if is_identity else 'Moved'}: {said}.",
         f"{model_words(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
@@ -296,7 +303,7 @@ def _same_edge(outcome: Outcome) -> list[str]:
         if (odom.rsplit("/", 1)[-1], base.rsplit("/", 1)[-1]) == last:
             way_out = f"--odom-frame {odom} --base-frame {base} moves both"
             return [
-                f"TF {edge} still holds the true motion: the odometry is from {ends.odom} to {ends.base}; {way_out}."
+                f"TF {edge} still contains the true motion: the odometry is from {ends.odom} to {ends.base}; {way_out}."
             ]
     return []
 

@@ -196,7 +196,7 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, followi
     ]
     if per_message(model.noise):
         lines += [Line("rate", sentence, "warning") for sentence in _rate(outlook, model)]
-    lines += [Line("odd", one, "warning") for one in holonomic_words(model, outlook.sideways_m, outlook.distance_m)]
+    lines += [Line("anomaly", one, "warning") for one in holonomic_words(model, outlook.sideways_m, outlook.distance_m)]
     lines.append(Line("runs", f"{outlook.runs} of seed {seed}, over {outlook.name}"))
     lines.append(Line("model", model_brief(model, origin.partition(":")[0])))
     if not per_message(model.noise) and not model.noise.coefficients.noise_free:

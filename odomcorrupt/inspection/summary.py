@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.corruption.odometry_source import GLOBAL_FRAMES, Frames, plain, side_of
 from odomcorrupt.corruption.pose_faults import frame_faults
-from odomcorrupt.corruption.summary import SIDEWAYS
+from odomcorrupt.corruption.summary import SIDEWAYS, leaks_line
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.errors import ModelError, TopicError
 from odomcorrupt.geometry.se2 import inverse
@@ -89,10 +89,10 @@ def brief(values: dict[str, Any], name: str) -> Summary:
     topics = [o["topic"] for o in values["odometry"] if o["moved"]]
     lines.append(Line("moves", ", ".join([*topics, *(f"TF {edge}" for edge in edges)]) or "nothing"))
     if values["still_true"]:
-        lines.append(Line("true", f"{', '.join(values['still_true'])}: these still hold the true motion", "warning"))
-    lines += [Line("odd", sentence, "warning") for o in values["odometry"] for sentence in o["oddities"]]
+        lines.append(leaks_line(values["still_true"]))
+    lines += [Line("anomaly", sentence, "warning") for o in values["odometry"] for sentence in o["oddities"]]
     lines += [
-        Line("odd", f"{t['topic']}: no scans for {t['longest_gap_s']:.1f} s", "warning")
+        Line("anomaly", f"{t['topic']}: no scans for {t['longest_gap_s']:.1f} s", "warning")
         for t in values["topics"]
         if t["type"] in SCANS and t["rate_hz"] and t["longest_gap_s"] > max(_GAP_S, _GAP_PERIODS / t["rate_hz"])
     ]
@@ -216,7 +216,7 @@ def summary_text(values: dict[str, Any]) -> str:
     for t in values["topics"]:
         rate = "" if t["rate_hz"] is None else f"{t['rate_hz']:.3g}"
         fate = "moves" if by_topic.get(t["topic"], {}).get("moved") else ""
-        fate = "holds the true motion" if t["topic"] in values["still_true"] else fate
+        fate = "contains the true motion" if t["topic"] in values["still_true"] else fate
         rows.append((t["topic"], t["type"].replace("/msg/", "/"), str(t["messages"]), rate, fate))
     lines = _table(rows)
     shown = [e for e in values["edges"] if e["moved"] or "static" not in e["topic"]]

@@ -17,6 +17,7 @@ from odomcorrupt.study.estimate.drift_error import with_gyros_corrected
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
+from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, clocks_beside, compare, sequence_comparison
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.stepwise import Learned
 
 LAW = "diffusion"
@@ -79,7 +81,11 @@ class LearnedRobot:
 
 
 def learn_robot(
-    recordings: Sequence[Recording], held_out: Sequence[Recording] = (), *, watch: Watch = no_progress
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording] = (),
+    *,
+    decisions: Decisions = DECISIONS,
+    watch: Watch = no_progress,
 ) -> LearnedRobot:
     """Return the model supported by recordings of one robot, with its evaluation on held-out data.
 
@@ -87,13 +93,14 @@ def learn_robot(
     ----------
     recordings : runs of one robot, each with its own clock
     held_out : recordings for evaluation; without any, cross-validation on halves of `recordings`
+    decisions : thresholds of the selection
     watch : called before each stage
     """
     work = Work(watch, following=5.5)
     recordings, held_out = (
         with_correlation_lengths(some, choose_approach(some)) if some else some for some in (recordings, held_out)
     )
-    search = learn(recordings, work=work)
+    search = learn(recordings, decisions=decisions, work=work)
     work.begin("each part on held-out data", 1.5, 4.0)
     search, (robot, proof, reproduction), remarks = _supported(search, recordings, held_out, work)
     base = fit_robot(recordings, (), law_name=LAW, clocks=search.clocks)
@@ -202,7 +209,12 @@ class DiagnosedModel:
 
 
 def diagnose_model(
-    recordings: Sequence[Recording], model: MotionModel | None = None, *, name: str = "", watch: Watch = no_progress
+    recordings: Sequence[Recording],
+    model: MotionModel | None = None,
+    *,
+    name: str = "",
+    decisions: Decisions = DECISIONS,
+    watch: Watch = no_progress,
 ) -> DiagnosedModel:
     """Return the errors in recordings that a model does not explain; None is a model of noise only.
 
@@ -213,13 +225,15 @@ def diagnose_model(
     recordings : runs of one robot
     model : the known model of the robot
     name : name of the model in the comparison
+    decisions : thresholds of the selection
     watch : called before each stage
     """
     if model is not None:
         model = model.in_frame(shared_frame(recordings) or "")
     start = () if model is None else (*model.effects, *model.setup.effects)
     work = Work(watch, following=3.7)
-    search = learn(recordings, start, law_name=LAW if model is None else model.noise.law_name, work=work)
+    law = LAW if model is None else model.noise.law_name
+    search = learn(recordings, start, law_name=law, decisions=decisions, work=work)
     work.begin("what the data leave open", 0.7, 3.0)
     advice = advise(search)
     work.begin("comparison of the additions", 3.0, 0.0)

@@ -7,6 +7,7 @@ import importlib
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 import odomcorrupt as oc
 from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError, OdomCorruptError
+from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.trajectories import read_drive
 
 ROOT = Path(__file__).parent.parent.parent
@@ -333,3 +335,11 @@ def test_a_notebook_shows_the_numbers_of_a_model():
     html = oc.Model(NOISE, effects="wheelbase:e=1%")._repr_html_()
     assert "wheelbase.e" in html
     assert "0.01" in html
+
+
+def test_other_thresholds_of_the_selection_give_another_result():
+    # diagnose finds the wheelbase with the thresholds of the package; see its example
+    mystery, none = ROOT / "fixtures" / "mystery.mcap", replace(DECISIONS, max_effects=0)
+    assert oc.diagnose(mystery, decisions=none).missing == ()
+    learned = oc.learn(mystery, decisions=none)
+    assert (learned.missing, learned.result.search.decisions) == ((), none)

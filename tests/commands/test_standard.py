@@ -50,7 +50,7 @@ def test_a_verdict_everything_nothing_or_values(tmp_path, capsys):
     brief = said()
     assert brief.startswith("MOVED ")
     assert len(brief.splitlines()) <= 8
-    assert "driven by /odom" in said("-v")
+    assert "computed from the poses of /odom" in said("-v")
     assert said("-q") == ""
     assert json.loads(said("--json"))["seed"] == 1
     assert run([OFFICE, str(tmp_path / "a.mcap"), "-q", "-v"]) == 2

@@ -137,7 +137,8 @@ def test_the_summary_tells_counts_drift_and_oddities(tmp_path):
         FIXTURES / "office.mcap", tmp_path / "out.mcap", model("linear", Coefficients(0.1, 0.1, 0.1, 0.1))
     )
     text = summary(outcome, "typed")
-    assert "3000 messages on /odom, 3000 transforms odom -> base_link, driven by /odom (25.05 m in 59.98 s)" in text
+    assert "3000 messages on /odom, 3000 transforms odom -> base_link, computed from the poses of /odom" in text
+    assert "/odom (25.05 m in 59.98 s)" in text
     assert f"at the end {outcome.drift.end_drawn_m:.3g} m" in text
     assert f"at this bag's {outcome.drift.rate_hz:.3g} Hz" in text
     assert "\n" not in text

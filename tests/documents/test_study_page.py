@@ -25,7 +25,7 @@ WORDS = {2: "two", 13: "thirteen"}
     [
         f"**Intervals** are {config.INTERVAL_S:g} s long; {config._COARSE_INTERVAL_S:g} s if the truth",
         f"noisier than {config._COARSE_TRUTH_M * 1e3:g} mm; {config._BLIND_INTERVAL_S:g} s for positions only",
-        f"scores summed over blocks of {BLOCK_S:g} s",
+        f"scores summed over segments of {BLOCK_S:g} s",
         f"any false inclusion, {100 * D.level:g} %,",
         f"grow by more than {100 * (D.drift_factor - 1):.0f} % and significantly",
         f"comparison of windows, or by more than {100 * (D.drift_plain - 1):.0f} %",

@@ -48,7 +48,7 @@ def test_the_tutorial_runs_and_says_what_it_shows(tmp_path):
         said = [words(line) for line in answer.splitlines()]
         for line in shown:
             assert any(words(line) in one for one in said), f"$ {command}\nshould say: {line}"
-    # the last word of the page: one name is left
+    # the last word of the page: one effect is left
     assert ", or " not in answer
     for name in ("rejected", "falls", "fan"):
         stored, drawn = (pixels(path) for path in (IMAGES / f"tutorial_{name}.png", tmp_path / f"{name}.png"))

@@ -25,14 +25,14 @@ def data(page):
 
 @pytest.mark.slow
 def test_path_and_residuals_are_those_of_the_recording(data, comparison):
-    (piece,), (shown,) = comparison.judgements[0].pieces, data["pieces"]
+    (piece,), (shown,) = comparison.evaluations[0].pieces, data["pieces"]
     intervals = piece.problem.intervals
     at = np.searchsorted(intervals.start_s, np.array(shown["t"]) - 0.006)
     truth = np.column_stack([shown["truth"][k] for k in ("x", "y", "yaw")])
     np.testing.assert_allclose(truth, intervals.truth_xyt[at], atol=1e-3)
     assert shown["measured"]["x"][0] == shown["truth"]["x"][0]
-    for judgement, model in zip(comparison.judgements, data["models"], strict=True):
-        own = judgement.pieces[0]
+    for evaluation, model in zip(comparison.evaluations, data["models"], strict=True):
+        own = evaluation.pieces[0]
         summed = np.concatenate(([0.0], np.cumsum(own.problem.intervals.residual[:, 2])))[at]
         np.testing.assert_allclose(model["pieces"][0]["residuals"][2], np.degrees(summed), atol=2e-3)
         worst = np.sqrt(np.mean(own.innovations.reshape(-1, 3) ** 2, axis=1)).max()
@@ -42,8 +42,8 @@ def test_path_and_residuals_are_those_of_the_recording(data, comparison):
 
 
 def test_sentence_marks_the_part_of_the_drive_that_it_names(data, comparison):
-    piece = comparison.judgements[0].pieces[0]
-    failures = comparison.judgements[0].failures
+    piece = comparison.evaluations[0].pieces[0]
+    failures = comparison.evaluations[0].failures
     turning = next(i for i, f in enumerate(failures) if f.kind == "motion")
     spans = data["models"][0]["failures"][turning]["spans"]
     w = np.array(data["pieces"][0]["w"])
@@ -75,8 +75,8 @@ def test_code_between_backticks_and_nothing_else_is_marked_up():
 
 @pytest.mark.slow
 def test_every_panel_has_tick_labels_and_models_without_one_are_named(comparison):
-    base, robot = comparison.judgements
-    five = replace(comparison, judgements=(base, *(replace(robot, name=f"{n}.toml") for n in "bcde")))
+    base, robot = comparison.evaluations
+    five = replace(comparison, evaluations=(base, *(replace(robot, name=f"{n}.toml") for n in "bcde")))
     figure = draw_paths(five)
     assert [panel.get_title(loc="left").split("\n")[0] for panel in figure.axes] == [
         "base.toml",
@@ -88,7 +88,7 @@ def test_every_panel_has_tick_labels_and_models_without_one_are_named(comparison
     for panel in figure.axes:
         ticks = panel.xaxis.get_tick_params(which="major"), panel.yaxis.get_tick_params(which="major")
         assert (ticks[0]["labelbottom"], ticks[1]["labelleft"]) == (True, True)
-    three = replace(comparison, judgements=(base, robot, replace(robot, name="a/very/long/name/of/a/model/file.toml")))
+    three = replace(comparison, evaluations=(base, robot, replace(robot, name="a/very/long/name/of/a/model/file.toml")))
     assert len(draw_paths(three).axes) == 3
     assert draw_paths(three).get_supxlabel() == ""
     names = [text.get_text() for text in draw_errors(three).subfigs[0].legends[0].get_texts()]
@@ -119,7 +119,7 @@ def test_real_browser_shows_and_works_the_page_at_every_width(page, comparison, 
     assert 0 < tab.run("document.querySelectorAll('#plane path.run').length") < drawn
     assert tab.run("document.querySelector('[data-model=\"0\"]').hidden") is True
     assert tab.run("document.querySelectorAll('.span').length") == 0
-    motion = next(i for i, f in enumerate(comparison.judgements[0].failures) if f.kind == "motion")
+    motion = next(i for i, f in enumerate(comparison.evaluations[0].failures) if f.kind == "motion")
     tab.run(f"document.querySelector('[data-look=\"0,{motion}\"]').click()")
     marked = tab.run("[document.querySelectorAll('path.mark').length, document.querySelectorAll('.span').length]")
     assert marked[0] == marked[1] > 0

@@ -21,7 +21,7 @@ from odomcorrupt.report.json.comparison import comparison_json
 from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.report.plots.paths import draw_paths
-from odomcorrupt.report.text.comparison import MOST, comparison_brief, judgement_sentence, sentence
+from odomcorrupt.report.text.comparison import MOST, comparison_brief, evaluation_sentence, sentence
 from odomcorrupt.study.validate.compare import compare
 
 VOID = {"meta", "img", "link", "br", "hr"}
@@ -53,11 +53,11 @@ def parsed_page(page):
 
 
 def test_a_rejection_without_a_direction_names_the_failed_test(comparison):
-    base = replace(comparison.judgements[0], failures=())
+    base = replace(comparison.evaluations[0], failures=())
     assert base.verdict.fails
 
-    def reason(judgement):
-        lines = comparison_brief(replace(comparison, judgements=(judgement,))).lines
+    def reason(evaluation):
+        lines = comparison_brief(replace(comparison, evaluations=(evaluation,))).lines
         (found,) = [line.text for line in lines if line.label == "fails"]
         return found
 
@@ -96,9 +96,9 @@ def test_pictures_in_the_page_load_nothing_either(page):
 
 def test_the_page_says_what_the_terminal_and_the_json_say(page, comparison):
     text = unescape(page)
-    for judgement in comparison.judgements:
-        assert judgement_sentence(judgement) in text
-        for failure in judgement.failures[:MOST]:
+    for evaluation in comparison.evaluations:
+        assert evaluation_sentence(evaluation) in text
+        for failure in evaluation.failures[:MOST]:
             assert sentence(failure) in text
     printed = [f["sentence"] for model in comparison_json(comparison)["models"] for f in model["fails"][:MOST]]
     assert printed
@@ -107,7 +107,7 @@ def test_the_page_says_what_the_terminal_and_the_json_say(page, comparison):
 
 
 def test_the_cause_is_seen_in_the_first_model_and_gone_in_the_second(comparison):
-    base, robot = comparison.judgements
+    base, robot = comparison.evaluations
     assert base.verdict.rejected
     assert any(f.channel == "yaw" and f.kind == "motion" for f in base.failures)
     assert not any(f.kind in {"motion", "drift"} and f.channel == "yaw" for f in robot.failures)
@@ -117,10 +117,10 @@ def test_the_cause_is_seen_in_the_first_model_and_gone_in_the_second(comparison)
 
 
 def test_a_model_that_no_odometry_obeys_has_a_panel_that_says_so(comparison):
-    base, robot = comparison.judgements
+    base, robot = comparison.evaluations
     swallows = user_effect("swallows", "along += -3 * v * abs(v)", {})
     pieces = tuple(replace(p, model=replace(p.model, effects=(swallows,))) for p in robot.pieces)
-    figure = draw_paths(replace(comparison, judgements=(base, replace(robot, pieces=pieces))))
+    figure = draw_paths(replace(comparison, evaluations=(base, replace(robot, pieces=pieces))))
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert "no odometry of this drive satisfies it" in titles[1]
     assert "90 % region" in titles[0]
@@ -141,10 +141,10 @@ def test_a_truth_of_positions_alone_gets_its_page_without_a_word_on_yaw(case, ba
     truth = Trajectory(case.recording.truth.stamps_ns[::10], blind[::10])
     found = compare([replace(case.recording, truth=truth)], {"base.toml": base_model})
     assert np.isfinite(found.raw_error_m)
-    judgement = found.judgements[0]
-    assert set(judgement.pits) == {"along", "across"}
-    assert not any(f.channel == "yaw" for f in judgement.failures)
-    assert np.isnan(judgement.horizons[0].measured[2])
+    evaluation = found.evaluations[0]
+    assert set(evaluation.pits) == {"along", "across"}
+    assert not any(f.channel == "yaw" for f in evaluation.failures)
+    assert np.isnan(evaluation.horizons[0].measured[2])
     assert (
         json.loads(json.dumps(comparison_json(found), allow_nan=False))["models"][0]["trajectory"]["rpe_1m_rmse_m"]
         is None

@@ -162,8 +162,8 @@ def test_a_validated_drive_is_not_asked_for_but_what_it_showed_is_said(rich):
 
 
 def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich, sequence):
-    first = sequence.judgements[0]
-    rejected = replace(sequence, judgements=(first, replace(first, name="with all")))
+    first = sequence.evaluations[0]
+    rejected = replace(sequence, evaluations=(first, replace(first, name="with all")))
     following = (
         f"odomcorrupt compare {'/data/recordings/' * 5}judge --truth /vrpn/robot/pose {'/data/models/' * 5}robot.toml"
     )
@@ -263,21 +263,21 @@ def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
 
 
 def test_the_page_of_a_search_that_found_nothing_is_whole(poor, sequence):
-    good = replace(sequence, judgements=(kept(sequence.judgements[0]),))
+    good = replace(sequence, evaluations=(kept(sequence.evaluations[0]),))
     page = found_html(SearchReport(poor, good, NONE, ""), version="0")
     parsed_page(page)
     assert NOTHING[1:] in unescape(page)
     assert "rejected" not in page.split("</h1>", 1)[1].split("</p>", 1)[0]
 
 
-def kept(judgement):
-    """Return a judgement that rejects nothing."""
-    return replace(judgement, verdict=replace(judgement.verdict, checks=()))
+def kept(evaluation):
+    """Return an evaluation that rejects nothing."""
+    return replace(evaluation, verdict=replace(evaluation.verdict, checks=()))
 
 
 @pytest.mark.slow
 def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequence):
-    first = sequence.judgements[0]
+    first = sequence.evaluations[0]
     text = found_text(poor, NONE, evaluated=first)
     assert text == f"no known effect is missing, but the model is rejected: {rejection(first)}"
     assert "times the predicted ones (NEES " in text
@@ -285,16 +285,16 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
     assert found_text(poor, NONE, evaluated=kept(first)) == NOTHING
     beside = found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
     assert "no further known effect is missing, but" in beside
-    page = found_html(SearchReport(poor, replace(sequence, judgements=(first,)), NONE, ""), version="0")
+    page = found_html(SearchReport(poor, replace(sequence, evaluations=(first,)), NONE, ""), version="0")
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
     printed = [
-        learned_json(poor, sequence.judgements[:1], NONE, evaluated=one)["rejected"] for one in (first, kept(first))
+        learned_json(poor, sequence.evaluations[:1], NONE, evaluated=one)["rejected"] for one in (first, kept(first))
     ]
     assert printed == [rejection(first), None]
 
 
 def test_what_happened_at_once_is_no_effect_that_a_model_lacks(sequence):
-    first = sequence.judgements[0]
+    first = sequence.evaluations[0]
     push = Failure(
         kind="moment", channel="across", where="within 0.5 s at 59.8 s", per="", measured=-0.14, expected=0.001,
         amount=1.0, log_p=-90.0,
@@ -307,7 +307,7 @@ def test_what_happened_at_once_is_no_effect_that_a_model_lacks(sequence):
 
 
 def test_a_model_that_holds_is_not_said_to_be_right_about_errors_that_only_its_uncertainty_allows(sequence):
-    first = sequence.judgements[0]
+    first = sequence.evaluations[0]
     wide = tuple(replace(h, nees=9.0, nees_bounds=(0.5, 400.0)) for h in first.horizons)
     held = replace(first, horizons=wide, verdict=replace(first.verdict, misfit=1.0))
     assert within(held).startswith("errors are up to 3.0 times the predicted ones, which the standard errors of its")
@@ -316,7 +316,7 @@ def test_a_model_that_holds_is_not_said_to_be_right_about_errors_that_only_its_u
 
 
 def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(sequence):
-    first = sequence.judgements[0]
+    first = sequence.evaluations[0]
     small = tuple(replace(h, nees=0.25, nees_bounds=(0.5, 1.5)) for h in first.horizons)
     assert "0.5 times the predicted ones (NEES 0.25): it predicts more noise" in rejection(
         replace(first, horizons=small)
@@ -348,19 +348,19 @@ def test_a_clock_is_no_reason_to_say_that_nothing_is_missing(poor):
 
 
 def test_names_too_long_for_their_column_stand_above_their_row(sequence):
-    long = replace(sequence.judgements[-1], name="with mount_yaw, region_slip and one more")
-    lines = comparison_text(replace(sequence, judgements=(sequence.judgements[0], long))).splitlines()
+    long = replace(sequence.evaluations[-1], name="with mount_yaw, region_slip and one more")
+    lines = comparison_text(replace(sequence, evaluations=(sequence.evaluations[0], long))).splitlines()
     assert lines.count(f"  {long.name}") == 2
     assert len({line.index("ATE") for line in lines if "RPE over" in line}) == 1
     assert len({line.index(" mm  #") for line in lines if " mm  #" in line}) == 1
 
 
 def test_json_has_no_number_that_is_none(rich, poor, sequence):
-    printed = learned_json(rich, sequence.judgements, ADVICE)
+    printed = learned_json(rich, sequence.evaluations, ADVICE)
     assert json.loads(json.dumps(printed, allow_nan=False))["verdict"] == "unknown"
     assert len(printed["unknown"]) == len(UNKNOWNS)
     assert [one["effect"] for one in printed["not_testable"]] == [one.effect for one in UNTESTABLE]
-    assert learned_json(poor, sequence.judgements[:1], NONE)["verdict"] == "complete"
+    assert learned_json(poor, sequence.evaluations[:1], NONE)["verdict"] == "complete"
 
 
 @pytest.mark.slow
@@ -388,11 +388,11 @@ def test_a_step_that_included_a_dependence_is_drawn_with_its_title(rich):
 
 
 def test_the_fall_of_the_error_is_reported_for_ladders_alone(sequence):
-    text = shares_text(sequence.judgements)
+    text = shares_text(sequence.evaluations)
     assert text.startswith("held-out position error (RMS):\n  + unequal_wheels")
     assert "10 s: " in text
     assert "-" in text.partition("10 m: ")[2]
-    assert shares_text(sequence.judgements[:1]) == ""
+    assert shares_text(sequence.evaluations[:1]) == ""
 
 
 def test_values_have_units_that_a_person_thinks_in():
@@ -498,7 +498,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     assert (tmp_path / "all.html").read_text().endswith(" odomcorrupt sim.bag noisy.bag --model robot.toml")
     assert run([*words, "--json", "--force"]) == 0
     printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert printed["comparison"]["models"][0]["name"] == sequence.judgements[0].name
+    assert printed["comparison"]["models"][0]["name"] == sequence.evaluations[0].name
 
 
 @pytest.mark.slow

@@ -22,8 +22,8 @@ def judged(name, error, nats, ate, gain=0.0, gain_error=0.1):
 
 def compared(error, gain, ate):
     first = judged("base", 0.100, 5.0, 0.010)
-    judgements = (first, judged("robot", error, 5.0 + gain, ate, gain))
-    return SimpleNamespace(judgements=judgements, judged_on="recordings")
+    evaluations = (first, judged("robot", error, 5.0 + gain, ate, gain))
+    return SimpleNamespace(evaluations=evaluations, judged_on="recordings")
 
 
 @pytest.mark.parametrize(

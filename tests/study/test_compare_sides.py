@@ -28,8 +28,8 @@ def run():
 def test_a_model_without_effects_has_the_path_errors_of_the_odometry_though_it_is_judged_in_halves(run):
     fitted_here = replace(RIGHT, source={"recordings": [run.name]})
     found = compare([run], {"own": fitted_here})
-    assert found.judgements[0].trajectory == found.clock_trajectory
-    assert found.judgements[0].ten_second_error_m == found.clock_error_m
+    assert found.evaluations[0].trajectory == found.clock_trajectory
+    assert found.evaluations[0].ten_second_error_m == found.clock_error_m
     whole = compare([run], {"other's": RIGHT})
     assert "paths, in halves" in comparison_text(found)
     assert "whole paths" in comparison_text(whole)
@@ -40,9 +40,9 @@ def test_a_model_without_effects_has_the_path_errors_of_the_odometry_though_it_i
 def test_notes_name_the_random_effects_that_are_not_counted_and_no_others(run):
     wandering = effect_from_values("gauss_markov", {"sigma": 0.01, "tau": 5.0})
     tails = effect_from_values("heavy_tails", {})
-    counted = compare([run], {"m": replace(RIGHT, effects=(wandering,))}).judgements[0]
+    counted = compare([run], {"m": replace(RIGHT, effects=(wandering,))}).evaluations[0]
     assert not any("do not include" in note for note in counted.notes)
-    left_out = compare([run], {"m": replace(RIGHT, effects=(wandering, tails))}).judgements[0]
+    left_out = compare([run], {"m": replace(RIGHT, effects=(wandering, tails))}).evaluations[0]
     note = next(note for note in left_out.notes if "do not include" in note)
     assert "heavy_tails" in note
     assert "gauss_markov" not in note
@@ -61,7 +61,7 @@ def test_a_truth_of_positions_alone_shows_the_fall_that_headings_would_show():
     biased = replace(plain, effects=(effect_from_values("gyro_bias", {"bias": 0.004}),))
     falls = []
     for run in (seen, blind):
-        before, after = (j.ten_second_error_m for j in compare([run], {"plain": plain, "biased": biased}).judgements)
+        before, after = (j.ten_second_error_m for j in compare([run], {"plain": plain, "biased": biased}).evaluations)
         falls.append(after / before)
     with_headings, positions_alone = falls
     assert with_headings < 0.5

@@ -45,7 +45,7 @@ def judged(recordings):
 
 
 def names(comparison):
-    return [piece.recording.name for piece in comparison.judgements[0].pieces]
+    return [piece.recording.name for piece in comparison.evaluations[0].pieces]
 
 
 @pytest.fixture(scope="module")
@@ -77,10 +77,10 @@ def test_a_run_with_resets_is_halved_as_one(tmp_path, office, whole, resets_s, p
     found = judged(recordings)
     told = [name.removeprefix("run.mcap ") for name in names(found)]
     assert told == pieces
-    assert found.judgements[0].judged_on == "halves"
+    assert found.evaluations[0].judged_on == "halves"
     # windows of 10 s begin elsewhere, and there are a dozen
-    assert found.judgements[0].ten_second_error_m < 1.6 * whole.judgements[0].ten_second_error_m
-    assert found.judgements[0].nats_per_m == pytest.approx(whole.judgements[0].nats_per_m, rel=0.1)
+    assert found.evaluations[0].ten_second_error_m < 1.6 * whole.evaluations[0].ten_second_error_m
+    assert found.evaluations[0].nats_per_m == pytest.approx(whole.evaluations[0].nats_per_m, rel=0.1)
 
 
 @pytest.mark.slow
@@ -113,11 +113,11 @@ def test_a_recording_that_mostly_stands_is_cut_at_half_of_its_way(first):
     stand = (Segment(0.0, 0.0, 170.0),)
     route = (*stand, *LEG * 4) if first else (*LEG * 4, *stand)
     found = judged([as_recording(simulate(22, None, duration_s=230.0, route=route))])
-    (note,) = (note for note in found.judgements[0].notes if "hardly moves" in note)
+    (note,) = (note for note in found.evaluations[0].notes if "hardly moves" in note)
     assert f"hardly moves in the {'first' if first else 'second'} half of its time: cut at half of its way" in note
-    metres = [piece.interval_metres.sum() for piece in found.judgements[0].pieces]
+    metres = [piece.interval_metres.sum() for piece in found.evaluations[0].pieces]
     assert metres[0] == pytest.approx(metres[1], rel=0.1)
-    assert found.judgements[0].horizons
+    assert found.evaluations[0].horizons
 
 
 def test_a_usual_drive_is_cut_in_the_middle_of_its_time(office):
@@ -148,7 +148,7 @@ def test_a_model_of_a_drive_too_short_for_halves_is_judged_on_the_fitted_data_an
     found = judged([short])
     assert found.judged_on == "fitted data"
     assert "on the fitted data" in comparison_text(found)
-    assert any("too short to be fitted on one half" in note for note in found.judgements[0].notes)
+    assert any("too short to be fitted on one half" in note for note in found.evaluations[0].notes)
 
 
 def test_a_recording_without_any_time_in_common_is_named(office):

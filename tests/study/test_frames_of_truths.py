@@ -58,10 +58,10 @@ def learned(first):
 def test_a_slope_is_applied_in_its_frame_only_and_that_is_noted(learned, other):
     model = parse_model(format_model(model_of(learned.fit)))
     flat = replace(model, effects=tuple(e for e in model.effects if e.name != "slope"))
-    named, without = compare([other], {"slope": model, "none": flat}).judgements
+    named, without = compare([other], {"slope": model, "none": flat}).evaluations
     assert named.ten_second_error_m == without.ten_second_error_m
     assert "slope not applied" in " ".join(named.notes)
-    same = compare([replace(other, frame="map of 4")], {"slope": model}).judgements[0]
+    same = compare([replace(other, frame="map of 4")], {"slope": model}).evaluations[0]
     assert same.ten_second_error_m > 1.2 * without.ten_second_error_m
 
 

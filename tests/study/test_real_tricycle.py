@@ -33,4 +33,4 @@ def test_the_geometry_of_the_drive_is_named_surely_and_halves_the_error_twice(dr
     assert geometry <= sure
     assert robot.comparison.clock_error_m > 0.025
     # two versions were at 5.8 mm and 7.9 mm
-    assert robot.comparison.judgements[-1].ten_second_error_m < 5.9e-3
+    assert robot.comparison.evaluations[-1].ten_second_error_m < 5.9e-3

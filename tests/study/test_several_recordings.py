@@ -79,8 +79,8 @@ def test_a_held_out_recording_is_judged_with_its_own_truth_and_a_clock_found_wit
     model = MotionModel(Noise("diffusion", QUIET), (effect,), setup=Setup(truth=TruthNoise(0.001, 0.001, 0.0)))
     errors = {name: compare([run], {"model": model}) for name, run in runs.items()}
     assert errors["late"].clocks.clocks[0].offset_s == pytest.approx(-1.377, abs=0.03)
-    on_time, late = (errors[name].judgements[0].ten_second_error_m for name in ("on time", "late"))
+    on_time, late = (errors[name].evaluations[0].ten_second_error_m for name in ("on time", "late"))
     assert late < 1.1 * on_time
     for compared in errors.values():
-        assert compared.judgements[0].pieces[0].truth.xy_m == pytest.approx(0.01, rel=0.2)
-        assert any("was weighted accordingly" in note for note in compared.judgements[0].notes)
+        assert compared.evaluations[0].pieces[0].truth.xy_m == pytest.approx(0.01, rel=0.2)
+        assert any("was weighted accordingly" in note for note in compared.evaluations[0].notes)

@@ -12,8 +12,8 @@ from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.text.comparison import (
     MOST,
     SIGNS,
+    evaluation_sentence,
     falls_sentence,
-    judgement_sentence,
     sequence_steps,
     share_of_worst,
     size,
@@ -21,7 +21,7 @@ from odomcorrupt.report.text.comparison import (
 
 if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
-    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
 
 
 def report_html(comparison: Comparison, *, version: str) -> str:
@@ -37,14 +37,14 @@ def report_html(comparison: Comparison, *, version: str) -> str:
         explorer(comparison),
         *(picture(name, p.title, p.caption, p.draw(comparison)) for name, p in PICTURES.items()),
         "<h2>Numbers</h2>",
-        *(f'<div data-model="{i}">{_horizon_table(j)}</div>' for i, j in enumerate(comparison.judgements)),
+        *(f'<div data-model="{i}">{_horizon_table(j)}</div>' for i, j in enumerate(comparison.evaluations)),
         f'<p class="quiet">{escape(_legend(version))}</p>',
     ]
     return page(title, body, script_hash=script_hash())
 
 
 def _models_line(comparison: Comparison) -> str:
-    names = ", ".join(j.name for j in comparison.judgements)
+    names = ", ".join(j.name for j in comparison.evaluations)
     if comparison.judged_on == "fitted data":
         return f"Models: {names}. Evaluation on the data that they were fitted on, too short for halves."
     if comparison.judged_on == "halves":
@@ -61,19 +61,19 @@ def _words(comparison: Comparison) -> list[str]:
         parts.append(
             f"<p><strong>{escape(falls[0].upper() + falls[1:])}</strong> (position, 10 s after the truth).</p>"
         )
-    for number, judgement in enumerate(comparison.judgements):
-        mark = "verdict rejected" if judgement.verdict.fails else "verdict"
-        parts.append(f"<h3>{escape(judgement.name)}</h3>")
-        parts.append(f'<p class="{mark}">{escape(judgement_sentence(judgement))}.</p>')
-        if judgement.failures:
-            parts.append(failure_items(judgement, number))
-            more = len(judgement.failures) - MOST
+    for number, evaluation in enumerate(comparison.evaluations):
+        mark = "verdict rejected" if evaluation.verdict.fails else "verdict"
+        parts.append(f"<h3>{escape(evaluation.name)}</h3>")
+        parts.append(f'<p class="{mark}">{escape(evaluation_sentence(evaluation))}.</p>')
+        if evaluation.failures:
+            parts.append(failure_items(evaluation, number))
+            more = len(evaluation.failures) - MOST
             parts += (
                 [f'<p class="quiet">And {more} more, less significant; --json has them all.</p>'] if more > 0 else []
             )
         else:
             parts.append("<p>No motion, time, place or moment in which it fails.</p>")
-        parts += [f'<p class="quiet">Note: {prose(note)}.</p>' for note in judgement.notes]
+        parts += [f'<p class="quiet">Note: {prose(note)}.</p>' for note in evaluation.notes]
     parts.append(f'<p class="quiet">{escape(SIGNS)}</p>')
     return parts
 
@@ -82,37 +82,37 @@ def sequence_table(comparison: Comparison) -> str:
     """Return a table of errors, nats and verdict of every model in the sequence, with bars for the errors."""
     steps = sequence_steps(comparison)
     rows = []
-    for name, error, judgement in steps:
+    for name, error, evaluation in steps:
         width = 6.0 * share_of_worst(steps, error)
         cells = [
             escape(name),
             size("along", error, digits=3),
             f'<span class="bar" style="width:{width:.2f}rem"></span>',
         ]
-        if judgement is None:
+        if evaluation is None:
             cells += ["", "", "", "", ""]
         else:
-            n, e = judgement.nats, judgement.trajectory
-            first = judgement is comparison.judgements[0]
+            n, e = evaluation.nats, evaluation.trajectory
+            first = evaluation is comparison.evaluations[0]
             cells += [
                 f"{n.per_m:.2f} ± {n.error:.2f}",
                 "" if first else f"{n.gain_per_m:+.2f} ± {n.gain_error:.2f}",
                 _known("along", e.ate_m),
                 f"{_known('along', e.rpe_m)}, {_known('yaw', e.rpe_rad)}",
-                "rejected" if judgement.verdict.fails else "not rejected",
+                "rejected" if evaluation.verdict.fails else "not rejected",
             ]
         rows.append(cells)
     heads = (
-        "", "error after 10 s", "", "nats per metre", f"gain over {comparison.judgements[0].name}", "ATE, aligned",
+        "", "error after 10 s", "", "nats per metre", f"gain over {comparison.evaluations[0].name}", "ATE, aligned",
         "RPE over 1 m", "verdict",
     )  # fmt: skip
     return table(heads, rows)
 
 
-def _horizon_table(judgement: Judgement) -> str:
+def _horizon_table(evaluation: ModelEvaluation) -> str:
     heads = ("path", "windows", "along (expected)", "across (expected)", "yaw (expected)", "NEES", "95 % by chance",
              "in 50 %", "in 90 %", "CRPS along, across, yaw")  # fmt: skip
-    return table(heads, [_horizon_row(h) for h in judgement.horizons], judgement.name)
+    return table(heads, [_horizon_row(h) for h in evaluation.horizons], evaluation.name)
 
 
 def _horizon_row(h: Horizon) -> list[str]:

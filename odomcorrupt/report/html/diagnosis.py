@@ -98,7 +98,7 @@ def _verdict(story: SearchReport) -> str:
     if learned.unknown:
         parts.append(evidence_words(learned.unknown[0]))
     # the sequence contains no noise term: its lack of fit may be due to the noise found
-    last = story.sequence.judgements[-1]
+    last = story.sequence.evaluations[-1]
     why = rejection(last) if last.verdict.fails and not (learned.unknown or learned.noise) else ""
     text = "; ".join([*parts, unnamed(why, found=bool(parts))] if why else parts) or NOTHING
     return text[0].upper() + text[1:]
@@ -116,17 +116,17 @@ def _next(story: SearchReport) -> str:
     listed = f"<ul>{''.join(f'<li>{prose(item)}.</li>' for item in items)}</ul>" if items else ""
     command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
     nothing = "" if listed or command else "<p>There is no open question that another drive would answer.</p>"
-    if story.sequence.judgements[-1].verdict.fails and not story.learned.unknown:
+    if story.sequence.evaluations[-1].verdict.fails and not story.learned.unknown:
         nothing += f"<p>{_REJECTED}</p>"
     return f'<div class="next">{command}{listed}{nothing}</div>'
 
 
 def _left(sequence: Comparison) -> list[str]:
     """Return the remaining lack of fit of the last model."""
-    last = len(sequence.judgements) - 1
-    if not sequence.judgements[last].failures:
+    last = len(sequence.evaluations) - 1
+    if not sequence.evaluations[last].failures:
         return []
-    return ["<h2>Where the last model still does not fit</h2>", failure_items(sequence.judgements[last], last),
+    return ["<h2>Where the last model still does not fit</h2>", failure_items(sequence.evaluations[last], last),
             f'<p class="quiet">{escape(SIGNS)}</p>']  # fmt: skip
 
 
@@ -175,7 +175,7 @@ def _effect(one: FoundEffect, sequence: Comparison) -> str:
     if one.rivals:
         lines.append(f"<p>or {escape(', '.join(one.rivals))}: these data do not separate them</p>")
     lines += _meter(one.confidence, one.gain_nats)
-    for model, extended in pairwise(sequence.judgements):
+    for model, extended in pairwise(sequence.evaluations):
         before, after = model.ten_second_error_m, extended.ten_second_error_m
         if extended.name == f"+ {effect.name}" and isfinite(before) and isfinite(after):
             change = f"{size('along', before)} → <strong>{size('along', after)}</strong>"

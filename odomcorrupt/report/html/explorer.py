@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure
 
@@ -58,11 +58,11 @@ def script_hash() -> str:
     return f"sha256-{b64encode(sha256(resource('explorer.js').encode()).digest()).decode()}"
 
 
-def failure_items(judgement: Judgement, number: int) -> str:
+def failure_items(evaluation: ModelEvaluation, number: int) -> str:
     """Return a model's lacks of fit as a list; the script highlights each of them on path and residuals."""
     items = (
         f'<li data-look="{number},{i}">{escape(sentence(failure))}</li>'
-        for i, failure in enumerate(judgement.failures[:MOST])
+        for i, failure in enumerate(evaluation.failures[:MOST])
     )
     return f"<ol>{''.join(items)}</ol>"
 
@@ -71,7 +71,7 @@ def failure_items(judgement: Judgement, number: int) -> str:
 class _Stretch:
     """One segment, and the intervals (k,) of it that are drawn.
 
-    number : index among the pieces of a judgement
+    number : index among the pieces of an evaluation
     reference : evaluation under the first model, the source of times, truth and odometry
     start : (k,) index of the first interval that each drawn point represents
     """
@@ -92,20 +92,20 @@ class _Stretch:
 
 def _content(comparison: Comparison) -> dict[str, Any]:
     stretches = _stretches(comparison)
-    lengths = sorted({h.distance_m for j in comparison.judgements for h in j.horizons})
-    with_runs = _RUN_STRETCHES // len(comparison.judgements) or 1
+    lengths = sorted({h.distance_m for j in comparison.evaluations for h in j.horizons})
+    with_runs = _RUN_STRETCHES // len(comparison.evaluations) or 1
     return {
         "lengths": lengths,
         "pieces": [_stretch(stretch, comparison) for stretch in stretches],
-        "models": [_model(judgement, stretches, with_runs) for judgement in comparison.judgements],
+        "models": [_model(evaluation, stretches, with_runs) for evaluation in comparison.evaluations],
     }
 
 
 def _stretches(comparison: Comparison) -> list[_Stretch]:
     """Return the longest segments, in descending order, each with as many points as fit in the page."""
-    pieces = comparison.judgements[0].pieces
+    pieces = comparison.evaluations[0].pieces
     longest = sorted(range(len(pieces)), key=lambda i: -float(pieces[i].interval_metres.sum()))[:_MOST_PIECES]
-    most = max(_POINTS // (len(longest) * (1 + len(comparison.judgements))), 50)
+    most = max(_POINTS // (len(longest) * (1 + len(comparison.evaluations))), 50)
     found = []
     for number in longest:
         count = len(pieces[number].problem.intervals)
@@ -140,11 +140,11 @@ def _in_truth(stretch: _Stretch, poses: Array) -> Array:
     return compose(stretch.truth_xyt[0], between(poses[0], poses))
 
 
-def _model(judgement: Judgement, stretches: list[_Stretch], with_runs: int) -> dict[str, Any]:
+def _model(evaluation: ModelEvaluation, stretches: list[_Stretch], with_runs: int) -> dict[str, Any]:
     return {
-        "name": judgement.name,
+        "name": evaluation.name,
         "pieces": [
-            _under_model(judgement.pieces[stretch.number], stretch, runs=i < with_runs)
+            _under_model(evaluation.pieces[stretch.number], stretch, runs=i < with_runs)
             for i, stretch in enumerate(stretches)
         ],
         "horizons": [
@@ -152,10 +152,10 @@ def _model(judgement: Judgement, stretches: list[_Stretch], with_runs: int) -> d
                 "length": h.distance_m, "windows": h.windows, "measured": h.position_measured,
                 "expected": h.position_expected, "nees": h.nees, "low": low, "high": high,
             }
-            for h in judgement.horizons if h.distance_m in HORIZONS_M
+            for h in evaluation.horizons if h.distance_m in HORIZONS_M
             for low, high in [rms_interval(h.position_measured, h.windows)]
         ],
-        "failures": [_failure(failure, judgement, stretches) for failure in judgement.failures[:MOST]],
+        "failures": [_failure(failure, evaluation, stretches) for failure in evaluation.failures[:MOST]],
     }  # fmt: skip
 
 
@@ -188,11 +188,11 @@ def _runs(piece: Evaluation) -> list[list[list[float]]]:
     return [[_rounded(run[kept, 0], 3), _rounded(run[kept, 1], 3)] for run in paths.runs_xyt]
 
 
-def _failure(failure: Failure, judgement: Judgement, stretches: list[_Stretch]) -> dict[str, Any]:
+def _failure(failure: Failure, evaluation: ModelEvaluation, stretches: list[_Stretch]) -> dict[str, Any]:
     """Return the extent of a lack of fit: spans (segment, first point, last point), or the path length of a drift."""
     spans = []
     for i, stretch in enumerate(stretches):
-        piece = judgement.pieces[stretch.number]
+        piece = evaluation.pieces[stretch.number]
         if failure.recording in ("", piece.recording.name):
             spans += [[i, a, b] for a, b in _spans(_holds(failure, piece, stretch))]
     length = float(failure.where.split()[1]) if failure.kind == "drift" else None

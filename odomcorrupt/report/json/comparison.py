@@ -6,13 +6,13 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.report.json.numbers import finite, picked
-from odomcorrupt.report.text.comparison import SIGNS, judgement_sentence, sentence
+from odomcorrupt.report.text.comparison import SIGNS, evaluation_sentence, sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from odomcorrupt.study.validate.calibration import Horizon
-    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure
     from odomcorrupt.study.validate.trajectory_error import TrajectoryError
 
@@ -33,12 +33,12 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             "raw_ten_second_error_m": comparison.raw_error_m,
             "aligned_ten_second_error_m": comparison.clock_error_m,
             "aligned_trajectory": _trajectory(comparison.clock_trajectory),
-            "models": [_judgement(j) for j in comparison.judgements],
+            "models": [_evaluation(j) for j in comparison.evaluations],
         }
     )
 
 
-def _judgement(j: Judgement) -> dict[str, Any]:
+def _evaluation(j: ModelEvaluation) -> dict[str, Any]:
     return {
         "name": j.name,
         "held_out": j.judged_on,
@@ -52,7 +52,7 @@ def _judgement(j: Judgement) -> dict[str, Any]:
             **picked(j.verdict, "rejected", "fails", "misfit", "level"),
             "checks": [{"question": test.question, "p": test.p} for test in j.verdict.checks],
             "threshold": j.verdict.threshold,
-            "sentence": judgement_sentence(j),
+            "sentence": evaluation_sentence(j),
         },
         "horizons": [_horizon(h) for h in j.horizons],
         "pit": {

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.stepwise import Learned
-    from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.validate.compare import ModelEvaluation
     from odomcorrupt.study.validate.predictive_check import Reproduction
 
 SCHEMA = 2
@@ -38,10 +38,10 @@ SCHEMA = 2
 
 def learned_json(
     learned: Learned,
-    sequence: Sequence[Judgement],
+    sequence: Sequence[ModelEvaluation],
     advice: Advice,
     *,
-    evaluated: Judgement | None = None,
+    evaluated: ModelEvaluation | None = None,
     fit: Fit | None = None,
 ) -> dict[str, Any]:
     """Return the findings of a search in order: clocks, then effects, then noise.
@@ -96,7 +96,7 @@ def learned_json(
                 for one in learned.disagreements
             ],
             "contradictions": [{"effect": one.name, "why": one.refused} for one in learned.contradictions],
-            "ladder": [_step(judgement) for judgement in sequence],
+            "ladder": [_step(evaluation) for evaluation in sequence],
             **_advice(advice),
         }
     )
@@ -190,7 +190,7 @@ def _matters(name: str, learned: Learned) -> dict[str, Any]:
     }
 
 
-def _held_out(before: Judgement, after: Judgement) -> dict[str, Any] | None:
+def _held_out(before: ModelEvaluation, after: ModelEvaluation) -> dict[str, Any] | None:
     if after.judged_on == "fitted data":
         return None
     return {
@@ -253,13 +253,13 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
     }
 
 
-def _step(judgement: Judgement) -> dict[str, Any]:
+def _step(evaluation: ModelEvaluation) -> dict[str, Any]:
     return {
-        "model": judgement.name,
-        "rmse_10s": judgement.ten_second_error_m,
-        "rmse_10m": position_error(judgement, 10.0),
-        "rmse_50m": position_error(judgement, 50.0),
-        "nats_per_m": judgement.nats.per_m,
+        "model": evaluation.name,
+        "rmse_10s": evaluation.ten_second_error_m,
+        "rmse_10m": position_error(evaluation, 10.0),
+        "rmse_50m": position_error(evaluation, 50.0),
+        "nats_per_m": evaluation.nats.per_m,
     }
 
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure
 
@@ -45,20 +45,20 @@ def draw_errors(comparison: Comparison) -> Figure:
     Vertical bars are 90 % intervals of the measured values; grey figures on top count the last model's windows.
     """
     with drawing():
-        figure = new_figure(9.0, 5.9 + 0.28 * len(comparison.judgements))
-        parts: Any = figure.subfigures(2, 1, height_ratios=(3.9, 1.1 + 0.28 * len(comparison.judgements)))
+        figure = new_figure(9.0, 5.9 + 0.28 * len(comparison.evaluations))
+        parts: Any = figure.subfigures(2, 1, height_ratios=(3.9, 1.1 + 0.28 * len(comparison.evaluations)))
         above, below = parts
-        headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
+        headed = all(piece.headed for evaluation in comparison.evaluations for piece in evaluation.pieces)
         wanted = (("position", "m"), ("yaw", "deg"))[: 2 if headed else 1]
         panels = above.subplots(1, len(wanted), squeeze=False)[0]
         for axes, (what, unit) in zip(panels, wanted, strict=True):
-            count = len(comparison.judgements)
-            for i, judgement in enumerate(comparison.judgements):
+            count = len(comparison.evaluations)
+            for i, evaluation in enumerate(comparison.evaluations):
                 style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
-                _curve(axes, judgement, what, style, 1.025 ** (2 * i - count + 1))
+                _curve(axes, evaluation, what, style, 1.025 ** (2 * i - count + 1))
             axes.set(xscale="log", yscale="log", xlabel="path driven (m)", title=f"{what} error, RMS ({unit})")
             axes.set_ylim(top=1.35 * axes.get_ylim()[1])
-            _counts(axes, comparison.judgements[-1])
+            _counts(axes, comparison.evaluations[-1])
             for axis in (axes.xaxis, axes.yaxis):
                 plain_logarithm(axis)
             axes.grid(visible=True, which="major", color="0.9")
@@ -76,25 +76,25 @@ def rms_interval(measured: float, windows: int) -> tuple[float, float]:
     return float(np.sqrt(square / chi2.isf(tail, windows))), float(np.sqrt(square / chi2.ppf(tail, windows)))
 
 
-def _curve(axes: Axes, judgement: Judgement, what: str, style: dict[str, str], shift: float) -> None:
+def _curve(axes: Axes, evaluation: ModelEvaluation, what: str, style: dict[str, str], shift: float) -> None:
     """Draw measured errors with their 90 % interval, and the model's expectation as a dashed line."""
-    distance = np.array([h.distance_m for h in judgement.curve])
-    windows = [h.windows for h in judgement.curve]
+    distance = np.array([h.distance_m for h in evaluation.curve])
+    windows = [h.windows for h in evaluation.curve]
     if what == "yaw":
-        measured, expected = np.degrees([[h.measured[2], h.expected[2]] for h in judgement.curve]).reshape(-1, 2).T
+        measured, expected = np.degrees([[h.measured[2], h.expected[2]] for h in evaluation.curve]).reshape(-1, 2).T
     else:
-        pairs = [[h.position_measured, h.position_expected] for h in judgement.curve]
+        pairs = [[h.position_measured, h.position_expected] for h in evaluation.curve]
         measured, expected = np.array(pairs).reshape(-1, 2).T
     ends = np.array([rms_interval(m, n) for m, n in zip(measured, windows, strict=True)]).reshape(-1, 2)
     axes.vlines(distance * shift, *ends.T, color=style["color"], linewidth=1.1, alpha=0.8)
-    axes.plot(distance * shift, measured, linewidth=1.3, markersize=4.5, label=short_name(judgement.name), **style)  # type: ignore[arg-type]
+    axes.plot(distance * shift, measured, linewidth=1.3, markersize=4.5, label=short_name(evaluation.name), **style)  # type: ignore[arg-type]
     axes.plot(distance, expected, linewidth=1.3, linestyle=(0, (4, 3)), color=style["color"])
 
 
-def _counts(axes: Axes, judgement: Judgement) -> None:
+def _counts(axes: Axes, evaluation: ModelEvaluation) -> None:
     """Write the number of windows above the points, for as many path lengths as fit."""
     last = 0.0
-    for h in judgement.curve:
+    for h in evaluation.curve:
         if h.distance_m >= 1.7 * last:
             axes.annotate(
                 str(h.windows), (h.distance_m, 1.0), xycoords=("data", "axes fraction"), ha="center", va="top",
@@ -110,8 +110,8 @@ def _bars(axes: Axes, comparison: Comparison) -> None:
         axes.set_axis_off()
         return
     names, millimetres = [short_name(name) for name, _, _ in steps], np.array([error for _, error, _ in steps]) * 1e3
-    own = {judgement.name: colour for judgement, colour in zip(comparison.judgements, COLOURS * 9, strict=False)}
-    colours = ["0.65" if judgement is None else own[judgement.name] for _, _, judgement in steps]
+    own = {evaluation.name: colour for evaluation, colour in zip(comparison.evaluations, COLOURS * 9, strict=False)}
+    colours = ["0.65" if evaluation is None else own[evaluation.name] for _, _, evaluation in steps]
     bars = axes.barh(np.arange(len(names)), millimetres, color=colours, height=0.7)
     axes.bar_label(bars, labels=[f"{e:.1f} mm" for e in millimetres], padding=4, fontsize=9)
     axes.set_yticks(np.arange(len(names)), names)
@@ -127,18 +127,18 @@ def draw_nees(comparison: Comparison) -> Figure:
     with drawing():
         figure = new_figure(9.0, 4.2)
         left, right = figure.subplots(1, 2)
-        count = len(comparison.judgements)
-        for i, judgement in enumerate(comparison.judgements):
+        count = len(comparison.evaluations)
+        for i, evaluation in enumerate(comparison.evaluations):
             colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
             # shifted sideways, so that the bars do not overlap
             shift = min(1.06, 1.3 ** (1.0 / count)) ** (2 * i - count + 1)
-            distance = shift * np.array([h.distance_m for h in judgement.horizons])
-            low, high = np.array([h.nees_bounds for h in judgement.horizons]).reshape(-1, 2).T
+            distance = shift * np.array([h.distance_m for h in evaluation.horizons])
+            low, high = np.array([h.nees_bounds for h in evaluation.horizons]).reshape(-1, 2).T
             left.vlines(distance, low, high, color=colour, linewidth=7 if count <= 3 else 4, alpha=0.25)
             style = {"color": colour, "marker": marker, "markersize": 5.5, "linewidth": 1.2}
-            style["label"] = short_name(judgement.name)
-            left.plot(distance, [h.nees for h in judgement.horizons], **style)
-            inside = [100.0 * float(np.nanmean(h.coverage_90)) for h in judgement.horizons]
+            style["label"] = short_name(evaluation.name)
+            left.plot(distance, [h.nees for h in evaluation.horizons], **style)
+            inside = [100.0 * float(np.nanmean(h.coverage_90)) for h in evaluation.horizons]
             right.plot(distance, inside, **style)
         left.axhline(1.0, color=BLACK, linewidth=1.0)
         left.set(
@@ -151,7 +151,7 @@ def draw_nees(comparison: Comparison) -> Figure:
             ylim=(0.0, 102.0), title="errors inside the model's 90 % interval (%)\n(mean over along, across, yaw)"
         )
         for axes in (left, right):
-            _distances(axes, [h.distance_m for h in max((j.horizons for j in comparison.judgements), key=len)])
+            _distances(axes, [h.distance_m for h in max((j.horizons for j in comparison.evaluations), key=len)])
         figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
     return figure
 
@@ -165,16 +165,16 @@ def _distances(axes: Axes, distances: list[float]) -> None:
 
 def draw_pit(comparison: Comparison) -> Figure:
     """Draw the difference between the distribution of innovations and the predicted one, with its 95 % band."""
-    channels = list(comparison.judgements[0].pits)
+    channels = list(comparison.evaluations[0].pits)
     with drawing():
         figure = new_figure(9.0, 3.6)
         panels = figure.subplots(1, len(channels), sharey=True, squeeze=False)[0]
         for axes, channel in zip(panels, channels, strict=True):
-            band = comparison.judgements[0].pits[channel]
+            band = comparison.evaluations[0].pits[channel]
             axes.fill_between(band.at, band.low, band.high, color="0.85", label="95 % of right models stay inside")
-            for judgement, colour in zip(comparison.judgements, COLOURS, strict=False):
-                pit = judgement.pits[channel]
-                label = short_name(judgement.name)
+            for evaluation, colour in zip(comparison.evaluations, COLOURS, strict=False):
+                pit = evaluation.pits[channel]
+                label = short_name(evaluation.name)
                 axes.step(pit.at, pit.difference, where="mid", color=colour, linewidth=1.4, label=label)
             axes.axhline(0.0, color=BLACK, linewidth=0.8)
             axes.set(title=channel, xlabel="predicted probability", xlim=(0.0, 1.0))
@@ -194,8 +194,8 @@ def draw_failure_map(comparison: Comparison) -> Figure:
     """Draw a panel for each model."""
     length_m = _length(comparison)
     with drawing():
-        figure, panels = model_panels(comparison.judgements, 4.4, 6.0, 0.9)
-        lines = [_panel(axes, judgement, length_m) for axes, judgement in panels]
+        figure, panels = model_panels(comparison.evaluations, 4.4, 6.0, 0.9)
+        lines = [_panel(axes, evaluation, length_m) for axes, evaluation in panels]
         bar = figure.colorbar(
             lines[-1], ax=[axes for axes, _ in panels], location="bottom", shrink=0.6, aspect=40, extend="max",
             label=f"squared error over {length_m:g} m of path, divided by the expected (1: right)",
@@ -206,12 +206,12 @@ def draw_failure_map(comparison: Comparison) -> Figure:
 
 def _length(comparison: Comparison) -> float:
     """Return a path length (m) that is short relative to the drive, and long enough for errors to accumulate."""
-    metres = max(float(piece.interval_metres.sum()) for piece in comparison.judgements[0].pieces)
+    metres = max(float(piece.interval_metres.sum()) for piece in comparison.evaluations[0].pieces)
     return max((length for length in _LENGTHS_M if length <= metres / _FEWEST), default=_LENGTHS_M[0])
 
 
-def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
-    piece = max(judgement.pieces, key=lambda p: float(p.interval_metres.sum()))
+def _panel(axes: Axes, evaluation: ModelEvaluation, length_m: float) -> LineCollection:
+    piece = max(evaluation.pieces, key=lambda p: float(p.interval_metres.sum()))
     xy = piece.problem.intervals.truth_xyt[:, :2]
     segments = np.stack((xy[:-1], xy[1:]), axis=1)
     ratio = _local_ratio(piece, length_m)
@@ -225,13 +225,13 @@ def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
     lines.set_clim(0.0, _DARKEST_RATIO)
     axes.add_collection(lines)
     axes.plot(*xy[0], "s", color=BLACK, markersize=7, zorder=4)
-    several = len(judgement.pieces) > 1
-    for number, failure in enumerate(judgement.failures[:MOST], start=1):
+    several = len(evaluation.pieces) > 1
+    for number, failure in enumerate(evaluation.failures[:MOST], start=1):
         if not several or failure.recording == piece.recording.name:
             _mark(axes, piece, failure, number)
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="box")
-    axes.set(xlabel="x (m)", ylabel="y (m)", title=short_name(judgement.name))
+    axes.set(xlabel="x (m)", ylabel="y (m)", title=short_name(evaluation.name))
     axes.grid(visible=True, color="0.93")
     return lines
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
 
-    from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.validate.compare import ModelEvaluation
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, RED, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
@@ -95,8 +95,8 @@ def plain_logarithm(axis: Axis) -> None:
 
 
 def model_panels(
-    models: Sequence[Judgement], pair_in: float, single_in: float, more_in: float
-) -> tuple[Figure, list[tuple[Axes, Judgement]]]:
+    models: Sequence[ModelEvaluation], pair_in: float, single_in: float, more_in: float
+) -> tuple[Figure, list[tuple[Axes, ModelEvaluation]]]:
     """Return a figure with a panel for each of up to four models; for more, of the first and the last.
 
     models : models to draw

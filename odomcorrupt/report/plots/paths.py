@@ -30,16 +30,16 @@ _SHOWN_M = 100.0
 def draw_paths(comparison: Comparison) -> Figure:
     """Draw truth, odometry and runs of each model over the longest segment of its evaluation, one panel each."""
     with drawing():
-        figure, panels = model_panels(comparison.judgements, 4.6, 6.5, 0.7)
+        figure, panels = model_panels(comparison.evaluations, 4.6, 6.5, 0.7)
         # adjacent panels, below the legend
         figure.set_layout_engine("compressed", rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / figure.get_figheight()))
-        for axes, judgement in panels:
+        for axes, evaluation in panels:
             try:
-                longest = max(judgement.pieces, key=lambda piece: float(piece.interval_metres.sum()))
-                _panel(axes, replay(longest, runs=_RUNS), short_name(judgement.name))
+                longest = max(evaluation.pieces, key=lambda piece: float(piece.interval_metres.sum()))
+                _panel(axes, replay(longest, runs=_RUNS), short_name(evaluation.name))
             except EffectError:  # a law that absorbs all motion can be removed from odometry, but not applied
                 none = "no odometry of this drive satisfies it: no runs to show"
-                axes.set_title(f"{short_name(judgement.name)}\n{none}", fontsize=10)
+                axes.set_title(f"{short_name(evaluation.name)}\n{none}", fontsize=10)
         figure.legend(*panels[0][0].get_legend_handles_labels(), loc="upper left", ncols=4, fontsize=9)
     return figure
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation
 
 _BINS = 8
@@ -25,7 +25,7 @@ _UNITS = ("mm per m", "mm per m", "deg per m")
 
 def draw_residuals(comparison: Comparison) -> Figure:
     """Draw growth of the error against every regressor, a row per channel, with its standard deviation by chance."""
-    headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
+    headed = all(piece.headed for evaluation in comparison.evaluations for piece in evaluation.pieces)
     count = 3 if headed else 2
     shown = _shown(comparison)
     first = shown[0][0].pieces
@@ -35,12 +35,12 @@ def draw_residuals(comparison: Comparison) -> Figure:
     with drawing():
         figure = new_figure(12.0, 1.0 + 2.1 * count)
         panels = figure.subplots(count, len(labels), sharey="row", sharex="col", squeeze=False)
-        for which, (judgement, number) in enumerate(shown):
+        for which, (evaluation, number) in enumerate(shown):
             for d, label in enumerate(labels):
                 for c in range(count):
-                    rates = _rates(judgement.pieces, label, c, edges[d])
+                    rates = _rates(evaluation.pieces, label, c, edges[d])
                     shift = (which - (len(shown) - 1) / 2.0) * 0.22
-                    _points(panels[c, d], rates, edges[d], judgement, number, shift)
+                    _points(panels[c, d], rates, edges[d], evaluation, number, shift)
                     drawn[c].append(rates)
         for c in range(count):
             _limit(panels[c], np.concatenate(drawn[c], axis=1))
@@ -57,9 +57,9 @@ def draw_residuals(comparison: Comparison) -> Figure:
     return figure
 
 
-def _shown(comparison: Comparison) -> list[tuple[Judgement, int]]:
+def _shown(comparison: Comparison) -> list[tuple[ModelEvaluation, int]]:
     """Return all of up to three models, else the first and the last, with their numbers: more would overlap."""
-    numbered = [(judgement, i) for i, judgement in enumerate(comparison.judgements)]
+    numbered = [(evaluation, i) for i, evaluation in enumerate(comparison.evaluations)]
     return numbered if len(numbered) <= 3 else [numbered[0], numbered[-1]]
 
 
@@ -99,7 +99,7 @@ def _rates(pieces: Sequence[Evaluation], regressor: str, channel: int, edges: Ar
     return scale * np.stack((mean, chance))
 
 
-def _points(axes: Axes, rates: Array, edges: Array, judgement: Judgement, number: int, shift: float) -> None:
+def _points(axes: Axes, rates: Array, edges: Array, evaluation: ModelEvaluation, number: int, shift: float) -> None:
     mean, chance = rates
     centre = (edges[:-1] + edges[1:]) / 2.0 + shift * (edges[1] - edges[0])
     # a bin with hardly a metre would determine the scale of all
@@ -107,7 +107,7 @@ def _points(axes: Axes, rates: Array, edges: Array, judgement: Judgement, number
     axes.errorbar(
         centre[firm], mean[firm], 2.0 * chance[firm], fmt=MARKERS[number % len(MARKERS)],
         color=COLOURS[number % len(COLOURS)], markersize=4, linewidth=1.1, zorder=2 + shift,
-        label=f"{short_name(judgement.name)} (bars: two standard deviations)",
+        label=f"{short_name(evaluation.name)} (bars: two standard deviations)",
     )  # fmt: skip
 
 

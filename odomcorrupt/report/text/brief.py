@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.stepwise import Learned
-    from odomcorrupt.study.validate.compare import Comparison, JudgedOn, Judgement
+    from odomcorrupt.study.validate.compare import Comparison, JudgedOn, ModelEvaluation
     from odomcorrupt.study.validate.predictive_check import Reproduction
 
 _LEAST_TURNED_RAD, _LEAST_APART_M = radians(0.1), 0.005
@@ -94,7 +94,7 @@ def findings_brief(
     following : suggested next command, "" for none
     """
     undecided = {name for choice in advice.choices for name in choice.names}
-    fit, last = search.fit if robot is None else robot.fit, comparison.judgements[-1]
+    fit, last = search.fit if robot is None else robot.fit, comparison.evaluations[-1]
     lines, negligible = _found_lines(search, fit, undecided, held_out=comparison.judged_on)
     verdict, tone = _verdict(search, comparison, lines)
     # errors and warnings follow the effects and dependences with evidence, and precede noise and clocks
@@ -111,7 +111,7 @@ def findings_brief(
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: intervals that the fit left out as outliers"
     lines = [Line(verdict, first, tone), *lines[named:]]
-    if len(comparison.judgements) == 1:
+    if len(comparison.evaluations) == 1:
         lines[1:1] = _clock_error_lines(comparison)
     lines[at:at] = [
         *(Line("data", alert, "warning", FIRST) for alert in alerts),
@@ -137,7 +137,7 @@ def findings_brief(
 
 def _error_lines(comparison: Comparison) -> list[Line]:
     """Return the errors without and with the findings by all measures, if several models were evaluated."""
-    if len(comparison.judgements) == 1:
+    if len(comparison.evaluations) == 1:
         return []
     held, verdict = HELD[comparison.judged_on], agreement_of(comparison).verdict
     said = f"{measures_words(comparison)} ({held})"
@@ -163,7 +163,7 @@ def _written_lines(search: Learned, written: MotionModel | None) -> list[Line]:
     return [Line("model", said, "warning", FIRST)] if absent else []
 
 
-def _rejected_lines(last: Judgement) -> list[Line]:
+def _rejected_lines(last: ModelEvaluation) -> list[Line]:
     """Return that the last model is still rejected, and by how much."""
     misfit = last.verdict.misfit
     why = "the model's noise is too large" if misfit < 1.0 else "the model is still rejected"
@@ -196,7 +196,7 @@ def _verdict(search: Learned, comparison: Comparison, lines: Sequence[Line]) -> 
         # an effect was identified, but a dependence beside it remains unexplained
         named = any(one.effect.name in search.lacking and one.confidence >= EVEN_ODDS for one in effects_found(search))
         return "PROBABLY" if named else "UNKNOWN", "warning"
-    mixed = len(comparison.judgements) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
+    mixed = len(comparison.evaluations) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
     return "MISSING", "warning" if mixed else "good"
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from odomcorrupt.study.validate.calibration import Horizon
-    from odomcorrupt.study.validate.compare import Comparison, JudgedOn, Judgement
+    from odomcorrupt.study.validate.compare import Comparison, JudgedOn, ModelEvaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure
     from odomcorrupt.study.validate.predictive_check import Reproduction
     from odomcorrupt.study.validate.trajectory_error import TrajectoryError
@@ -39,22 +39,22 @@ _HOW: dict[JudgedOn, str] = {
 def comparison_text(comparison: Comparison) -> str:
     """Return horizons and verdict of every model, the sequence, and each model's lack of fit."""
     lines: list[str] = []
-    for judgement in comparison.judgements:
-        lines += [f"{judgement.name} ({_HOW[judgement.judged_on]})", *_horizon_lines(judgement.horizons)]
-        lines += [f"  note: {note}" for note in judgement.notes]
+    for evaluation in comparison.evaluations:
+        lines += [f"{evaluation.name} ({_HOW[evaluation.judged_on]})", *_horizon_lines(evaluation.horizons)]
+        lines += [f"  note: {note}" for note in evaluation.notes]
         lines.append("")
     lines += [*_sequence_lines(comparison), "", *_trajectory_lines(comparison)]
-    for judgement in comparison.judgements:
-        lines += ["", *failure_lines(judgement)]
-    if any(j.failures for j in comparison.judgements):
+    for evaluation in comparison.evaluations:
+        lines += ["", *failure_lines(evaluation)]
+    if any(j.failures for j in comparison.evaluations):
         lines += ["", SIGNS]
     return "\n".join(lines)
 
 
 def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
     """Return the verdict on the last model, and a line for each model with error, likelihood and rejection."""
-    last = comparison.judgements[-1]
-    if len(comparison.judgements) == 1:
+    last = comparison.evaluations[-1]
+    if len(comparison.evaluations) == 1:
         failed = last.verdict.fails
         words = "is rejected by these data" if failed else "explains these data"
         if last.verdict.rejected and not failed:
@@ -67,7 +67,7 @@ def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
     lines = [first]
     if isfinite(comparison.raw_error_m):
         lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as measured"))
-    shown = comparison.judgements[-_SHOWN_MODELS:]
+    shown = comparison.evaluations[-_SHOWN_MODELS:]
     for one in shown:
         said = f"{one.name}: 10 s error {size('along', one.ten_second_error_m)}, {one.nats.per_m:.4g} nats/m, "
         said += "rejected" if one.verdict.fails else "not rejected"
@@ -80,12 +80,12 @@ def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
     return Summary((*lines, command_line(following)))
 
 
-def failure_lines(judgement: Judgement) -> list[str]:
+def failure_lines(evaluation: ModelEvaluation) -> list[str]:
     """Return the verdict, and the model's lack of fit, the most significant first."""
-    more = len(judgement.failures) - MOST
-    lines = [f"  {number}. {sentence(f)}" for number, f in enumerate(judgement.failures[:MOST], start=1)]
+    more = len(evaluation.failures) - MOST
+    lines = [f"  {number}. {sentence(f)}" for number, f in enumerate(evaluation.failures[:MOST], start=1)]
     lines += [f"  and {more} more, see --json"] if more > 0 else []
-    return [judgement_sentence(judgement), *(lines or ["  no lack of fit in any motion, time, place or moment"])]
+    return [evaluation_sentence(evaluation), *(lines or ["  no lack of fit in any motion, time, place or moment"])]
 
 
 def _horizon_lines(horizons: Sequence[Horizon]) -> list[str]:
@@ -117,15 +117,15 @@ def _length(metres: float) -> str:
     return f"{metres * 1e3:.1f} mm" if metres < 1.0 else f"{metres:.2f} m"
 
 
-def sequence_steps(comparison: Comparison) -> list[tuple[str, float, Judgement | None]]:
+def sequence_steps(comparison: Comparison) -> list[tuple[str, float, ModelEvaluation | None]]:
     """Return names and 10 s errors (m), from the measured odometry to the last model."""
-    steps: list[tuple[str, float, Judgement | None]] = [("measured odometry", comparison.raw_error_m, None)]
+    steps: list[tuple[str, float, ModelEvaluation | None]] = [("measured odometry", comparison.raw_error_m, None)]
     if comparison.clock_error_m != comparison.raw_error_m:
         steps.append(("with its clock corrected", comparison.clock_error_m, None))
-    return [*steps, *((j.name, j.ten_second_error_m, j) for j in comparison.judgements)]
+    return [*steps, *((j.name, j.ten_second_error_m, j) for j in comparison.evaluations)]
 
 
-def share_of_worst(steps: Sequence[tuple[str, float, Judgement | None]], error: float) -> float:
+def share_of_worst(steps: Sequence[tuple[str, float, ModelEvaluation | None]], error: float) -> float:
     """Return an error relative to the largest of the sequence; 0 if unknown."""
     worst = max((e for _, e, _ in steps if isfinite(e)), default=0.0)
     return error / worst if isfinite(error) and worst > 0.0 else 0.0
@@ -134,21 +134,21 @@ def share_of_worst(steps: Sequence[tuple[str, float, Judgement | None]], error: 
 def _sequence_lines(comparison: Comparison) -> list[str]:
     steps = sequence_steps(comparison)
     lines = [f"{HELD[comparison.judged_on]} position error (RMS) after 10 s, and log likelihood:"]
-    for name, error, judgement in steps:
+    for name, error, evaluation in steps:
         bar = "#" * round(_BAR * share_of_worst(steps, error))
-        nats = "" if judgement is None else _nats(comparison, judgement)
+        nats = "" if evaluation is None else _nats(comparison, evaluation)
         size = f"{error * 1e3:9.1f} mm" if isfinite(error) else f"{'-':>12}"
         lines += _named(name, f"{size}  {bar:<{_BAR}}  {nats}")
     falls = falls_sentence(comparison)
     return [*lines, f"  {falls}"] if falls else lines
 
 
-def _nats(comparison: Comparison, judgement: Judgement) -> str:
-    n = judgement.nats
+def _nats(comparison: Comparison, evaluation: ModelEvaluation) -> str:
+    n = evaluation.nats
     text = f"{n.per_m:.2f} +- {n.error:.2f} nats/m"
-    if judgement is comparison.judgements[0]:
+    if evaluation is comparison.evaluations[0]:
         return text
-    return f"{text}  ({n.gain_per_m:+.2f} +- {n.gain_error:.2f} over {comparison.judgements[0].name})"
+    return f"{text}  ({n.gain_per_m:+.2f} +- {n.gain_error:.2f} over {comparison.evaluations[0].name})"
 
 
 def falls_sentence(comparison: Comparison) -> str:
@@ -156,8 +156,8 @@ def falls_sentence(comparison: Comparison) -> str:
 
     "" if the error does not change, or the evaluation is on the fitted data.
     """
-    first, last = comparison.judgements[0], comparison.judgements[-1]
-    if len(comparison.judgements) < 2 or comparison.judged_on != "recordings":
+    first, last = comparison.evaluations[0], comparison.evaluations[-1]
+    if len(comparison.evaluations) < 2 or comparison.judged_on != "recordings":
         return ""
     verdict = agreement_of(comparison).verdict
     if verdict == "mixed":
@@ -188,11 +188,11 @@ def measures_words(comparison: Comparison, *, most: int | None = None) -> str:
 
 
 def _trajectory_lines(comparison: Comparison) -> list[str]:
-    cut = len(comparison.judgements[0].pieces) > len(comparison.recordings)
+    cut = len(comparison.evaluations[0].pieces) > len(comparison.recordings)
     which = "paths, in halves" if cut else "whole paths"
     lines = [f"{which}, each model's effects removed (ATE and RPE as in evo, RMS):"]
     steps: list[tuple[str, TrajectoryError]] = [("odometry, clock corrected", comparison.clock_trajectory)]
-    steps += [(j.name, j.trajectory) for j in comparison.judgements]
+    steps += [(j.name, j.trajectory) for j in comparison.evaluations]
     for name, e in steps:
         ate = f"ATE {_metres(e.ate_m)} aligned, {_metres(e.ate_origin_m)} from the same start"
         turn = f"{degrees(e.rpe_rad):.3f} deg" if isfinite(e.rpe_rad) else "-"
@@ -265,67 +265,67 @@ def sentence(failure: Failure) -> str:
     )
 
 
-def judgement_sentence(judgement: Judgement) -> str:
+def evaluation_sentence(evaluation: ModelEvaluation) -> str:
     """Return the verdict on a model."""
-    verdict = judgement.verdict
+    verdict = evaluation.verdict
     count = len(verdict.checks)
     level = f"{100.0 * verdict.level:g} % level, {count} tests together"
     if not verdict.rejected:
-        small = "the largest deviations do not reject it" if judgement.failures else "errors are as predicted"
-        return f"{judgement.name} is not rejected ({level}): {small}"
+        small = "the largest deviations do not reject it" if evaluation.failures else "errors are as predicted"
+        return f"{evaluation.name} is not rejected ({level}): {small}"
     if not verdict.fails:
-        return f"{judgement.name} holds in practice: {within(judgement)}"
+        return f"{evaluation.name} holds in practice: {within(evaluation)}"
     worst = verdict.against[0]
     others = len(verdict.against) - 1
     more = f", and {others} more" if others else ""
-    return f"{judgement.name} is rejected ({level}): {worst.question}, p {_p(worst.p)}{more}"
+    return f"{evaluation.name} is rejected ({level}): {worst.question}, p {_p(worst.p)}{more}"
 
 
-def rejection(judgement: Judgement) -> str:
+def rejection(evaluation: ModelEvaluation) -> str:
     """Return the tests that reject a model, the ratio of its errors to the predicted ones, and the reason, or ""."""
-    verdict = judgement.verdict
+    verdict = evaluation.verdict
     if not verdict.rejected:
         return ""
     worst = verdict.against[0]
     said = f"{worst.question}, p {_p(worst.p)}"
-    large = [h for h in judgement.horizons if h.nees > h.nees_bounds[1]]
-    small = [h for h in judgement.horizons if h.nees < h.nees_bounds[0]]
+    large = [h for h in evaluation.horizons if h.nees > h.nees_bounds[1]]
+    small = [h for h in evaluation.horizons if h.nees < h.nees_bounds[0]]
     if large:
         said = f"{said}; {_times(max(large, key=lambda h: h.nees))}"
-        return f"{said}: {_remaining(judgement)}" if verdict.fails else said
+        return f"{said}: {_remaining(evaluation)}" if verdict.fails else said
     if small:
         return f"{said}; {_times(min(small, key=lambda h: h.nees))}: it predicts more noise than was measured"
     return f"{said}; the size of its errors is as predicted"
 
 
-def failed_test(judgement: Judgement) -> str:
+def failed_test(evaluation: ModelEvaluation) -> str:
     """Return the test that rejects a model most clearly, with its value and what is expected by chance."""
-    verdict = judgement.verdict
+    verdict = evaluation.verdict
     worst = verdict.against[0]
-    sized = next((h for h in judgement.horizons if size_question(h.distance_m) == worst.question), None)
+    sized = next((h for h in evaluation.horizons if size_question(h.distance_m) == worst.question), None)
     if sized is None:
         return f"{worst.question}: p {_p(worst.p)}, below the {verdict.threshold:.2g} that rejects"
     low, high = sized.nees_bounds
     return _times(sized, f", by chance {low:.2f} to {high:.2f}; {sized.windows} windows")
 
 
-def _remaining(judgement: Judgement) -> str:
+def _remaining(evaluation: ModelEvaluation) -> str:
     """Return possible reasons for errors larger than predicted: the most significant failure decides."""
-    worst = min(judgement.failures, key=lambda failure: failure.log_p, default=None)
+    worst = min(evaluation.failures, key=lambda failure: failure.log_p, default=None)
     if worst is not None and worst.kind == "moment":
         return f"a single event remains (a push, a slip or a jump of the truth: {worst.where})"
-    localised = any(piece.recording.localised for piece in judgement.pieces)
+    localised = any(piece.recording.localised for piece in evaluation.pieces)
     return f"{'errors of the localisation, or ' if localised else ''}an effect that is not in the model remains"
 
 
-def within(judgement: Judgement) -> str:
+def within(evaluation: ModelEvaluation) -> str:
     """Return that a model predicts the sizes of errors, and the test that rejects it nevertheless; "" if none does."""
-    verdict = judgement.verdict
+    verdict = evaluation.verdict
     if not verdict.rejected:
         return ""
     worst = verdict.against[0]
     factor = max(verdict.misfit, 1.0 / max(verdict.misfit, 1e-12))
-    largest = max((h.nees**0.5 for h in judgement.horizons), default=1.0)
+    largest = max((h.nees**0.5 for h in evaluation.horizons), default=1.0)
     said = f"within {factor:.2f} times the predicted ones" if factor > 1.005 else "as large as the predicted ones"
     if factor < largest > PRACTICAL_FACTOR:
         said = f"up to {largest:.1f} times the predicted ones, which the standard errors of its parameters allow"

@@ -36,12 +36,14 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.stepwise import Learned, Step
-    from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.validate.compare import ModelEvaluation
 
 NOTHING = "nothing is missing: no known effect explains more than chance"
 
 
-def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None = None, fit: Fit | None = None) -> str:
+def found_text(
+    learned: Learned, advice: Advice, *, evaluated: ModelEvaluation | None = None, fit: Fit | None = None
+) -> str:
     """Return the findings in order of evidence, undecided alternatives, and the smallest detectable sizes.
 
     evaluated : evaluation of the final model, if available
@@ -170,7 +172,7 @@ def dependence(unknown: Dependence) -> str:
     return f"the {unknown.channel} error{per} depends on {regressor}"
 
 
-def shares_text(sequence: Sequence[Judgement]) -> str:
+def shares_text(sequence: Sequence[ModelEvaluation]) -> str:
     """Return the reduction of the held-out error by each step, after 10 s, 10 m and 50 m; "" with one model."""
     lines = ["held-out position error (RMS):"]
     for before, after in pairwise(sequence):
@@ -180,9 +182,9 @@ def shares_text(sequence: Sequence[Judgement]) -> str:
     return "\n".join(lines) if len(sequence) > 1 else ""
 
 
-def position_error(judgement: Judgement, distance_m: float) -> float:
+def position_error(evaluation: ModelEvaluation, distance_m: float) -> float:
     """Return the position error (m, RMS) after a path length; NaN if no segment is that long."""
-    return joint_rmse(distance_windows(piece.left, distance_m) for piece in judgement.pieces)
+    return joint_rmse(distance_windows(piece.left, distance_m) for piece in evaluation.pieces)
 
 
 def _fall(what: str, before: float, after: float) -> str:

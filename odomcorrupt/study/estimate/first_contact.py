@@ -1,4 +1,7 @@
-"""Single events without those that play explains: at the start of a drive the position of the gears is unknown."""
+"""Outlier events that backlash explains at the first motion.
+
+At the start of a drive the position of the gears is unknown.
+"""
 
 from __future__ import annotations
 

@@ -45,8 +45,9 @@ class WhitenedKnots:
 
 @dataclass(frozen=True, slots=True)
 class Shrunk:
-    """Orthonormal directions L^-1 S M along which a random process shrinks whitened residuals.
+    """Low-rank whitening correction of a random process: directions L^-1 S M and scale factors (Woodbury identity).
 
+    The directions are orthonormal; whitened residuals are multiplied by one factor along each of them.
     They are never multiplied out: that would need the memory of hundreds of columns and most of the time of whitening.
 
     knots : L^-1 S (3 K, k), contribution of each knot of a process to each whitened residual

@@ -49,7 +49,8 @@ _USUAL, _SPREAD = np.log(np.array([0.02, 0.01])), 0.7
 """Prior of a localisation's errors, m and rad: median, and standard deviation of its logarithm. Particle filters with
 likelihood fields (as nav2_amcl) in two simulated rooms, with cells of 2.5 to 10 cm, 500 to 2000 particles, alphas of
 0.05 to 0.2 and updates after 0.1 or 0.25 m, had errors of 1.3 to 4 cm and 0.4 to 1.4 deg; slam_toolbox has 1 cm (the
-ordinary laboratory's protocol). Without it a perfect localisation of a noisy robot may be as likely as the reverse."""
+protocol of the benchmark of ordinary recordings). Without it a perfect localisation of a noisy robot may be as likely
+as the reverse."""
 _NO_RANDOM_WALK = 2e-6
 _NATS, _PROFILE_NATS = 1e-4, 1e-3
 """Predicted gain of the next step, nats, below which the iteration ends; the second value is for profiles."""

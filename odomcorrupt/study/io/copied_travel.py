@@ -1,5 +1,6 @@
-"""Truths that repeat the odometry's travel, as filters do that take speed from the wheels and heading from a gyro.
+"""Detection of a truth whose travel is copied from the odometry.
 
+Filters write such truths if they take speed from the wheels and heading from a gyro.
 Slip, ticks and noise of the wheels are then in both, so that no error of travel can be seen. No sensor agrees with
 wheels to 0.1 mm in half a second: in 15 recordings by others the usual difference is 0.2 mm and more. Exact poses of a
 simulator may agree as well, but they are smooth where the odometry has ticks.

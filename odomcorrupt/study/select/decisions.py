@@ -1,7 +1,7 @@
 """Thresholds of the model selection: inclusion, replacement and removal of terms, with the reason for each.
 
-A user may choose other values: `learn(..., decisions=replace(DECISIONS, level=0.05))`. Numerical settings (steps of a
-search, guards) are constants of the modules that use them.
+A user may choose other values: `odomcorrupt.learn(..., decisions=replace(DECISIONS, level=0.05))`. Numerical settings
+(steps of a search, guards) are constants of the modules that use them.
 
 Values named `..._nats` are natural-log units. A gain is a difference of log likelihoods minus the penalty of the term
 (`penalty`). "Benchmark" means the simulated drives with known causes of `benchmarks/laboratory`.

@@ -51,7 +51,7 @@ _MAX_ERROR_RATIO = 0.97
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judgement:
+class ModelEvaluation:
     """Evaluation of one model on the recordings.
 
     judged_on : "recordings" that it was not fitted to; "halves": refitted on one half and evaluated on the other;
@@ -95,12 +95,12 @@ class Comparison:
     raw_error_m: float
     clock_error_m: float
     clock_trajectory: TrajectoryError
-    judgements: tuple[Judgement, ...]
+    evaluations: tuple[ModelEvaluation, ...]
 
     @property
     def judged_on(self) -> JudgedOn:
         """Data of the evaluation: the fitted data or their halves if any model was fitted to them."""
-        return next((j.judged_on for j in self.judgements if j.judged_on != "recordings"), "recordings")
+        return next((j.judged_on for j in self.evaluations if j.judged_on != "recordings"), "recordings")
 
 
 def compare(
@@ -125,7 +125,9 @@ def compare(
         raw_error_m=_ten_seconds(raw),
         clock_error_m=_ten_seconds(clock_right),
         clock_trajectory=trajectory_error(clock_right),
-        judgements=tuple(_judgement(name, models[name], pieces, first, split.notes) for name, pieces in judged.items()),
+        evaluations=tuple(
+            _evaluation(name, models[name], pieces, first, split.notes) for name, pieces in judged.items()
+        ),
     )
 
 
@@ -183,9 +185,9 @@ def _evaluated(model: MotionModel, runs: Sequence[Pieces], approach: Approach) -
     return found
 
 
-def _judgement(
+def _evaluation(
     name: str, model: MotionModel, pieces: Sequence[Evaluation], first: Sequence[Evaluation], notes: Sequence[str]
-) -> Judgement:
+) -> ModelEvaluation:
     every = horizons_of(pieces, sorted({*HORIZONS_M, *CURVE_M}))
     horizons = tuple(h for h in every if h.distance_m in HORIZONS_M)
     axes = min((piece.recording.axes for piece in pieces), key=len)
@@ -193,7 +195,7 @@ def _judgement(
     pits, whiteness = pits_of(chains, axes), whiteness_of(chains, axes)
     # Over single intervals the errors are mostly the localisation's, whose law is only approximate.
     localised = any(piece.recording.localised for piece in pieces)
-    return Judgement(
+    return ModelEvaluation(
         name=name,
         judged_on=_judged_on(model, pieces),
         ten_second_error_m=_ten_seconds([piece.left for piece in pieces]),
@@ -339,7 +341,7 @@ def agreement_of(comparison: Comparison) -> Agreement:
     Agreement
         Position error after 10 s (m), log likelihood (nats per metre) and absolute trajectory error (m).
     """
-    first, last = comparison.judgements[0], comparison.judgements[-1]
+    first, last = comparison.evaluations[0], comparison.evaluations[-1]
     found = [
         Measure(
             "10 s error",
@@ -370,7 +372,7 @@ def _of_errors(before: float, after: float, share: float) -> Change:
     return "worse" if after > (1.0 + share) * before else "same"
 
 
-def _of_likelihood(last: Judgement) -> Change:
+def _of_likelihood(last: ModelEvaluation) -> Change:
     gain, error = last.nats.gain_per_m, last.nats.gain_error
     if not isfinite(gain) or abs(gain) <= _SIGMAS * (error if isfinite(error) else 0.0):
         return "same"

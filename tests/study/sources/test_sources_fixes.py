@@ -165,7 +165,7 @@ def test_a_patch_learned_on_one_origin_holds_in_a_recording_with_another(tmp_pat
         latitude, longitude = 48.0 - offset[1] / NORTH_M, 8.0 - offset[0] / EAST_M
         (tmp_path / f"{name}.toml").write_text(PATCH_MODEL.format(x=x, y=y, latitude=latitude, longitude=longitude))
         compared = oc.compare(runs, tmp_path / f"{name}.toml").result
-        errors[name] = compared.judgements[0].ten_second_error_m / compared.clock_error_m
+        errors[name] = compared.evaluations[0].ten_second_error_m / compared.clock_error_m
     assert errors["agrees"] < 0.3
     assert errors["ignored"] > 0.95
 
