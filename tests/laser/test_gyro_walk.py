@@ -18,9 +18,9 @@ EXACT = Tracker(rate_hz=100.0, sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0
 BIAS, NOISE = 0.01, 0.003
 
 
-def bag(path, seed, walk, **options):
+def bag(path, seed, walk, cause=None, **options):
     """Write the bag of a robot with wheels and a gyro whose bias walks (rad/s/sqrt(s))."""
-    simulated = simulate(seed, None, truth=EXACT, yaw_from="encoders", **options)
+    simulated = simulate(seed, cause, truth=EXACT, yaw_from="encoders", **options)
     stamps, rng = simulated.truth_stamps_ns, np.random.default_rng(seed)
     rate = np.gradient(np.unwrap(simulated.truth_xyt[:, 2]), stamps * 1e-9)
     bias = BIAS + walk * np.cumsum(rng.normal(size=len(stamps))) / np.sqrt(EXACT.rate_hz)
@@ -55,3 +55,16 @@ def test_a_bias_that_walks_five_times_as_fast_as_usual_is_no_error_of_the_odomet
     path = bag(tmp_path / "run.mcap", 5, 5e-4, duration_s=300.0, route="loops")
     said = oc.diagnose(path).to_dict()
     assert (said["found"], said["unknown"]) == ([], [])
+
+
+@pytest.mark.slow
+def test_unequal_wheels_are_found_though_the_bias_was_taken_from_an_odometry_that_hardly_rests(tmp_path, monkeypatch):
+    """That bias contains the turns of unequal wheels, so that their inclusion seemed to increase the error."""
+    monkeypatch.setattr("odomcorrupt.study.io.gyro._MIN_STILL_S", 1e9)
+    path = bag(tmp_path / "run.mcap", 4, 1e-4, "unequal_wheels", parameters={"curvature": 0.03}, duration_s=240.0)
+    found = oc.diagnose(path)
+    (one,) = found.to_dict()["found"]
+    assert (one["effect"], one["confidence"] > 0.9) == ("unequal_wheels", True)
+    assert one["parameters"]["curvature"]["value"] == pytest.approx(0.03, abs=0.005)
+    first, last = found.result.sequence.evaluations[0], found.result.sequence.evaluations[-1]
+    assert last.ten_second_error_m < 0.7 * first.ten_second_error_m
