@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,16 +34,43 @@ def speed_steps(v: Array, omega: Array, dt_s: Array, track_m: float | None) -> t
     multiples in the loop's period, even if stamps vary, or speeds are in the time between stamps. Ticks of encoders
     alone give steps as well, of both channels in the ratio of half the track, and lose nothing.
     """
+    found = _steps_shown(v, omega, dt_s)
+    if found is None or are_ticks((found.along, found.turn), track_m):
+        return None
+    along, turn, scale = found
+    flickers = _flicker(v * scale / along) > _FLICKER[0] or _flicker(omega * scale / turn) > _FLICKER[1]
+    return (along, turn) if flickers else None
+
+
+class _Shown(NamedTuple):
+    """Steps of speed, m/s, and yaw rate, rad/s, of speeds multiplied by `scale` (n,)."""
+
+    along: float
+    turn: float
+    scale: Array
+
+
+def _steps_shown(v: Array, omega: Array, dt_s: Array) -> _Shown | None:
+    """Return the steps of which all reported speeds (n,) are multiples, whatever their cause; None without any."""
     usual_s = float(np.median(dt_s)) if len(dt_s) > 2 else 0.0
     if not usual_s > 0.0:
         return None
     for scale in (dt_s / usual_s, np.ones_like(dt_s)):
         along, turn = _step(v * scale), _step(omega * scale)
         if along is not None and turn is not None:
-            ticks = track_m is not None and abs(0.5 * turn * track_m / along - 1.0) < _SAME
-            flickers = _flicker(v * scale / along) > _FLICKER[0] or _flicker(omega * scale / turn) > _FLICKER[1]
-            return (along, turn) if flickers and not ticks else None
+            return _Shown(along, turn, scale)
     return None
+
+
+def are_ticks(steps: tuple[float, float], track_m: float | None) -> bool:
+    """Return whether steps of speed, m/s, and yaw rate, rad/s, are in the ratio of ticks of two wheels."""
+    return track_m is not None and abs(0.5 * steps[1] * track_m / steps[0] - 1.0) < _SAME
+
+
+def has_steps_of_speed(v: Array, omega: Array, dt_s: Array, track_m: float) -> bool:
+    """Return whether speeds (n,) and yaw rates are reported in whole steps that are no ticks of two wheels."""
+    found = _steps_shown(v, omega, dt_s)
+    return found is not None and not are_ticks((found.along, found.turn), track_m)
 
 
 def _flicker(speed: Array) -> float:

@@ -12,6 +12,7 @@ from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.lost_increments import LEAST_WHEEL_TICKS, losses, wheel_losses
 from odomcorrupt.geometry.increments import accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.speed_steps import has_steps_of_speed
 from odomcorrupt.geometry.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -83,7 +84,8 @@ def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
 def tick_of(recording: Recording) -> float | None:
     """Return the wheel travel per tick, metres, or None if the increments are no multiples of a tick.
 
-    With a known track, both wheels are tested. Otherwise the robot's travel is, which is half a tick per wheel tick.
+    With a known track, both wheels are tested. Otherwise the robot's travel is, which is half a tick per wheel tick,
+    unless yaw rates come in steps of their own: then speeds are truncated to steps.
     """
     steps, dt_s = increments(recording.odometry.xyt), np.diff(recording.odometry_s)
     found = None
@@ -93,7 +95,18 @@ def tick_of(recording: Recording) -> float | None:
     if found is None:
         half = _lattice((steps.ds_m,), dt_s)
         found = 2.0 * half if half is not None else None
+        if found is not None and speeds_in_steps(recording):
+            return None
     return found
+
+
+def speeds_in_steps(recording: Recording) -> bool:
+    """Return whether all speeds and yaw rates are whole multiples of steps that are no ticks; needs the track."""
+    if recording.track_m is None:
+        return False
+    steps, dt_s = increments(recording.odometry.xyt), np.diff(recording.odometry_s)
+    rate = np.divide(1.0, dt_s, out=np.zeros_like(dt_s), where=dt_s > 0.0)
+    return has_steps_of_speed(steps.ds_m * rate, steps.dtheta_rad * rate, dt_s, recording.track_m)
 
 
 def _lattice(travels: Sequence[Array], dt_s: Array) -> float | None:

@@ -25,7 +25,9 @@ import numpy as np
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.clocks import RIVALS
+from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
+from odomcorrupt.study.io.encoders import speeds_in_steps
 from odomcorrupt.study.select.decisions import DECISIONS, equal_candidates
 from odomcorrupt.study.select.remainder import within_remainder
 
@@ -50,6 +52,8 @@ _MISFIT_DISPLACEMENT = 0.03
 """Fraction of the largest effect's displacement in 10 s up to which another effect may be a misfit of its model."""
 EVEN_ODDS = 0.5
 """Confidence below which a name is doubtful: reported with "perhaps", and dropped if held-out data contradict it."""
+_NOT_TESTABLE = "not testable"
+"""Beginning of the refusal of effects that a drive does not show."""
 HELD_OUT_ERRORS = 2.0
 """Standard errors by which the true held-out gain may exceed its estimate."""
 
@@ -132,6 +136,13 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     # overfitting raised the gains of the rivals as much as that of the effect
     overfitted = included.gain - own
     rivals = [c.gain - overfitted for c in others if not c.refused]
+    if not sees_travel(learned.fit.problem.recordings):
+        # the part of an effect that travels cannot be tested with a gyro, the part that turns may explain as much
+        untested = [c for c in others if c.refused.startswith(_NOT_TESTABLE)]
+        stepwise = any(speeds_in_steps(recording) for recording in learned.fit.problem.recordings)
+        for c in untested:
+            visible = c.name == "truncated_velocity" and stepwise and c.score.nats > 0.0
+            rivals.append(own if visible else c.score.nats - overfitted)
     if name in _LIKE_CLOCK and learned.clocks.ambiguous_nats > 0.0:
         # the clock offset that was set to zero is a rival, with at most the gain of the effect
         rivals.append(min(own, learned.clocks.ambiguous_nats - overfitted))
