@@ -95,10 +95,10 @@ def swapped(
 ) -> ClockRival | None:
     """Return a fit with a library effect in place of small clock offsets, or with offsets in place of wheel effects.
 
-    None if the model has neither, or no dependence on the acceleration beside its clocks. The gain is that of
-    `_penalised_nats`.
+    None if the model has neither, or no dependence on the acceleration beside its clocks. Such a dependence may stand
+    for an offset, too. The gain is that of `_penalised_nats`.
 
-    late : names of dependences on the acceleration, which the fit is without
+    late : names of dependences on the acceleration
     included : dependences in the model
     given : names of effects that were in the model from the beginning
     """
@@ -113,7 +113,7 @@ def swapped(
             if best.fit is not None:
                 other = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
     else:
-        like = _clock_like(fit, given)
+        like = [*_clock_like(fit, given), *(e for e in fit.effects if e.name in late)]
         if not like:
             return None
         other = _at_clock(fit, [e for e in fit.effects if e not in like], offset_free=True)

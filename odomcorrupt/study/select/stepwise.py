@@ -377,11 +377,10 @@ class _Selection:
 
         Clocks are estimated first, and a small offset has nearly the same errors as slip or backlash at changes of
         speed. If the wheel effect is real, a dependence on the acceleration remains beside the clock. If no clock
-        is free, a selected wheel effect may be an offset: rounded stamps are late by half of the rounding step. The
-        hypothesis that is left out remains a rival.
+        is free, a selected wheel effect or dependence on the acceleration may be an offset: rounded stamps are late by
+        half of the rounding step. The hypothesis that is left out remains a rival.
         """
-        clocked = bool(np.any(self.fit.free_clocks))
-        late = {one.name for one in (*self.included, *self.open) if clocked and one.follows_acceleration}
+        late = {one.name for one in (*self.included, *self.open) if one.follows_acceleration}
         found = clock_rivals.swapped(self.fit, late, self.included, self.given, self.decisions)
         if found is None:
             return False
