@@ -95,6 +95,15 @@ def has_own_scale(truth: Samples) -> bool:
     return truth.estimated and truth.geodetic_origin is None and not _MEASURED.search(truth.name.lower())
 
 
+def is_in_map(truth: Samples) -> bool:
+    """Return whether SLAM or a localisation made the truth, by its name or because its frame is called map (REP 105).
+
+    Its errors are corrected in steps, however fast its poses are.
+    """
+    named = bool(_NAMES.search(truth.name.lower())) or plain(truth.frame).rpartition("/")[2] == "map"
+    return named and not _MEASURED.search(truth.name.lower())
+
+
 def is_of_base(truth: Samples, odometry: Samples) -> bool:
     """Return whether a localisation reports the odometry's own frame, without lever arm or mounting yaw.
 

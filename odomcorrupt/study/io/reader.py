@@ -18,7 +18,13 @@ from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jumps import without_excursions, without_outliers
 from odomcorrupt.study.io.laser_truth import NO_SCAN, alerts_of, beside_sweeps, match_run, only_scan, truth_of
-from odomcorrupt.study.io.localisation import MAP_SCALE_ACCURACY, corrections_alone, has_own_scale, is_of_base
+from odomcorrupt.study.io.localisation import (
+    MAP_SCALE_ACCURACY,
+    corrections_alone,
+    has_own_scale,
+    is_in_map,
+    is_of_base,
+)
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
@@ -313,6 +319,7 @@ def recordings_of(
             stamp_jitter_s=max(jitter_s),
             localised=truth.localised,
             own_scale=has_own_scale(truth),
+            in_map=is_in_map(truth),
             of_base=is_of_base(truth, odometry),
             pulled_per_s=feedback.left_per_s,
             pose_corrections=feedback.corrections,

@@ -71,6 +71,7 @@ class Recording:
     frame : name of the truth's frame if it is that of one run only, such as a laser's map, in which places and headings
         of other runs have no meaning; "" if runs share it
     localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are correlated along the path
+    in_map : whether SLAM or a localisation made the truth, also if it has poses at all times
     own_scale : whether an estimator without a known scale made the truth, such as visual SLAM, whose scale may vary
     of_base : whether the truth is a localisation of the odometry's own frame (map -> odom -> base_link), and so has
         neither lever arm nor mounting yaw
@@ -106,6 +107,7 @@ class Recording:
     stamp_error_s: float = 0.0
     stamp_jitter_s: float = 0.0
     localised: bool = False
+    in_map: bool = False
     own_scale: bool = False
     of_base: bool = False
     truth_correlation_m: float | None = None

@@ -240,7 +240,8 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Dete
     if bursts is not None:
         return [DetectedRandomEffect(bursts, decisions.counted_nats)]
     # errors of scan matching have heavy tails themselves
-    heavy = heavy_tails(fit) if tails and not _matched(fit) else None
+    corrected = any(r.in_map for r in fit.problem.recordings)  # in steps, which make tails
+    heavy = heavy_tails(fit) if tails and not corrected and not _matched(fit) else None
     return [DetectedRandomEffect(*heavy)] if heavy is not None else []
 
 

@@ -117,16 +117,17 @@ def test_poses_in_the_map_that_come_after_so_much_motion_are_a_localisations(tmp
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "own_scale"),
+    ("name", "kind", "frame", "own_scale", "in_map"),
     [
-        ("/vslam/odometry", "Odometry", True),
-        ("/vicon/robot", "Odometry", False),
-        ("/ground_truth", "Odometry", False),
-        ("/robot/pose", "PoseStamped", False),
+        ("/vslam/odometry", "Odometry", "world", True, True),
+        ("/vicon/robot", "Odometry", "map", False, False),
+        ("/ground_truth", "Odometry", "map", False, False),
+        ("/robot/pose", "PoseStamped", "map", False, True),
+        ("/robot/pose", "PoseStamped", "world", False, False),
     ],
 )
-def test_an_estimators_odometry_as_truth_may_have_a_scale_of_its_own(tmp_path, name, kind, own_scale):
+def test_an_estimators_odometry_as_truth_may_have_a_scale_of_its_own(tmp_path, name, kind, frame, own_scale, in_map):
     moved, real = odometry(30.0), truth(30.0)
-    bag = write(tmp_path / "r.mcap", topic("/odom", "Odometry", moved), topic(name, kind, real, frame="map"))
+    bag = write(tmp_path / "r.mcap", topic("/odom", "Odometry", moved), topic(name, kind, real, frame=frame))
     (run,) = read_runs(Source(bag, truth=name, odom="/odom"))
-    assert run.own_scale == own_scale
+    assert (run.own_scale, run.in_map) == (own_scale, in_map)
