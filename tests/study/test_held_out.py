@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hidden import as_recording
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
@@ -16,6 +17,9 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.findings import clocks_found
+from odomcorrupt.simulation import simulate
+from odomcorrupt.study import pipeline
+from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.clocks import Clocks
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.drift_error import Drift
@@ -29,6 +33,7 @@ from odomcorrupt.study.validate import held_out
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.evaluation import Evaluation
 from odomcorrupt.study.validate.held_out import HeldOut, drop_unsupported_parts
+from odomcorrupt.study.validate.round_trip import RoundTrip
 
 QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
 
@@ -267,3 +272,26 @@ def test_a_drive_too_short_to_be_halved_tests_nothing_and_drops_nothing():
     learned = learned_with(with_truth(drive(4, scale=1.03, seconds=20.0), 5), "wheel_scale")
     kept, said = drop_unsupported_parts(learned)
     assert (kept.fit.effects, said) == (learned.fit.effects, ())
+
+
+@pytest.mark.slow
+def test_what_no_odometry_satisfies_is_left_out_and_the_others_are_refitted(monkeypatch):
+    """Two parts may balance each other: kept alone as it was fitted, one made another drive ten times worse."""
+    run = as_recording(simulate(5, ["unequal_wheels", "wheelbase"], duration_s=240.0))
+    checked = pipeline.verified_model
+
+    def without_wheelbase(model, recordings):
+        others = tuple(effect for effect in model.effects if effect.name != "wheelbase")
+        if len(others) == len(model.effects):
+            return checked(model, recordings)
+        return RoundTrip(replace(model, effects=others), ("wheelbase left out: no odometry satisfies it",))
+
+    both = pipeline.learn_robot([run]).proof.model
+    monkeypatch.setattr(pipeline, "verified_model", without_wheelbase)
+    found = pipeline.learn_robot([run])
+    alone = fit_robot([run], [effect_from_values("unequal_wheels", {})], law_name="diffusion").model
+    (kept,) = (effect for effect in found.proof.model.effects if effect.name == "unequal_wheels")
+    assert "wheelbase" in found.search.left_out
+    assert any("wheelbase left out" in remark for remark in found.dropped)
+    assert kept.curvature == pytest.approx(alone.effects[0].curvature, rel=1e-3)
+    assert {effect.name for effect in both.effects} > {effect.name for effect in found.proof.model.effects}

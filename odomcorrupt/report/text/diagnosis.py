@@ -107,8 +107,8 @@ def _event_line(one: Event) -> str:
     x, y = one.place_xy
     return (
         f"once, {one.recording} from {one.start_s:.1f} to {one.end_s:.1f} s near ({x:.1f}, {y:.1f}): the robot was "
-        f"moved {moved or 'hardly'}, which is not in the odometry (a push, a lift, a bump, or a jump of the truth); left "
-        f"out of the fit. To corrupt with it: --effect push:{push}"
+        f"moved {moved or 'hardly'}, which is not in the odometry (a push, a lift, a bump, or a jump of the truth); "
+        f"left out of the fit. To corrupt with it: --effect push:{push}"
     )
 
 
