@@ -6,7 +6,7 @@ from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.report.text.numbers import plainly
-from odomcorrupt.study.validate.compare import agreement_of
+from odomcorrupt.study.validate.compare import NOT_APPLIED, agreement_of
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR, size_question
 from odomcorrupt.summary import Line, Summary, Tone, command_line
 
@@ -72,6 +72,8 @@ def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
         said = f"{one.name}: 10 s error {size('along', one.ten_second_error_m)}, {one.nats.per_m:.4g} nats/m, "
         said += "rejected" if one.verdict.fails else "not rejected"
         lines.append(Line("model" if one is shown[0] else "", said))
+    if last.unplaced:
+        lines.append(Line("limited", f"{', '.join(last.unplaced)} {NOT_APPLIED}; errors there remain", "warning"))
     if last.verdict.fails:
         lines.append(Line("fails", sentence(last.failures[0]) if last.failures else failed_test(last), "warning"))
     elif last.failures:

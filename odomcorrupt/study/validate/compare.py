@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
 
 JudgedOn = Literal["recordings", "halves", "fitted data"]
+NOT_APPLIED = "not applied: learned in the frame of another truth (a laser's map)"
+"""Why effects of places are left out of an evaluation."""
 
 _MAX_ERROR_RATIO = 0.97
 """A clock estimated with a model applied is accepted only if it reduces the 10 s error at least to this ratio."""
@@ -64,6 +66,7 @@ class ModelEvaluation:
     trajectory : ATE and RPE
     notes : restrictions of this evaluation, for reports
     pieces : the evaluated stretches, for plots
+    unplaced : names of effects that were not applied, because the recordings' frame is not that of their places
     """
 
     name: str
@@ -79,6 +82,7 @@ class ModelEvaluation:
     trajectory: TrajectoryError
     notes: tuple[str, ...]
     pieces: tuple[Evaluation, ...]
+    unplaced: tuple[str, ...] = ()
 
     @property
     def nats_per_m(self) -> float:
@@ -209,6 +213,7 @@ def _evaluation(
         trajectory=trajectory_error([piece.left for piece in pieces]),
         notes=(*notes, *_notes(model, pieces)),
         pieces=tuple(pieces),
+        unplaced=_unplaced(model, pieces),
     )
 
 
@@ -229,12 +234,16 @@ def _all_failures(pieces: Sequence[Evaluation]) -> list[Failure]:
     return sorted(found, key=lambda f: f.log_p)
 
 
+def _unplaced(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
+    """Return the names of a model's effects of places that no piece was evaluated with."""
+    used = {effect.name for piece in pieces for effect in piece.model.placed}
+    return tuple(effect.name for effect in model.placed if effect.name not in used)
+
+
 def _notes(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
     notes = []
-    used = {effect for piece in pieces for effect in piece.model.placed}
-    unplaced = [effect.name for effect in model.placed if not any(effect.name == other.name for other in used)]
-    if unplaced:
-        notes.append(f"{', '.join(unplaced)} not applied: learned in the frame of another truth (a laser's map)")
+    if unplaced := _unplaced(model, pieces):
+        notes.append(f"{', '.join(unplaced)} {NOT_APPLIED}")
     motion = pieces[0].problem.motions[0]
     random = [effect.name for effect in model.effects if effect.kind == "noise" and not effect.gains(motion)]
     if random:
