@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.study.estimate.truth_bias import scale_errors, turn_errors
+from odomcorrupt.study.estimate.truth_bias import has_bias, scale_errors, turn_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.headings import with_recomputed_headings
 
@@ -69,10 +69,17 @@ def drift(fitted: Fit, *, truths_corrected: bool = False) -> Drift:
     """
     left = [with_recomputed_headings(recording) for recording in fitted.problem.left]
     if truths_corrected:
-        errors = scale_errors(fitted.problem, fitted.noise).tolist()
-        left = [_scaled(recording, 1.0 / (1.0 + error)) for recording, error in zip(left, errors, strict=True)]
-        left = with_gyros_corrected(left, fitted)
+        left = with_truths_corrected(left, fitted)
     return Drift(tuple(phased_misses(left)))
+
+
+def with_truths_corrected(recordings: Sequence[Recording], fitted: Fit) -> list[Recording]:
+    """Return recordings without the errors of their truths that a fit estimates: scales of lasers, biases of gyros."""
+    if not has_bias(fitted.problem):
+        return list(recordings)
+    errors = scale_errors(fitted.problem, fitted.noise).tolist()
+    scaled = [_scaled(recording, 1.0 / (1.0 + error)) for recording, error in zip(recordings, errors, strict=True)]
+    return with_gyros_corrected(scaled, fitted)
 
 
 def with_gyros_corrected(recordings: Sequence[Recording], fitted: Fit) -> list[Recording]:

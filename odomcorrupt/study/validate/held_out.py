@@ -21,7 +21,7 @@ from odomcorrupt.effects.effect import choices
 from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
-from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error
+from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error, with_truths_corrected
 from odomcorrupt.study.estimate.gauss_newton import fit_problem
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
@@ -276,7 +276,9 @@ def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) ->
     if others:
         return [_Fold(None, tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True)))]
     problem = fitted.problem
-    on_time = [aligned(r, c) for r, c in zip(problem.recordings, problem.clocks, strict=True)]
+    # both halves have the truth's own errors; what they leave of a drift of scale is not that of the wheels
+    corrected = with_truths_corrected(problem.recordings, fitted)
+    on_time = [aligned(r, c) for r, c in zip(corrected, problem.clocks, strict=True)]
     split = split_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
     pieces = [run for run in split.pieces(on_time) if run.second]
     if not pieces:  # too short to be halved
