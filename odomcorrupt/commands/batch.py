@@ -116,6 +116,7 @@ def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...
 def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
     """Return model, map and all other options under their names in the Python interface."""
     from odomcorrupt.api.bag_options import split_options
+    from odomcorrupt.api.model import Model
 
     words = bag_words(given)
     passed = ("runs", "seed", "output", "layout", "to", "robots", "fleet", "sweeps", "points")
@@ -126,11 +127,13 @@ def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
             raise click.UsageError(
                 f"--fleet and {other[0]}: the files of a fleet are its whole model; leave {other[0]} out"
             )
-        return options
-    model = choose_model(given)
+        model = Model.load(given["fleet"][0])  # for the odometry's topic
+    else:
+        model = choose_model(given)
+        options |= {"model": model, "model_file": given["model"]}
+        options["model_words"] = tuple(_words(_MODEL_WORDS, given))
     condition = choose_condition_of_run(given, inputs[0], split_options(words)[0], model.motion_model)
-    model_words = {"model_file": given["model"], "model_words": tuple(_words(_MODEL_WORDS, given))}
-    return {**options, "model": model, **model_words, "within": condition, "map_words": tuple(_map_words(given))}
+    return {**options, "within": condition, "map_words": tuple(_map_words(given))}
 
 
 def _map_words(given: dict[str, Any]) -> list[str]:

@@ -1,6 +1,7 @@
 """Corruption with `--map`, as a user runs it."""
 
 import io
+import json
 import sys
 from pathlib import Path
 
@@ -142,3 +143,19 @@ def test_batches_and_pipes_draw_whole_paths_where_single_increments_are_stuck(co
     assert run(["-", "piped.mcap", "--run", "1", "-q", *words]) == 0
     moved = [read_drive(tmp_path / name, "/odom").xyt for name in ("piped.mcap", "single1.mcap")]
     np.testing.assert_array_equal(*moved)
+
+
+@pytest.mark.slow
+def test_a_fleet_keeps_to_the_map_and_its_commands_name_it(corridor, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, size in (("a.toml", 0.08), ("b.toml", 0.12)):
+        noise = "\n".join(f"{one} = {size}" for one in ("rot_rot", "rot_trans", "trans_trans", "trans_rot"))
+        Path(name).write_text(f'schema = 1\n[noise]\nlaw = "diffusion"\n{noise}\n')
+    words = ["--map", str(corridor), "--map-pose", "0,0,0", "--robot-radius", "0"]
+    fleet = ["--fleet", "a.toml", "--fleet", "b.toml"]
+    assert run(["batch", str(OFFICE), "runs", "--runs", "2", "--seed", "7", "-q", *fleet, *words]) == 0
+    walls = free_space(read_map(corridor), 0.0, unknown="free", map_from_odom=np.zeros(3))
+    for line in (tmp_path / "runs" / "manifest.jsonl").read_text().splitlines():
+        record = json.loads(line)
+        assert "--map" in record["command"]
+        assert walls.free(read_drive(tmp_path / "runs" / record["file"], "/odom").xyt[:, :2]).all()
