@@ -53,8 +53,6 @@ if TYPE_CHECKING:
 
 _LEAST_TURNED_RAD, _LEAST_APART_M = radians(0.1), 0.005
 """Least yaw and displacement of the truth's tracked point that are reported; mountings are rarely measured better."""
-_SURE = 0.95
-"""Confidence of an effect from which dependences in its place are shown with -v only."""
 _PERHAPS = "perhaps"
 """Label of names below even odds."""
 _OF_ONE_DRIVE = ("time", "distance")
@@ -258,7 +256,6 @@ def _found_lines(
     small: list[str] = []
     effects = effects_found(search, fit)
     sure = any(one.confidence >= EVEN_ODDS and not one.negligible for one in effects)
-    confidences = {one.effect.name: one.confidence for one in effects}
     for one in effects:
         name, said = one.effect.name, f"{one.names}  {', '.join(numbers_text(one.effect, one.errors))}"
         if one.negligible:
@@ -277,8 +274,6 @@ def _found_lines(
         ranked.append((ranks[name], Line(label, said, weight=SPARE if doubtful and sure else USUAL)))
     for unknown in dependences_found(search, fit)[:2]:
         law = unknown.law
-        if law.instead_of and all(confidences.get(name, 0.0) >= _SURE for name in law.instead_of):
-            continue  # as unlikely as the confidence says; with -v it is shown
         if law in search.unexplained or law.instead_of:
             other = f"or, instead of {' and '.join(law.instead_of)}, " if law.instead_of else ""
             said = f"{other}{dependence(law)}: {unknown.expression}{_left_out(unknown, search, held_out)}"

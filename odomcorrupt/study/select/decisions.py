@@ -86,8 +86,8 @@ class Decisions:
     replacement_nats : additional gain required of a basis function that replaces a library effect, because a known
         cause is likelier a priori
     copy_share : a basis function is a copy of an effect, and no replacement, if it explains more than this fraction of
-        the effect's fitted contribution, as one with a threshold that is exceeded nearly always; functions of other
-        causes explained at most 0.96
+        the effect's fitted contribution; functions of other causes explained at most 0.96. With 0.97 a strip of
+        floor lost its name
     form_share : other forms of a dependence are fitted too if they reach this fraction of the best form's gain
     reshape_nats : gain in log likelihood of a refit that a refined shape requires
     common, rare_nats : effects that nearly every robot has, and the lower prior log probability of all others (2 nats
@@ -137,7 +137,7 @@ class Decisions:
     alternative_nats: float = 3.0
     rival_nats: float = 7.0
     replacement_nats: float = 8.0
-    copy_share: float = 0.97
+    copy_share: float = 0.985
     form_share: float = 0.7
     reshape_nats: float = 1.0
     common: tuple[str, ...] = (
