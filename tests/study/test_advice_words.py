@@ -27,7 +27,7 @@ def twin_hint(name, values, monkeypatch):
     look = SimpleNamespace(
         added=name,
         alternatives=(),
-        candidates=(SimpleNamespace(score=SimpleNamespace(effect=effect), fit=None, refused=""),),
+        candidates=(SimpleNamespace(score=SimpleNamespace(effect=effect), fitted=None, refused=""),),
     )
     monkeypatch.setattr("odomcorrupt.study.design.ambiguities._equivalents", lambda *_: [])
     choices, _ = open_ambiguities(SimpleNamespace(learned=learned(effect)), look)

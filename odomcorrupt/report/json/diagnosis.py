@@ -245,7 +245,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
     score = candidate.score
     return {
         "effect": score.effect.name,
-        "evidence_nats": candidate.gain if candidate.fit is not None else 0.5 * score.statistic,
+        "evidence_nats": candidate.gain if candidate.fitted is not None else 0.5 * score.statistic,
         "p": score.p,
         "held_out_nats": score.held_out_nats,
         "estimate": {p.name: v for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)},

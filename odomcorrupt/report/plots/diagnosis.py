@@ -31,7 +31,7 @@ _LINEAR = 3.0
 def evidence_nats(candidate: Candidate) -> float:
     """Return the nats of a refit, or half the score statistic if there was none; at least zero."""
     score = candidate.score
-    plain = candidate.gain if candidate.fit is not None else 0.5 * score.statistic / score.inflation
+    plain = candidate.gain if candidate.fitted is not None else 0.5 * score.statistic / score.inflation
     return max(float(plain), 0.0) if np.isfinite(plain) else 0.0
 
 

@@ -208,10 +208,10 @@ def _candidate_line(candidate: Candidate) -> str:
         f"{p.name} {value_text(float(v), float(e), p.unit)}" if score.separable else "-"
         for p, v, e in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True)
     )
-    evidence = f"{candidate.gain:+.1f}" if candidate.fit is not None else f"p {score.p:.2g}"
+    evidence = f"{candidate.gain:+.1f}" if candidate.fitted is not None else f"p {score.p:.2g}"
     held = f"{score.held_out_nats:+.1f} +- {score.held_out_error:.1f}"
     before, after = candidate.rmse
-    drift = f"{before * 1e3:.1f} -> {after * 1e3:.1f} mm" if candidate.fit is not None else ""
+    drift = f"{before * 1e3:.1f} -> {after * 1e3:.1f} mm" if candidate.fitted is not None else ""
     refused = f"  ({candidate.refused})" if candidate.refused else ""
     return f"{score.effect.name:<21}{values:<44}{evidence:>10}{held:>16}{drift:>20}{refused}"
 

@@ -174,10 +174,10 @@ def _variants(drives: Drives, effects: Sequence[Effect], beside: Sequence[Effect
 def _as_fitted(candidate: Candidate) -> Effect:
     """Return the effect with its fitted amplitude, or with its estimated one if it was not fitted."""
     effect, estimate = candidate.score.effect, candidate.score.estimate
-    if candidate.fit is None:
+    if candidate.fitted is None:
         sizes = {p.name: float(value) for p, value in zip(amplitudes(effect), estimate, strict=True)}
         return replace(effect, **sizes)  # type: ignore[type-var]  # effects are dataclasses
-    return candidate.fit.by_name[effect.name]
+    return candidate.fitted
 
 
 CLOCKS = ("time_offset", "clock_skew")

@@ -63,6 +63,8 @@ _WITHDRAWN = "gains nothing once outlier segments are weighted again, or leads b
 class Candidate:
     """A scored term and, if it was shortlisted, the whole model refitted with it.
 
+    fit : the refit; None if there was none, and in reports, because fits of long drives are large
+    fitted : the effect as it was refitted; None if it was not
     gain : log likelihood gained by the refit minus the penalty, nats
     rmse : 10 s position error of the fitted data without and with the term, m
     refused : reason for the refusal; "" if admitted
@@ -70,6 +72,7 @@ class Candidate:
 
     score: Score
     fit: Fit | None = None
+    fitted: Effect | None = None
     gain: float = float("-inf")
     rmse: tuple[float, float] = (float("nan"), float("nan"))
     refused: str = ""
@@ -269,16 +272,17 @@ def tried(
     """
     if gain is None:
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty
+    refit = Candidate(score=score, fit=with_it, fitted=with_it.by_name.get(score.term.name), gain=gain)
     beyond = _on_bounds(with_it, score)
     if beyond:
-        return Candidate(score=score, fit=with_it, gain=gain, refused=beyond)
+        return replace(refit, refused=beyond)
     before, after = drift(fit), drift(with_it)
     worse = drift_grows(after, before, decisions)
     if worse and has_bias(fit.problem):
         # compare without the truth's own scale errors: a move from one wrong scale to another is no deterioration
         worse = drift_grows(drift(with_it, truths_corrected=True), drift(fit, truths_corrected=True), decisions)
     refused = "gains nothing when everything is fitted together" if gain <= least else _DRIFT if worse else ""
-    return Candidate(score=score, fit=with_it, gain=gain, rmse=(before.rmse, after.rmse), refused=refused)
+    return replace(refit, rmse=(before.rmse, after.rmse), refused=refused)
 
 
 def channels_of(fit: Fit, effect: Effect) -> list[str]:

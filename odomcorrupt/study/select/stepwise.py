@@ -255,7 +255,7 @@ class _Selection:
     def _record(
         self, candidates: Sequence[Candidate], *, added: str | None = None, dependence: Dependence | None = None
     ) -> None:
-        tried = tuple(replace(one, fit=one.fit.for_reports()) if one.fit is not None else one for one in candidates)
+        tried = tuple(replace(one, fit=None) for one in candidates)
         near, before = self.decisions.alternative_nats, self.fit.for_reports()
         step = Step(before=before, candidates=tried, added=added, dependence=dependence, alternative_nats=near)
         self.steps.append(step)
