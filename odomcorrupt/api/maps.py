@@ -171,7 +171,11 @@ def map_files(path: Path, method: str) -> tuple[Path, ...]:
 
 
 def require_method(
-    bag: str | PathLike[str], method: str, truth: str | None, laser_pose: Sequence[float] | None
+    bag: str | PathLike[str],
+    method: str,
+    truth: str | None,
+    laser_pose: Sequence[float] | None,
+    max_yaw_rate: float | None,
 ) -> None:
     """Raise, before any work, if a bag is a pipe, or a method is unknown or given what it does not take.
 
@@ -180,7 +184,7 @@ def require_method(
     OdomCorruptError
         If the bag is a pipe.
     MapError
-        If the method is unknown, or the laser's with a truth or a pose of the laser.
+        If the method is unknown, or the laser's with a truth, a pose of the laser or a largest yaw rate.
     """
     if fspath(bag) == "-":
         raise OdomCorruptError("-: a map is made from the whole drive, which is impossible on a pipe; name a file")
@@ -188,6 +192,8 @@ def require_method(
         raise MapError(f"--method {method}: is not one of {', '.join(get_args(Method))}")
     if method == "laser" and (truth is not None or laser_pose is not None):
         raise MapError("--method laser finds where the laser sits and takes no --truth; leave them out")
+    if method == "laser" and max_yaw_rate is not None:
+        raise MapError("--method laser undoes the motion during a scan and takes no --max-yaw-rate; leave it out")
 
 
 def draw_maps(
@@ -255,7 +261,7 @@ def draw_maps(
     >>> [file.name for file in drawn.save("office.yaml")]
     ['office_clean.pgm', 'office_clean.yaml', 'office_noisy.pgm', 'office_noisy.yaml']
     """
-    require_method(bag, method, truth, laser_pose)
+    require_method(bag, method, truth, laser_pose, max_yaw_rate)
     if not (isfinite(resolution) and resolution > 0.0):
         raise MapError(f"--resolution {resolution}: the side of a cell must be more than zero metres")
     if max_yaw_rate is not None and not max_yaw_rate >= 0.0:

@@ -29,8 +29,8 @@ from odomcorrupt.errors import EffectError
 @keeping_options
 @click.option(
     "--start", type=START,
-    help="Start pose of the odometry in the frame of position-dependent effects; odom: its own frame. [required if "
-    "they were learned]",
+    help="Start pose of the odometry in the frame of position-dependent effects, metres and radians (or 90deg); odom: "
+    "its own frame. [required if they were learned]",
 )  # fmt: skip
 @click.option(
     "--keep-localisation",

@@ -35,7 +35,7 @@ _ASKED = ("seed", "run", "scan", "odom_topic", "truth", "laser_pose", "max_yaw_r
 @click.option("--laser-pose", type=POSE, help="Pose of the laser on the robot, if TF does not contain it.")
 @click.option(
     "--max-yaw-rate", type=Number("rad/s", 0.0, 1e3), metavar="W",
-    help="Leave out rays shot while turning faster, rad/s.",
+    help="Leave out rays shot while turning faster, rad/s; not with --method laser.",
 )  # fmt: skip
 @click.option(
     "--resolution", type=Number("metres", 0.0, 1e3, above=True), default=0.05,
@@ -61,7 +61,7 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
 
     overwrite, method = given["overwrite"], given["method"]
     with usage_errors(MapError):
-        require_method(bag, method, given["truth"], given["laser_pose"])
+        require_method(bag, method, *(given[name] for name in ("truth", "laser_pose", "max_yaw_rate")))
     maps, picture = _files(output, method, overwrite=overwrite)
     model = choose_model(given)
     with Stages(quiet=console.quiet) as stages:
