@@ -36,6 +36,8 @@ _AMBIGUOUS_S = 0.02
 """Largest clock offset that these effects can imitate, seconds."""
 _LEAST_S = 0.04
 """Least offset of the odometry's clock at which a lag is tested, seconds: motors and filters lag by 50 ms and more."""
+_CLEAR = -100.0
+"""Difference, nats, that neither penalties nor the few samples of the truth at the ends of a drive can reverse."""
 _LAGS, _MISFIT = ("channel_lag", "motor_lag", "steering_lag"), 0.2
 """Names of lags; largest offset, as a fraction of a time constant, that may be a lag's misfit (as `_MISFIT_GAIN`)."""
 
@@ -87,7 +89,7 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> Cloc
         effect = other.by_name[name]
         (score,) = score_terms(drop_term(other, effect), [LibraryTerm.of(effect, other.problem.motions)], decisions)
         other = with_shape_refined(other, score, decisions)[0]
-    return ClockRival(other, more_nats(other, fit), (candidate,))
+    return ClockRival(other, more_nats(other, fit, clear=_CLEAR), (candidate,))
 
 
 def swapped(
@@ -143,7 +145,7 @@ def without_clock(fit: Fit, given: Container[str]) -> Fit | None:
     if not clocked or not _clock_like(fit, given):
         return None
     other = _at_clock(fit, fit.effects)
-    return other if more_nats(other, fit) + _clock_penalty(fit) > 0.0 else None
+    return other if more_nats(other, fit, clear=_CLEAR) + _clock_penalty(fit) > 0.0 else None
 
 
 def _penalised_nats(here: Fit, there: Fit, included: Sequence[Dependence], decisions: Decisions) -> float:
@@ -178,11 +180,17 @@ def beside_lags(clocks: Clocks, fit: Fit) -> Clocks:
     return replace(clocks, clocks=fit.problem.clocks, margins_nats=(*clocks.margins_nats, *misfit))
 
 
-def more_nats(here: Fit, there: Fit) -> float:
+def more_nats(here: Fit, there: Fit, *, clear: float = -np.inf) -> float:
     """Return the log likelihood of `here` minus that of `there`, nats: the smaller difference of both robust weights.
 
     Both are evaluated on the truth samples covered by the odometry under the clocks of both fits.
+
+    clear : difference, nats, below which one with the same weights on all samples suffices
     """
+    if np.isfinite(clear):
+        difference = here.log_likelihood - there.refit(weights_of=here).log_likelihood
+        if difference < clear:
+            return difference
     here, there = (_within(one, _common(here, there)) for one in (here, there))
     same = there.refit(weights_of=here)
     turned = here.refit(weights_of=there)

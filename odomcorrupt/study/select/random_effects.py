@@ -330,7 +330,7 @@ def _part(beside: Array, white: Array, innovations: Array, rows: NDArray[np.bool
 
 def _spectrum(information: Array, score: Array) -> tuple[Array, Array]:
     """Return the eigenvalues (m,) of an information matrix, and the squared scores (m,) along its eigenvectors."""
-    strength, vectors = eigh(information)
+    strength, vectors = eigh(information, driver="evd")
     return np.maximum(strength, 0.0), (vectors.T @ score) ** 2
 
 
