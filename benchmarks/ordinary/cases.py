@@ -118,7 +118,7 @@ LENGTHS = {
     "ground": 33,
 }  # fmt: skip
 """Number of planned drives of each situation, 360 in all."""
-FIRST_SEED, PILOT_SEED = 940_000, 20_000
+FIRST_SEED, PILOT_SEED = 960_000, 20_000
 
 
 @dataclass(frozen=True, slots=True)
