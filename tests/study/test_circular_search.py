@@ -52,6 +52,7 @@ def search(monkeypatch, following, decisions=DECISIONS):
         "_correlated": lambda *_: None,
         "_propose": lambda *_, **__: None,
         "_finish": lambda _: None,
+        "_add_clock": lambda _: False,
         "_swap_clock": lambda _: False,
         "_replace_clock_by_lag": lambda *_, **__: False,
     }.items():
@@ -91,7 +92,7 @@ def test_a_law_that_physics_contradicts_does_not_come_again_for_ever(monkeypatch
         "without_redundant": lambda fit, *_: fit,
     }.items():
         monkeypatch.setattr(stepwise, name, does)
-    for name in ("_correlated", "_finish", "_compare", "_swap_clock", "_replace_clock_by_lag"):
+    for name in ("_add_clock", "_correlated", "_finish", "_compare", "_swap_clock", "_replace_clock_by_lag"):
         monkeypatch.setattr(stepwise._Selection, name, lambda *_, **__: None)
     bare.problem = law.problem = None
     found = stepwise._Selection(bare, [], set(), NO_CLOCK, DECISIONS).run()

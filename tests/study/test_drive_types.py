@@ -11,6 +11,7 @@ from wandering import noisy_path, recording, wander
 from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, forklift, hobby, lagged
 
 from odomcorrupt.api.recordings import Recordings
+from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.steering_lag import SteeringLag
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.model_file import format_model, parse_model
@@ -22,6 +23,7 @@ from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.io import Source
+from odomcorrupt.study.select.clock_rivals import clock_beside_lag
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.fitted_size import with_limit
 from odomcorrupt.study.select.stepwise import learn
@@ -135,6 +137,19 @@ def test_a_lag_has_the_limit_of_its_servo_or_its_linkage_and_no_other(flaw, limi
     if limit:
         # limits are of the angle, and a curvature grows with its tangent: 6 % more at 0.25 rad
         assert getattr(effect, limit) == pytest.approx(size, rel=0.06)
+
+
+def test_a_lag_of_the_steering_and_a_late_clock_are_no_lags_of_both_speeds():
+    """The clock was a delay of the travel, sure, and was missing in the lag: other drives kept four times the floor."""
+    run = car(1, Flaw(lag_s=0.2), 120.0)
+    run = replace(run, odometry=replace(run.odometry, stamps_ns=run.odometry.stamps_ns + 60_000_000))
+    travel = effect_from_values("channel_lag", {"tau": 0.06, "channel": "along", "by": "delay"})
+    both = fit([run], [travel, SteeringLag(tau=0.14)], approach=choose_approach([run]))
+    found = clock_beside_lag(both, (), DECISIONS)
+    assert found.more_nats > DECISIONS.replacement_nats
+    assert found.fit.problem.clocks[0].offset_s == pytest.approx(0.06, abs=0.003)
+    (lag,) = found.fit.effects
+    assert lag.tau == pytest.approx(0.2, abs=0.01)
 
 
 @pytest.mark.slow

@@ -26,9 +26,8 @@ from odomcorrupt.study.select.closed_loop import (
     acts_in_curves_only,
     hardly_turns,
     is_gain_of_turns,
-    may_be_of_lags,
+    may_be_of_filter,
     may_be_steering,
-    of_pulls,
 )
 from odomcorrupt.study.select.decisions import error_shares
 from odomcorrupt.study.select.elimination import drift_grows, drop_term
@@ -190,7 +189,7 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
             why = "beyond what is physically possible" if room > 0.0 else _IMPOSSIBLE_SIGN
             return f"{p.name} would be {value:.3g}, {why}{euler_clause(fit, score)}"
-    if score.effect.name != "channel_lag" and (of_pulls(fit, score.estimated) or may_be_of_lags(fit, score)):
+    if score.effect.name != "channel_lag" and may_be_of_filter(fit, score):
         return "no larger than the artefact of a filter with a delay or with pose updates"
     return _imitated_by_noise(fit, score, still=still)
 

@@ -83,13 +83,54 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> Cloc
     candidate = tried(without, with_it, score, decisions)
     if candidate.refused:
         return None
-    other = with_it.refit()
-    for name in (e.name for e in fit.effects if e.name in registry()):
-        # shapes refined with the clock offset have absorbed a part of its misfit
-        effect = other.by_name[name]
-        (score,) = score_terms(drop_term(other, effect), [LibraryTerm.of(effect, other.problem.motions)], decisions)
-        other = with_shape_refined(other, score, decisions)[0]
+    # shapes refined with the clock offset have absorbed a part of its misfit
+    other = _reshaped(with_it.refit(), [e.name for e in fit.effects if e.name in registry()], decisions)
     return ClockRival(other, more_nats(other, fit, clear=_CLEAR), (candidate,))
+
+
+def clock_beside_lag(fit: Fit, given: Container[str], decisions: Decisions) -> ClockRival | None:
+    """Return a fit with a clock offset beside a lag, which the model lacks; None if not applicable.
+
+    A clock is estimated before all effects, and is left out where it delays one speed and a lag delays the other. The
+    library then finds a lag of each, of which one is the clock; the fit has the clock in its place. A filter of all
+    speeds has absorbed a clock; the fit has both.
+
+    given : names of effects that were in the model from the beginning
+    """
+    recordings = fit.problem.recordings
+    delay = fit.by_name.get("channel_lag")
+    tested = sees_travel(recordings) and not any(r.matched for r in recordings)
+    if delay is None or delay.name in given or np.any(fit.free_clocks) or not tested:
+        return None
+    others = [e for e in fit.effects if e.name in _LAGS and e is not delay]
+    late_s = 0.0
+    effects = list(fit.effects)
+    if others:
+        (tau,) = amplitudes(delay)
+        late_s = getattr(delay, tau.name)
+        effects = [_slower(e, late_s) if e in others else e for e in effects if e is not delay]
+    elif (delay.channel, delay.by) != ("all", "filter"):  # type: ignore[attr-defined]
+        return None
+    count = len(fit.free_clocks)
+    other = fit.refit(effects, clocks=(Clock(late_s),) * count, free_clocks=((True, False),) * count)
+    other = _reshaped(other, [e.name for e in others], decisions)
+    paid = 0.0 if others else _clock_penalty(other)
+    return ClockRival(other, more_nats(other, fit, clear=_CLEAR) - paid)
+
+
+def _reshaped(fit: Fit, names: Sequence[str], decisions: Decisions) -> Fit:
+    """Return a fit with the shapes of some of its library effects refined."""
+    for name in names:
+        effect = fit.by_name[name]
+        (score,) = score_terms(drop_term(fit, effect), [LibraryTerm.of(effect, fit.problem.motions)], decisions)
+        fit = with_shape_refined(fit, score, decisions)[0]
+    return fit
+
+
+def _slower(lag: Effect, seconds: float) -> Effect:
+    """Return a lag with a larger time constant."""
+    (tau,) = (p for p in amplitudes(lag) if p.unit == "s")
+    return replace(lag, **{tau.name: min(getattr(lag, tau.name) + seconds, tau.high)})  # type: ignore[type-var]
 
 
 def swapped(

@@ -104,6 +104,11 @@ def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
     return True
 
 
+def may_be_of_filter(fit: Fit, score: Score) -> bool:
+    """Return whether a term is no larger than the artefact of a filter with a delay or with pose updates."""
+    return of_pulls(fit, score.estimated) or may_be_of_lags(fit, score)
+
+
 def may_be_of_lags(fit: Fit, score: Score) -> bool:
     """Return whether an imperfect model of a lag may explain a term, within two standard errors.
 

@@ -97,6 +97,28 @@ class ModelComparison:
         return [one for one in found if one.nats > found[0].nats - self.decisions.alternative_nats]
 
 
+def compare_each_with_basis(
+    fit: Fit,
+    effects: Sequence[Effect],
+    decisions: Decisions,
+    design: CoarseDesign,
+    known: Sequence[ModelComparison] = (),
+) -> list[ModelComparison]:
+    """Return comparisons of effects of a fit with basis functions, of each one and, if several, of all together.
+
+    Several effects may explain one cause together; replacing only one of them would then gain nothing.
+
+    known : comparisons of an earlier, similar fit that are kept
+    """
+    before = {one.names: one for one in known}
+    groups = [*([effect] for effect in effects), *([list(effects)] if len(effects) > 1 else [])]
+    names = [tuple(effect.name for effect in group) for group in groups]
+    return [
+        before.get(name) or compare_with_basis(fit, group, decisions, design)
+        for name, group in zip(names, groups, strict=True)
+    ]
+
+
 def compare_with_basis(
     fit: Fit, effects: Sequence[Effect], decisions: Decisions, design: CoarseDesign
 ) -> ModelComparison:

@@ -31,7 +31,7 @@ from odomcorrupt.study.select.candidates import (
     terms_of,
     with_shape_refined,
 )
-from odomcorrupt.study.select.closed_loop import is_pulled, least_thresholds, may_be_of_lags, of_pulls
+from odomcorrupt.study.select.closed_loop import is_pulled, least_thresholds, may_be_of_filter
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
@@ -45,7 +45,7 @@ from odomcorrupt.study.select.elimination import (
 from odomcorrupt.study.select.heterogeneity import disagreements
 from odomcorrupt.study.select.model_comparison import (
     ModelComparison,
-    compare_with_basis,
+    compare_each_with_basis,
     margins,
     name_for,
     rivals,
@@ -149,9 +149,9 @@ class _Selection:
     included, open : dependences in the model, and those that it does not explain
     contradictions : effects that fit the data only with a physically impossible sign
     withdrawn : names of effects that were admitted to the current model and removed again
-    compared, compared_at : comparisons of library effects, and of all together, with basis functions, and the fit in
-        which they were made
+    compared, compared_at : comparisons of library effects with basis functions, and the fit in which they were made
     seen : terms of all models so far, with their largest log likelihood
+    lags_tested : terms of the models in which a clock was tested beside a lag
     over_lag : gain of the clock over a lag in its place, prior odds included, nats; None if not tested
     """
 
@@ -169,13 +169,14 @@ class _Selection:
     compared: list[ModelComparison] = field(default_factory=list)
     compared_at: Fit | None = None
     seen: dict[frozenset[str], float] = field(default_factory=dict)
+    lags_tested: set[frozenset[str]] = field(default_factory=set)
     over_lag: float | None = None
 
     def run(self) -> _Selection:
         """Take steps until the model no longer changes, then finish; return self."""
         self._replace_clock_by_lag(first=True)
-        kinds = (self._step, self._name_laws, self._swap_clock, self._drop_clock, self._replace_clock_by_lag)
-        while any(change() for change in kinds):
+        clocks = (self._swap_clock, self._drop_clock, self._replace_clock_by_lag)
+        while any(change() for change in (self._add_clock, self._step, self._name_laws, *clocks)):
             pass
         self._finish()
         if self.over_lag is not None:
@@ -256,9 +257,8 @@ class _Selection:
         self, candidates: Sequence[Candidate], *, added: str | None = None, dependence: Dependence | None = None
     ) -> None:
         tried = tuple(replace(one, fit=None) for one in candidates)
-        near, before = self.decisions.alternative_nats, self.fit.for_reports()
-        step = Step(before=before, candidates=tried, added=added, dependence=dependence, alternative_nats=near)
-        self.steps.append(step)
+        made = Step(before=self.fit.for_reports(), candidates=tried, added=added, dependence=dependence)
+        self.steps.append(replace(made, alternative_nats=self.decisions.alternative_nats))
 
     def _correlated(self, best: Candidate | None) -> DetectedRandomEffect | None:
         """Return the random coefficient with a clearly larger gain than the best effect, if another one is allowed."""
@@ -272,11 +272,7 @@ class _Selection:
         """Return the dependence to include next; if no effect is admitted (`alone`), preferably as a replacement."""
         decisions, design = self.decisions, CoarseDesign(self.fit.problem, least_thresholds(self.fit))
         found = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
-        found = [
-            one for one in found
-            if one.best is None
-            or not (of_pulls(self.fit, one.best.score.estimated) or may_be_of_lags(self.fit, one.best.score))
-        ]  # fmt: skip
+        found = [one for one in found if one.best is None or not may_be_of_filter(self.fit, one.best.score)]
         self.open = [one for one in found if one.channel not in self._contradicted()]
         if alone:
             self._compare(design)
@@ -303,18 +299,9 @@ class _Selection:
 
         again : whether wide margins of the same effects in an earlier, similar model are kept
         """
-        own = self._selected()
-        # several effects may explain one cause together; replacing only one of them would then gain nothing
-        together = [own] if len(own) > 1 else []
-        groups = [*([e] for e in own), *together]
-        wide = {one.names: one for one in self.compared if again and one.margin > _WIDE_NATS}
-        if self.compared_at is None or terms_of(self.compared_at) != terms_of(self.fit):
-            wide = {}
-        names = [tuple(effect.name for effect in group) for group in groups]
-        self.compared = [
-            wide.get(name) or compare_with_basis(self.fit, group, self.decisions, design)
-            for name, group in zip(names, groups, strict=True)
-        ]
+        similar = again and self.compared_at is not None and terms_of(self.compared_at) == terms_of(self.fit)
+        wide = [one for one in self.compared if similar and one.margin > _WIDE_NATS]
+        self.compared = compare_each_with_basis(self.fit, self._selected(), self.decisions, design, wide)
         self.compared_at = self.fit
 
     def _include_correlated(self, one: DetectedRandomEffect, explained: float) -> bool:
@@ -358,6 +345,21 @@ class _Selection:
         self._continue_with_clocks_of(found.fit, max(lag.gain - found.more_nats, 0.0))
         return True
 
+    def _add_clock(self) -> bool:
+        """Add a clock offset beside a lag, or in its place beside another one; return whether it was added.
+
+        It is tested before each step: later terms would explain what its absence leaves.
+        """
+        if (terms := terms_of(self.fit)) in self.lags_tested:
+            return False
+        self.lags_tested.add(terms)
+        found = clock_rivals.clock_beside_lag(self.fit, self.given, self.decisions)
+        if found is None or found.more_nats <= self.decisions.alternative_nats or self._already_seen(found.fit):
+            return False
+        self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, found.more_nats))
+        self._continue_with_clocks_of(found.fit, 0.0)
+        return True
+
     def _drop_clock(self) -> bool:
         """Drop a clock offset that gains nothing beside a selected wheel effect; return whether it was dropped."""
         other = clock_rivals.without_clock(self.fit, self.given)
@@ -375,10 +377,9 @@ class _Selection:
     def _swap_clock(self) -> bool:
         """Replace a clock offset by a wheel effect at changes of speed, or conversely, if that gains more.
 
-        Clocks are estimated first, and a small offset has nearly the same errors as slip or backlash at changes of
-        speed. If the wheel effect is real, a dependence on the acceleration remains beside the clock. If no clock
-        is free, a selected wheel effect or dependence on the acceleration may be an offset: rounded stamps are late by
-        half of the rounding step. The hypothesis that is left out remains a rival.
+        A small offset, estimated first, has nearly the errors of slip or backlash. If these are real, a dependence on
+        the acceleration remains beside it; without a free clock they may be an offset of rounded stamps. The hypothesis
+        that is left out remains a rival.
         """
         late = {one.name for one in (*self.included, *self.open) if one.follows_acceleration}
         found = clock_rivals.swapped(self.fit, late, self.included, self.given, self.decisions)
