@@ -39,16 +39,18 @@ class _Gain(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class GaussMarkov(Effect):
-    """f = g (v, 0, 0) or g (0, 0, omega), g' = -g / tau + white noise, stationary with deviation sigma.
+    """f = g (v, 0, 0), g (0, 0, omega) or g (0, 0, v / 1 m), g' = -g / tau + white noise, of deviation sigma.
 
-    Unlike a bias it vanishes at rest. The gain is limited to 0.9, so that an odometry exists for every motion.
+    Unlike a bias it vanishes at rest. The gain is limited to 0.9, so that an odometry exists for every motion. The last
+    form is the difference of the gains of two wheels 1 m apart, on any robot; on a track b it is the b-th part of it.
     """
 
     name = "gauss_markov"
     kind = "noise"
-    summary = "the gain of travel or turn varies slowly about one (Gauss-Markov)"
+    summary = "the gain of travel, of turns or of one wheel varies slowly about one (Gauss-Markov)"
     about = About(
-        equation="f_along = g v, or f_yaw = g omega; g Gauss-Markov of deviation sigma and correlation time tau",
+        equation="f_along = g v, f_yaw = g omega, or f_yaw = g v / 1 m (wheels); g Gauss-Markov of deviation sigma and "
+        "correlation time tau",
         typical="1 to 5 % with correlation times of 2 to 30 s (an estimate)",
         source="first-order Gauss-Markov process, as in Gelb 1974, Applied Optimal Estimation",
         confused_with=("slip_burst", "region_slip", "scale_drift", "gyro_bias_walk"),
@@ -57,7 +59,7 @@ class GaussMarkov(Effect):
 
     sigma: float = parameter("", "standard deviation of the gain", low=0.0, high=0.5, typical=0.02)
     tau: float = parameter("s", "correlation time", low=0.05, high=1e4, typical=5.0, identity=5.0, amplitude=False)
-    channel: str = choice("what the gain acts on", "along", "yaw")
+    channel: str = choice("what the gain acts on", "along", "yaw", "wheels")
 
     def start(self, rng: Generator) -> State:
         """Return a gain drawn from its stationary distribution (in units of sigma), and its random generator."""
@@ -92,5 +94,5 @@ class GaussMarkov(Effect):
         return motion.omega if self.channel == "yaw" else motion.v
 
     def _on_channel(self, values: Array) -> Array:
-        along, yaw = (0.0, values) if self.channel == "yaw" else (values, 0.0)
+        along, yaw = (values, 0.0) if self.channel == "along" else (0.0, values)
         return stacked(along, 0.0, yaw, values)

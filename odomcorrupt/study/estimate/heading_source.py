@@ -41,6 +41,18 @@ def heading_source_of(recordings: Sequence[Recording]) -> str:
 
 def turns_at_rest(recording: Recording) -> bool:
     """Return whether the heading of the odometry goes on changing in at least half the time at which no wheel turns."""
+    rests_s, going_on_s = _rests(recording)
+    return rests_s >= _RESTS_S and going_on_s >= 0.5 * rests_s
+
+
+def stands_still(recording: Recording) -> bool:
+    """Return whether the heading of the odometry stands still while no wheel turns: there are rests that show it."""
+    rests_s, going_on_s = _rests(recording)
+    return rests_s >= _RESTS_S and not going_on_s
+
+
+def _rests(recording: Recording) -> tuple[float, float]:
+    """Return the time at which no wheel turns, and that in which the heading of the odometry goes on changing, s."""
     steps, dt_s = increments(recording.odometry.xyt), np.diff(recording.odometry_s)
     turned = np.abs(steps.dtheta_rad)
     still = (np.hypot(steps.ds_m, steps.dl_m) < _STILL_M) & (turned < _STILL_RADPS * dt_s)
@@ -52,7 +64,7 @@ def turns_at_rest(recording: Recording) -> bool:
             early, late = float(turned[first:middle].sum()), float(turned[middle:last].sum())
             rests_s += seconds
             going_on_s += seconds * (late > _GOES_ON * early > 0.0)
-    return rests_s >= _RESTS_S and going_on_s >= 0.5 * rests_s
+    return rests_s, going_on_s
 
 
 def sees_travel(recordings: Sequence[Recording]) -> bool:

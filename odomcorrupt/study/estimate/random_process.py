@@ -163,6 +163,7 @@ def _processes(taus_s: Sequence[float], biases_s: Sequence[float]) -> list[Proce
         for channel, unit in (
             ("along", lambda m: stacked(m.v, 0.0, 0.0, m.v)),
             ("yaw", lambda m: stacked(0.0, 0.0, m.omega, m.v)),
+            ("wheels", lambda m: stacked(0.0, 0.0, m.v, m.v)),
         )
         for tau in taus_s
     ]

@@ -18,7 +18,7 @@ from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.estimate.config import INTERVAL_S
 from odomcorrupt.study.estimate.drive_type import drive_type_of
 from odomcorrupt.study.estimate.gauss_newton import orthonormal
-from odomcorrupt.study.estimate.heading_source import sees_travel
+from odomcorrupt.study.estimate.heading_source import sees_travel, stands_still
 from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
 from odomcorrupt.study.estimate.random_process import (
     CORRELATED_NOISE,
@@ -68,6 +68,8 @@ class DetectedRandomEffect:
     nats: float
 
 
+_BIAS, _WHEELS = ("gyro_bias_walk", ""), ("gauss_markov", "wheels")
+"""Name and channel of a bias that varies, and of a difference between the wheels that does."""
 _REFIT_NATS = 15.0
 """Largest gain by fitting the noise again, nats, once a process has its own parameters; at most 10 was observed."""
 _SEEN_NATS = 1.0
@@ -84,8 +86,10 @@ def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) ->
     found: dict[tuple[str, str], tuple[DetectedRandomEffect, float]] = {}
     evidence = _Evidence(fit)
     drive, blind = drive_type_of(fit.problem.recordings), not sees_travel(fit.problem.recordings)
+    still = all(map(stands_still, fit.problem.recordings))
     for process in processes():
-        if not drive.admits(process.kind):
+        # a heading that moves at rest comes from a gyro, whatever the wheels do
+        if not drive.admits(process.kind) or (process.fixed.get("channel") == "wheels" and not still):
             continue
         if blind and process.unit is bias_of:
             continue  # the truth is a gyro, and the bias may be its own
@@ -100,6 +104,9 @@ def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) ->
         key = (effect.name, getattr(effect, "channel", ""))
         if key not in found or one.nats > found[key][0].nats:
             found[key] = one, least
+    bias, wheels = (found.get(key) for key in (_BIAS, _WHEELS))
+    if bias and wheels and wheels[0].nats > bias[0].nats - decisions.alternative_nats:
+        del found[_BIAS]  # its odometry would turn at rest, too
     named = []
     for key, (one, least) in found.items():
         if key in have or is_remainder(fit, one.effect):
