@@ -52,7 +52,8 @@ def best_dependence(
 
     instead_of : effects that it replaces, whose gain it has to exceed by `replacement_nats`
     """
-    others, spared, least = fit.effects, 0.0, 0.0
+    # by chance, a random process depends a little on the motion of one drive
+    others, spared, least = fit.effects, 0.0, decisions.replacement_nats if fit.random else 0.0
     if instead_of is not None:
         others = tuple(e for e in fit.effects if e not in instead_of.effects)
         spared, least = instead_of.penalty, decisions.replacement_nats

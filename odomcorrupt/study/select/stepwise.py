@@ -278,9 +278,8 @@ class _Selection:
             self._compare(design)
         if len(self.included) >= decisions.max_dependences:
             return None
-        compared = self.compared if alone else []
         # no replacement on contradicted channels either: it would be included and removed in turn
-        replacement = best_replacement(self.fit, compared, decisions, self._contradicted())
+        replacement = best_replacement(self.fit, self.compared if alone else [], decisions, self._contradicted())
         proposal = replacement or best_dependence(self.fit, self.open, decisions)
         return None if proposal is None or self._already_seen(proposal.candidate.fit) else proposal
 
@@ -318,7 +317,8 @@ class _Selection:
         decisions = self.decisions
         against = [one for one in self.steps[-1].candidates if one.contradicts_physics(decisions)]
         self.contradictions += [one for one in against if one.score.robust_nats > decisions.replacement_nats]
-        self.open = [one for one in self.open if one.channel not in self._contradicted()]
+        least = decisions.replacement_nats if self.fit.random else 0.0  # as in `best_dependence`
+        self.open = [one for one in self.open if one.nats > least and one.channel not in self._contradicted()]
         tails = not (self.noise or self.open or self.included)
         outliers = [] if is_pulled(self.fit) else outlier_effects(self.fit, decisions, tails=tails)
         if outliers:
