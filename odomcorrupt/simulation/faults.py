@@ -145,6 +145,8 @@ def _wobble(robot: Robot, p: Mapping[str, Any]) -> Robot:
         return robot
     if p["channel"] == "yaw":
         return replace(robot, play_of_track=(*robot.play_of_track, wobble))
+    if p["channel"] == "wheels":
+        return replace(robot, play_of_rims=(*robot.play_of_rims, wobble))
     return _on_floor(robot, uneven=(*robot.floor.uneven, wobble))
 
 
@@ -264,6 +266,7 @@ EVERY = {**CAUSES, **OUTSIDE}
 SIZES = {"weak": 0.5, "medium": 1.0, "strong": 2.0}
 TWINS = {"lever_arm", "icr_shift"}
 """Aliased faults, which no recording can distinguish: a mixture of them would be one fault."""
+_CHANNELS = ("along", "yaw", "wheels")
 _LOT = {"none": 0.2, "one": 0.5, "two": 0.15, "outside": 0.15}
 
 
@@ -299,8 +302,8 @@ def draw_fault(
     for name, value in (given or {}).items():
         if name not in drawn:
             raise EffectError(f"{cause}: has no parameter {name}; it has {', '.join(drawn)}")
-        if isinstance(drawn[name], str) and value not in {"along", "yaw"}:
-            raise EffectError(f"{cause}: {name} {value}; it can be along or yaw")
+        if isinstance(drawn[name], str) and value not in _CHANNELS:
+            raise EffectError(f"{cause}: {name} {value}; it can be {', '.join(_CHANNELS[:-1])} or {_CHANNELS[-1]}")
         if not isinstance(drawn[name], str) and isinstance(value, str):
             raise EffectError(f"{cause}: {name} {value} is not a number")
     drawn |= given or {}

@@ -320,6 +320,10 @@ def _carry(
 ) -> _Steps:
     rolled_m = 0.5 * (travel_m[:, 0] + travel_m[:, 1])
     turn_rad = _turn(travel_m[:, 0] - travel_m[:, 1], rim_mps[:, 0] - rim_mps[:, 1], step_s, robot, streams)
+    for i, (sigma, tau_s) in enumerate(robot.play_of_rims):
+        turn_rad = turn_rad + rolled_m * gauss_markov_noise(
+            sigma, tau_s, step_s, len(rolled_m), streams(f"play of rims {i}")
+        )
     forward_m = yield_along(rolled_m, 0.5 * (rim_mps[:, 0] + rim_mps[:, 1]), step_s, robot)
     for i, (sigma, tau_s) in enumerate(robot.floor.uneven):
         forward_m = forward_m * (1.0 + gauss_markov_noise(sigma, tau_s, step_s, len(forward_m), streams(f"uneven {i}")))

@@ -124,6 +124,8 @@ class Robot:
     """Relative growth of the effective track per rad/s of turn rate."""
     play_of_track: tuple[tuple[float, float], ...] = ()
     """Gauss-Markov variation of the effective track: (sigma, correlation time in s)."""
+    play_of_rims: tuple[tuple[float, float], ...] = ()
+    """Gauss-Markov turn per way driven: (sigma in rad/m, correlation time in s)."""
 
     # gear, encoders and heading sensor
     gear_play_m: float = 0.0

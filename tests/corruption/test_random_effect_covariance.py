@@ -17,6 +17,7 @@ WEAK = Coefficients(0.02, 0.01, 0.02, 0.01)
 TRACK_M = 0.5
 RANDOM = {
     "gain": ("gauss_markov", {"sigma": 0.04, "tau": 3.0}),
+    "difference of the wheels": ("gauss_markov", {"sigma": 0.01, "tau": 3.0, "channel": "wheels"}),
     "turning gain": ("gauss_markov", {"sigma": 0.03, "tau": 3.0, "channel": "yaw"}),
     "walk": ("gyro_bias_walk", {"density": 3e-4}),
     "bias that comes back": ("gyro_bias_walk", {"density": 2e-3, "tau": 4.0}),

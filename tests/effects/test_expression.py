@@ -214,8 +214,8 @@ def test_a_model_file_carries_it_and_runs_it():
         ('name = "mine"\nexpression = "yaw += open(1)"', "no function 'open'"),
         ('name = "mine"\nexpression = "yaw += k * v"\nk = "x"', "write a number"),
         ('name = "mine"\nexpression = "yaw += k * v"', "'k' is not known"),
-        ('name = "gauss_markov"\nsigma = 0.1\nchannel = "up"', "along or yaw"),
-        ('name = "gauss_markov"\nsigma = 0.1\nchannel = 3', "along or yaw"),
+        ('name = "gauss_markov"\nsigma = 0.1\nchannel = "up"', "along or yaw or wheels"),
+        ('name = "gauss_markov"\nsigma = 0.1\nchannel = 3', "along or yaw or wheels"),
         ('name = "wheel_scale"\ne = "wide"', "write a number"),
     ],
 )

@@ -51,7 +51,7 @@ def test_a_broken_one_is_reported_and_stops_nothing(plugged, value, complaint):
     [
         ("wheel_scal", {}, r"did you mean wheel_scale\?"),
         ("gauss_markov", {"chanel": "yaw"}, r"did you mean channel\?"),
-        ("gauss_markov", {"channel": "up"}, "write along or yaw"),
+        ("gauss_markov", {"channel": "up"}, "write along or yaw or wheels"),
         ("gauss_markov", {"sigma": "much"}, "must be a number"),
         ("backlash", {"travel": -0.001}, r"must lie in \[0, 0.05\] m"),
     ],

@@ -97,7 +97,7 @@ def test_control_has_no_causes(tmp_path):
         (["--effect", "slope:crep=0.1"], 2, "it has creep, direction"),
         (["--effect", "side_slip:k=-0.1"], 2, "must not be negative"),
         (["--effect", "slope:creep=much"], 2, "is not a number"),
-        (["--effect", "gauss_markov:channel=up"], 2, "along or yaw"),
+        (["--effect", "gauss_markov:channel=up"], 2, "along, yaw or wheels"),
     ],
 )
 def test_what_makes_no_sense_is_said(tmp_path, capsys, options, code, says):

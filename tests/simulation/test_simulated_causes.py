@@ -121,6 +121,17 @@ def test_gain_wanders_with_its_deviation_in_its_channel_only(channel, route):
     assert np.std(gains) == pytest.approx(0.03, rel=0.3)
 
 
+def test_the_difference_of_the_wheels_wanders_by_the_way_driven_and_not_at_rest():
+    bends = []
+    for seed in range(60):
+        run = silent("gauss_markov", {"sigma": 0.03, "tau": 20.0, "channel": "wheels"}, STRAIGHT, seed=seed)
+        odom, truth = (xyt[600:625] for xyt in both(run))
+        bends.append((truth[-1, 2] - truth[0, 2] - odom[-1, 2] + odom[0, 2]) / way_m(odom))
+    assert np.std(bends) == pytest.approx(0.03, rel=0.3)
+    odom, truth = both(silent("gauss_markov", {"sigma": 0.03, "tau": 20.0, "channel": "wheels"}, SPIN_LEFT, seed=1))
+    assert np.abs(truth[:, 2] - odom[:, 2]).max() < 1e-3
+
+
 def test_heavy_tails_are_heavy():
     rig, route = dataclasses.replace(FLAWLESS_RIG, creep=1.0), (REST, Segment(0.5, 0.0, 900.0))
     options = {"rig": rig, "truth": FLAWLESS_TRACKER, "route": route, "duration_s": 600.0}
