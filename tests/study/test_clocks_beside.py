@@ -18,7 +18,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.clock_rivals import clock_beside_lag, lag_in_place
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.validate.compare import clocks_beside
+from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 
 
 def test_an_effect_of_the_heading_in_the_world_is_taken_out_of_a_recording_whose_truth_has_none():

@@ -30,8 +30,8 @@ from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.contribution import Contribution, Span
 from odomcorrupt.study.select.stepwise import Learned, Step, learn
 from odomcorrupt.study.validate import held_out
-from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.evaluation import Evaluation
+from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 from odomcorrupt.study.validate.held_out import HeldOut, drop_unsupported_parts
 from odomcorrupt.study.validate.round_trip import RoundTrip
 

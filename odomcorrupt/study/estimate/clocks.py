@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
 
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
+_RANGE = 2.0
+"""Half width of the range of an offset, in standard errors."""
 _CLOCK_HARM = 1.15
 """Ratio by which a clock may increase the 10 s error; a larger one rejects it, even if significant."""
 _PLAIN_LEVEL, _MOST_LEVEL = 1.5, 30.0
@@ -58,6 +60,9 @@ class Clocks:
         an effect that was tried in its place, or a lag whose imperfect model it may absorb
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
+    ranges_s : least and largest offset within two standard errors, with the usual systematic effects and rivals free;
+        also of an offset that is left at zero because it is not significant; (0, 0) if an offset increases the 10 s
+        error
     """
 
     clocks: tuple[Clock, ...]
@@ -69,11 +74,15 @@ class Clocks:
     margins_nats: tuple[float, ...] = ()
     truths: tuple[TruthNoise, ...] = ()
     left_nats: float = 0.0
+    ranges_s: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """Clock of some runs, whether its offset and rate are significant, their errors, and the fit they come from."""
+    """Clock of some runs, whether its offset and rate are significant, their errors, and the fit they come from.
+
+    unused_s : estimate and standard error of an offset that is left at zero because it is not significant
+    """
 
     clock: Clock
     free: tuple[bool, bool]
@@ -81,6 +90,7 @@ class _Found:
     fit: Fit
     ambiguous_nats: float = 0.0
     margins_nats: tuple[float, ...] = ()
+    unused_s: tuple[float, float] = (0.0, 0.0)
 
 
 def nuisance_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -99,16 +109,34 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     found = {i: _find_clock(runs, approach) for i, runs in together.items()}
     each = [found[leader] for leader in leaders]
     longest = max(found.values(), key=lambda f: len(f.fit.problem.intervals)).fit
+    errors = with_rounding([f.errors for f in each], [f.free for f in each], recordings)
+    offsets = [(f.clock.offset_s, own[0]) if f.free[0] else f.unused_s for f, own in zip(each, errors, strict=True)]
     return Clocks(
         tuple(f.clock for f in each),
         tuple(f.free for f in each),
-        with_rounding([f.errors for f in each], [f.free for f in each], recordings),
+        errors,
         longest.noise.free,
         tuple(e for e in longest.onward.effects if e.name in _NUISANCE),
         max(f.ambiguous_nats for f in each),
         min((f.margins_nats for f in each), key=lambda nats: min(nats, default=np.inf)),
         tuple(f.fit.noise.truth for f in each),
+        ranges_s=tuple((offset_s - _RANGE * error_s, offset_s + _RANGE * error_s) for offset_s, error_s in offsets),
     )
+
+
+def most_likely_clocks(recordings: Sequence[Recording], clocks: Clocks, approach: Approach) -> tuple[Clock, ...]:
+    """Return the clocks with the most likely offset of their ranges, without any effect beside them.
+
+    recordings : with the effects of a model removed from the odometry
+    """
+    leaders = clock_leaders(recordings)
+    found = dict(enumerate(clocks.clocks))
+    for leader in {i for i, range_s in zip(leaders, clocks.ranges_s, strict=False) if range_s[0] < range_s[1]}:
+        runs = [r for r, own in zip(recordings, leaders, strict=True) if own == leader]
+        problem = pose_problem(runs, (), [clocks.clocks[leader]] * len(runs), approach=approach)
+        likely = fit_problem(problem, [(True, False)] * len(runs), nearly=True).onward.clocks[0]
+        found[leader] = replace(likely, offset_s=float(np.clip(likely.offset_s, *clocks.ranges_s[leader])))
+    return tuple(found[leader] for leader in leaders)
 
 
 def with_rounding(
@@ -190,10 +218,8 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
         else:
             if _harmless(runs, clock):
                 return _Found(clock, free, errors, best)
-    nothing = _Found(Clock(), (False, False), (0.0, 0.0), best)
-    if alone is None or not _harmless(runs, alone.clock):
-        return nothing
-    return _preferred(runs, alone, nothing, rivals)
+    nothing = _Found(Clock(), (False, False), (0.0, 0.0), best, unused_s=(clock.offset_s, errors[0]))
+    return nothing if alone is None else _preferred(runs, alone, nothing, rivals)
 
 
 def _of_stamps(runs: Sequence[Recording], clock: Clock, error_s: float) -> bool:
@@ -223,6 +249,8 @@ def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals
 
     All rivals together may imitate a clock that no single one can.
     """
+    if not _harmless(runs, clock.clock):
+        return replace(nothing, unused_s=(0.0, 0.0))
     nuisance = nothing.fit.onward.effects[: len(nuisance_of(runs))]
     still = pose_problem(runs, nuisance, approach=clock.fit.problem.approach)
 

@@ -30,9 +30,9 @@ from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned, clock_leaders
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.confidence import EVEN_ODDS, confidence, evidence_of, noise_evidence
-from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.cross_validation import split_of
 from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
+from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -1,0 +1,121 @@
+"""Clocks with which models are evaluated.
+
+A clock belongs to a recording, not to a model: all models of a comparison are evaluated with the same one. If each were
+evaluated with its best clock, a clock would make up for a part of the errors of a wrong model (late travel looks like
+slip at starts), and differences of log likelihood and 10 s error would mix those of models with those of clocks.
+
+A clock is known within its standard error only, estimated with effects that resemble an offset left free. A model that
+is rejected with the common clock is therefore tested again with the offset that is most likely for it within two
+standard errors, and is rejected only if it is there too. A wrong model gains no more than this, because the range does
+not depend on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.study.estimate.clocks import Clocks, find_clocks, most_likely_clocks
+from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.io.clock import Clock, aligned
+from odomcorrupt.study.io.headings import with_headings, with_recomputed_headings
+from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.study.estimate.config import Approach
+    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.validate.calibration import Horizon
+
+_MAX_ERROR_RATIO = 0.97
+"""A clock estimated with a model applied is accepted only if it reduces the 10 s error at least to this ratio; beside a
+truth of positions, unless it increases the error by as much."""
+
+
+def clocks_beside(
+    recordings: Sequence[Recording], approach: Approach, model: MotionModel, plain: Clocks | None = None
+) -> Clocks:
+    """Return the clocks estimated from the raw odometry or with a model applied, or zero clocks: the least 10 s error.
+
+    A strong effect can mask or imitate a clock offset, so clocks are also estimated from the model's residuals. Beside
+    a truth of positions only these are taken, even if the 10 s error is the same: the headings there come from the
+    odometry, bent as it is, and the offset is biased; the most likely offset within two standard errors is then taken.
+    """
+    plain = plain or find_clocks(recordings, approach)
+    effects = [_effects(model, r) for r in recordings]
+    if not any(effect.kind != "noise" for own in effects for effect in own):
+        return plain
+    corrected = _without_effects_of(model, recordings)
+    applied = find_clocks(corrected, approach)
+
+    def error_m(clocks: Sequence[Clock]) -> float:
+        on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
+        return phased_rmse([with_recomputed_headings(undo(r, own)) for r, own in zip(on_time, effects, strict=True)])
+
+    found = plain
+    n = len(recordings)
+    none = replace(
+        plain,
+        clocks=(Clock(),) * n,
+        free=((False, False),) * n,
+        errors=((0.0, 0.0),) * n,
+        ranges_s=((0.0, 0.0),) * n,
+    )
+    for other in (none, applied):
+        if error_m(other.clocks) < _MAX_ERROR_RATIO * error_m(found.clocks):
+            found = other
+    if all(r.headed for r in recordings):
+        return found
+    if applied.free == found.free and error_m(found.clocks) > _MAX_ERROR_RATIO * error_m(applied.clocks):
+        found = applied
+    likely = most_likely_clocks(corrected, found, approach)
+    kept = zip(recordings, found.clocks, found.free, likely, strict=True)
+    likely = tuple(new if free[0] and not r.headed else old for r, old, free, new in kept)
+    return replace(found, clocks=likely) if error_m(found.clocks) > _MAX_ERROR_RATIO * error_m(likely) else found
+
+
+def own_clocks(recordings: Sequence[Recording], approach: Approach, model: MotionModel, clocks: Clocks) -> Clocks:
+    """Return clocks with the most likely offsets beside a model, within two standard errors."""
+    return replace(clocks, clocks=most_likely_clocks(_without_effects_of(model, recordings), clocks, approach))
+
+
+def can_be_of_clocks(horizons: Sequence[Horizon], recordings: Sequence[Recording], clocks: Clocks) -> bool:
+    """Return whether clocks within their ranges can explain too large errors: a cheap bound for clearly wrong models.
+
+    An offset changes the error over a window by at most twice the speed times the change.
+    """
+    shift_m = max(
+        (2.0 * _speed(r) * (high - low) for r, (low, high) in zip(recordings, clocks.ranges_s, strict=False)),
+        default=0.0,
+    )
+    excess_m = [h.position_measured - PRACTICAL_FACTOR * h.position_expected for h in horizons]
+    return shift_m > 0.0 and not any(own > shift_m for own in excess_m)
+
+
+def _speed(recording: Recording) -> float:
+    """Return the speed (m/s) that the odometry exceeds in 1 % of its intervals."""
+    gone_m = np.hypot(*np.diff(recording.odometry.xyt[:, :2], axis=0).T)
+    return float(np.quantile(gone_m, 0.99) / np.median(np.diff(recording.odometry_s)))
+
+
+def _effects(model: MotionModel, recording: Recording) -> tuple[Effect, ...]:
+    """Return the effects of a model that apply in a recording's frame, and those of its measurement."""
+    return (*model.in_frame(recording.frame).effects, *model.setup.effects)
+
+
+def _without_effects_of(model: MotionModel, recordings: Sequence[Recording]) -> list[Recording]:
+    """Return recordings with the effects of a model removed from the odometry and their truth unchanged.
+
+    Effects that depend on the heading in the world need headings, which a truth of positions lacks.
+    """
+    found = []
+    for recording in recordings:
+        left = undo(with_headings(recording), _effects(model, recording))
+        found.append(replace(left, truth=recording.truth, heading_error_rad=recording.heading_error_rad))
+    return found
