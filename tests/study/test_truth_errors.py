@@ -16,6 +16,7 @@ from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
+from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.clocks import nuisance_of
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
@@ -27,6 +28,8 @@ from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import interval_covariance, map_axes, whitener
 from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.reader import recordings_of
 from odomcorrupt.study.io.recording import TruthField
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import explained_by
@@ -63,9 +66,13 @@ def localised(error_of, *, seed=3, seconds=300.0, noise=QUIET, drive=wander, yaw
     steps = wander(seed, seconds) if drive is wander else drive(seconds)
     run = recording(steps, noisy_path(steps, noise, seed), seed=seed)
     true = accumulate(np.zeros(3), replace(steps, dtheta_rad=steps.dtheta_rad + yaw_rate / 50.0))[::EVERY]
-    way = np.concatenate(([0.0], np.cumsum(np.abs(steps.ds_m) + 0.3 * np.abs(steps.dtheta_rad))))[::EVERY]
-    error = error_of(np.random.default_rng(seed), way, true[:, :2])
+    error = error_of(np.random.default_rng(seed), way_of(steps)[::EVERY], true[:, :2])
     return replace(run, truth=Trajectory(run.odometry.stamps_ns[::EVERY], true + error), localised=True)
+
+
+def way_of(steps):
+    """Return the way (n + 1,) in metres over which errors of a localisation change; turns count, too."""
+    return np.concatenate(([0.0], np.cumsum(np.abs(steps.ds_m) + 0.3 * np.abs(steps.dtheta_rad))))
 
 
 def alike_over(length_m):
@@ -246,3 +253,26 @@ def test_a_course_of_the_yaw_rates_bias_over_time_is_a_walk_unless_much_likelier
     assert explained_by([(over_time, 80.0)], walk, DECISIONS) == 80.0 - DECISIONS.replacement_nats
     assert explained_by([(over_time, 80.0)], gain, DECISIONS) == 80.0
     assert explained_by([], walk, DECISIONS) == 0.0
+
+
+def test_noise_beside_a_localisation_of_high_rate_is_a_bound():
+    """Errors of 1 cm in each of ten poses a second, with 2 cm that last for 1.5 m, are no noise of odometry."""
+    steps = wander(5, 300.0)
+    own = noisy_path(steps, QUIET, 5)
+    stamps = recording(steps, own).odometry.stamps_ns
+    true, way = accumulate(np.zeros(3), steps)[::5], way_of(steps)[::5]
+    error = alike_over(1.5)(np.random.default_rng(5), way, true[:, :2])
+    error += np.random.default_rng(6).normal(0.0, [0.01, 0.01, 0.004], error.shape)
+    (run,) = recordings_of(
+        "drive", samples("/odom", "odom", stamps, own), samples("/amcl_pose", "map", stamps[::5], true + error)
+    )
+    robot = fit_robot([run], [], law_name="diffusion")
+    bounds = {one.name: one for one in robot.noise_at_most}
+    assert set(bounds) == {"rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans"}
+    for name, one in bounds.items():
+        assert getattr(QUIET, name) <= one.high < 0.008, name
+
+
+def samples(name, frame, stamps_ns, xyt):
+    xyz, none = np.column_stack((xyt[:, :2], 0.0 * stamps_ns)), np.zeros(0)
+    return Samples(name, name, frame, stamps_ns, xyz, xyt[:, 2], none.astype(np.int64), none)

@@ -3,10 +3,14 @@
 AMCL and SLAM correct the odometry intermittently (nav2's amcl: after 0.25 m or 0.2 rad). In between, TF returns the
 last correction composed with the odometry since then. Poses sampled from TF at a fixed rate therefore repeat the
 odometry with its errors. Only the poses at which the correction changed are independent of it.
+
+A localisation may also send poses of its own at a high rate. Its errors depend on the view, so that they are the same
+in poses of one place: those after some motion are enough.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -14,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.topic_selection import plain
 
 if TYPE_CHECKING:
@@ -21,6 +26,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
+    from odomcorrupt.study.io.recording import Recording
 
 REPEATED, CORRECTIONS = 0.3, 20
 """Least fraction of messages during motion that repeat the odometry's step in a localisation.
@@ -35,8 +41,12 @@ _MEASURED = re.compile(
 """Names of odometry topics whose positions are measured in a frame of known scale, or exact."""
 _NAMES = re.compile(r"amcl|slam|locali[sz]|cartographer|rtabmap|hector")
 """Names of topics on which localisations publish their poses."""
+_IMAGES = re.compile(r"orb|visual|vslam|vio|rtabmap|camera|stereo|rgbd|zed")
+"""Names of topics of visual SLAM. Its poses at a high rate are of a tracker of images, which are good at all times."""
 SPARSE_HZ = 5.0
-"""Rate below which such poses are corrections; faster ones are of a tracker of scans or images, good at all times."""
+"""Rate below which such poses are corrections; faster ones are sent at all times, also at rest."""
+_APART_M, _APART_RAD = 0.25, 0.2
+"""Motion after which the pose of a faster localisation is used: that after which nav2's amcl corrects."""
 _UNEVEN = 0.3
 """Spread (10 to 90 %) of the times between corrections over their median; updates by travel or turn exceed it."""
 _BASES = frozenset({"base_link", "base_footprint"})
@@ -90,6 +100,39 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
     )
 
 
+def is_localised(truth: Samples) -> bool:
+    """Return whether a localisation in a map made the truth, at any rate: it was found to be one, or is named so."""
+    name = truth.name.lower()
+    named = _NAMES.search(name) and not (_MEASURED.search(name) or _IMAGES.search(name))
+    return truth.localised or (bool(named) and truth.headed and not has_own_scale(truth))
+
+
+def spaced_by_motion(recording: Recording) -> Recording:
+    """Return a recording in which a localisation of high rate has only a pose after each 0.25 m or 0.2 rad of odometry.
+
+    Poses of one place share most of their error. A stop would count as many poses that agree, and the rest of the
+    errors, summed over the poses of a second, as decimetres of path.
+    """
+    truth, t_s = recording.truth, recording.truth_s
+    inside = np.flatnonzero(recording.within_odometry)
+    if not recording.localised or len(inside) < SPARSE_HZ * float(np.ptp(t_s[inside])):
+        return recording
+    own = recording.odometry.at(t_s[inside], recording.origin_ns)
+    rows = [0]
+    for i, pose in enumerate(own):
+        x, y, turned = pose - own[rows[-1]]
+        if math.hypot(x, y) >= _APART_M or abs(turned) >= _APART_RAD:
+            rows.append(i)
+    if len(rows) < CORRECTIONS:
+        return recording
+    said = (
+        f"the truth's poses after each {_APART_M:g} m or {_APART_RAD:g} rad are used, {len(rows)} of {len(truth)}: "
+        "those in between share their errors"
+    )
+    kept = inside[rows]
+    return replace(recording, truth=Trajectory(truth.stamps_ns[kept], truth.xyt[kept]), notes=(*recording.notes, said))
+
+
 def has_own_scale(truth: Samples) -> bool:
     """Return whether the truth is an estimator's odometry whose name gives no source of its scale (visual SLAM)."""
     return truth.estimated and truth.geodetic_origin is None and not _MEASURED.search(truth.name.lower())
@@ -110,7 +153,7 @@ def is_of_base(truth: Samples, odometry: Samples) -> bool:
     Messages without a child frame (nav2's /amcl_pose, slam_toolbox's /pose) refer to the base frame by definition;
     their remaining offset is the localisation's bias.
     """
-    if not (truth.localised and truth.frame):
+    if not (is_localised(truth) and truth.frame):
         return False
     child, own = (plain(path.child).rpartition("/")[2] for path in (truth, odometry))
     return child in ("", own) or {child, own} <= _BASES

@@ -23,7 +23,9 @@ from odomcorrupt.study.io.localisation import (
     corrections_alone,
     has_own_scale,
     is_in_map,
+    is_localised,
     is_of_base,
+    spaced_by_motion,
 )
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.raw_trajectory import in_order
@@ -311,20 +313,22 @@ def recordings_of(
     opening = f"odometry {_description(odometry)}, truth {_description(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
     return [
-        replace(
-            r,
-            notes=(opening, *r.notes, *said),
-            alerts=tuple(alerts),
-            stamp_error_s=rounded_s / math.sqrt(12.0),
-            stamp_jitter_s=max(jitter_s),
-            localised=truth.localised,
-            own_scale=has_own_scale(truth),
-            in_map=is_in_map(truth),
-            of_base=is_of_base(truth, odometry),
-            pulled_per_s=feedback.left_per_s,
-            pose_corrections=feedback.corrections,
-            yaw_dead_band_radps=dead_band_radps,
-            odometry_topic=odometry.name if odometry.name.startswith("/") else "",
+        spaced_by_motion(
+            replace(
+                r,
+                notes=(opening, *r.notes, *said),
+                alerts=tuple(alerts),
+                stamp_error_s=rounded_s / math.sqrt(12.0),
+                stamp_jitter_s=max(jitter_s),
+                localised=is_localised(truth),
+                own_scale=has_own_scale(truth),
+                in_map=is_in_map(truth),
+                of_base=is_of_base(truth, odometry),
+                pulled_per_s=feedback.left_per_s,
+                pose_corrections=feedback.corrections,
+                yaw_dead_band_radps=dead_band_radps,
+                odometry_topic=odometry.name if odometry.name.startswith("/") else "",
+            )
         )
         for r in recordings
     ]

@@ -131,3 +131,22 @@ def test_an_estimators_odometry_as_truth_may_have_a_scale_of_its_own(tmp_path, n
     bag = write(tmp_path / "r.mcap", topic("/odom", "Odometry", moved), topic(name, kind, real, frame=frame))
     (run,) = read_runs(Source(bag, truth=name, odom="/odom"))
     assert (run.own_scale, run.in_map) == (own_scale, in_map)
+
+
+def test_poses_of_a_localisation_at_a_high_rate_are_taken_after_motion(tmp_path):
+    """While the robot stands, poses repeat one error; 20 of them a second would count as so many measurements."""
+    moved, base, _ = drive()
+    stop = np.minimum(np.arange(len(base)), 300)  # the robot stops after 15 s
+    moved = flat(moved.stamps_ns, moved.xyt[stop])
+    found = base[stop] + 1e-4 * np.random.default_rng(6).standard_normal(base.shape)
+    poses = topic("/slam_pose", "PoseStamped", flat(moved.stamps_ns, found), frame="map")
+    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
+    assert recording.localised
+    assert recording.of_base
+    own = recording.odometry.at(recording.truth_s, recording.origin_ns)
+    step = np.diff(own, axis=0)
+    gone, turned = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
+    assert np.all((gone >= 0.25) | (turned >= 0.2))
+    assert np.all((gone < 0.3) & (turned < 0.26))
+    assert len(recording.truth) < 80
+    assert any(f"{len(recording.truth)} of {len(base)}" in note for note in recording.notes)
