@@ -60,7 +60,7 @@ class Trajectory:
         known: NDArray[np.bool_] = worst < UNKNOWN_M2
         return known if known.mean() > _FEW_KNOWN else everywhere
 
-    def only(self, rows: NDArray[np.bool_] | slice) -> Trajectory:
+    def only(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Trajectory:
         """Return the trajectory of some poses."""
         covariance = self.covariance[rows] if self.covariance is not None else None
         return replace(self, stamps_ns=self.stamps_ns[rows], xyt=self.xyt[rows], covariance=covariance)

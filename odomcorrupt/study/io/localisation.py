@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, wrap
-from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.topic_selection import plain
 
 if TYPE_CHECKING:
@@ -130,7 +129,7 @@ def spaced_by_motion(recording: Recording) -> Recording:
         "those in between share their errors"
     )
     kept = inside[rows]
-    return replace(recording, truth=Trajectory(truth.stamps_ns[kept], truth.xyt[kept]), notes=(*recording.notes, said))
+    return replace(recording, truth=truth.only(kept), notes=(*recording.notes, said))
 
 
 def has_own_scale(truth: Samples) -> bool:
