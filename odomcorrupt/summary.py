@@ -157,7 +157,7 @@ def _rest(blocks: Sequence[_Block], kept: Sequence[_Block], *, named: bool = Tru
     if parts and not named:
         more += f", {len(parts)} of them with parts of the model"
     more += ": -v shows all"
-    return f"also included: {', '.join(parts)}; {more}" if parts and named else more
+    return f"also {', '.join(parts)}; {more}" if parts and named else more
 
 
 def _worth(blocks: Sequence[_Block], room: int) -> tuple[bool, int]:

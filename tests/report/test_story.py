@@ -199,7 +199,11 @@ def test_why_a_dependence_was_left_out_is_said_on_its_line_and_not_on_others_of_
         assert " (not in the model" in other
     for held_out, said in (("halves", "not in the model; to decide, val"), ("recordings", "left out of the model: it")):
         lines, _ = _found_lines(replace(learned, unknown=(over_time,)), rich.fit, set(), held_out=held_out)
-        assert sum(f" ({said}" in line.text for line in lines) == 1
+        (line,) = (line for line in lines if f" ({said}" in line.text)
+        assert over_time.expression not in line.short
+        assert line.short.endswith(": --validate OTHER decides") == (held_out == "halves")
+        assert line.short.endswith(f" ({said} depends on the time within this one drive; a second one would show "
+                                   "whether it recurs)") == (held_out == "recordings")  # fmt: skip
 
 
 def test_all_parts_of_the_model_are_named_and_other_dependences_as_far_as_there_is_room(rich):
@@ -231,7 +235,7 @@ def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequenc
     lines = findings_brief(known, NONE, sequence).lines
     assert not any(line.label == "perhaps" or line.text.startswith("unequal_wheels  ") for line in lines)
     (beside,) = (line for line in lines if "unequal_wheels" in line.text)
-    assert beside[:2] == ("included", "unequal_wheels (confidence 0.02), though other causes are likelier")
+    assert beside[:2] == ("included", "also unequal_wheels (confidence 0.02)")
     assert beside.part == "unequal_wheels (confidence 0.02)"
     alone = findings_brief(replace(rich, unknown=(), laws=(), noise=()), NONE, sequence).lines
     assert alone[0].label == "PERHAPS"

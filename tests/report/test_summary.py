@@ -73,8 +73,8 @@ def test_parts_of_the_model_are_named_though_their_lines_are_left_out():
     assert "part 0" in text
     unseen = [line.part for line in parts if line.text.strip() not in " ".join(text.split())]
     assert unseen
-    assert f"also included: {', '.join(unseen)}; {len(unseen)} more lines: -v shows all" in " ".join(text.split())
-    assert "also included" not in Summary((Line("V", "v"), *parts[:2])).text()
+    assert f"also {', '.join(unseen)}; {len(unseen)} more lines: -v shows all" in " ".join(text.split())
+    assert "also" not in Summary((Line("V", "v"), *parts[:2])).text()
 
 
 def test_what_was_identified_precedes_other_lines_and_names_take_no_room_from_warnings():

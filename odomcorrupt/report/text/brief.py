@@ -59,6 +59,7 @@ _PERHAPS = "perhaps"
 """Label of names below even odds."""
 _HARDLY = 0.05
 """Confidence below which a part of the model is no finding: it is named beside the findings, if there are any."""
+_TO_DECIDE, _DECIDES = "to decide, validate on another drive (--validate OTHER)", "--validate OTHER decides"
 _OF_ONE_DRIVE = ("time", "distance")
 """Regressors that no manoeuvre varies: another drive shows whether an error recurs."""
 
@@ -284,12 +285,14 @@ def _found_lines(
         law = unknown.law
         if law in search.unexplained or law.instead_of:
             other = f"or, instead of {' and '.join(law.instead_of)}, " if law.instead_of else ""
-            said = f"{other}{dependence(law)}: {unknown.expression}{_left_out(unknown, held_out)}"
+            named, remark = f"{other}{dependence(law)}", _left_out(unknown, held_out)
+            said = f"{named}: {unknown.expression}{remark}"
+            short = "" if unknown.fitted else f"{named}{f': {_DECIDES}' if _TO_DECIDE in remark else remark}"
             beside = [ranks[name] for name in law.instead_of if name in ranks]
             own = (_Group.NAMED if unknown.fitted else _Group.NOT_IN_MODEL, -law.nats)
             rank = max(beside, default=own)
             weight = FOUND if unknown.fitted else USUAL if rank[0] <= _Group.NOT_IN_MODEL else SPARE
-            ranked.append((rank, Line("", said, weight=weight, part=unknown.part)))
+            ranked.append((rank, Line("", said, weight=weight, short=short, part=unknown.part)))
         elif unknown.in_model:
             small[unknown.part] = unknown.expression
         else:
@@ -329,8 +332,7 @@ def _beside_findings(
     if not hardly or all(group is _Group.SET_UP for (group, _), _ in findings):
         return [line for _, line in ordered]
     named = ", ".join(hardly)
-    said = f"{named}, though other causes are likelier"
-    return [*(line for _, line in findings), Line("included", said, weight=SPARE, part=named)]
+    return [*(line for _, line in findings), Line("included", f"also {named}", weight=SPARE, part=named)]
 
 
 def _part(one: FoundEffect | FoundNoise) -> str:
@@ -347,7 +349,7 @@ def _left_out(unknown: FoundDependence, held_out: JudgedOn) -> str:
     if unknown.fitted:
         return ""
     undecided = law.regressor in _OF_ONE_DRIVE and held_out != "recordings"
-    other = "to decide, validate on another drive (--validate OTHER)" if undecided else ""
+    other = _TO_DECIDE if undecided else ""
     if law.instead_of:
         return f" ({other})" if other else ""
     # a second drive decides about what was left out only for want of one
