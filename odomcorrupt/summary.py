@@ -23,8 +23,9 @@ _COLOURS = {"good": "\x1b[32m", "warning": "\x1b[33m", "bad": "\x1b[31m", "comma
 _RESET = "\x1b[0m"
 
 
-ALWAYS, FIRST, USUAL, SPARE = 3, 2, 1, 0
-"""Weights of lines: those of less weight are left out first, and those of weight ALWAYS never."""
+ALWAYS, FIRST, FOUND, USUAL, SPARE = 4, 3, 2, 1, 0
+"""Weights of lines: those of less weight are left out first, and those of weight ALWAYS never. FOUND is the weight of
+what was identified and is in the model."""
 
 
 class Line(NamedTuple):
@@ -32,6 +33,7 @@ class Line(NamedTuple):
 
     weight : see `ALWAYS`; lines of equal weight are left out from the end
     short : text in place of one for which there is no room, "" for none
+    part : name of a part of the model that is printed if there is no room for the line, "" for none
     """
 
     label: str
@@ -39,6 +41,7 @@ class Line(NamedTuple):
     tone: Tone = "plain"
     weight: int = USUAL
     short: str = ""
+    part: str = ""
 
 
 class Summary(NamedTuple):
@@ -123,15 +126,38 @@ def _within(lines: Sequence[Line], width: int, most: int) -> list[_Block]:
         return blocks
     commands = [block for block in blocks if block[0].tone == "command"]
     others = [block for block in blocks if block[0].tone != "command"]
-    room = most - sum(len(parts) for _, parts in commands) - 1
+    room = most - sum(len(parts) for _, parts in commands)
     shorter = [(line, _folded(line.tone, visible(line.short or line.text), width)) for line, _ in others]
-    # a text is only shortened where the rows do not suffice, or another line that is not spare gets a place
-    kept = max((_heaviest(blocks, room) for blocks in (others, shorter)), key=lambda kept: _worth(kept, room))
-    left = len(others) - len(kept)
-    if not left:
-        return [*kept, *commands]
-    more = Line("", f"{left} more {'line' if left == 1 else 'lines'}: -v shows all")
-    return [*kept, (more, [more.text]), *commands]
+    most_kept: list[_Block] = []
+    for rows in range(1, most):
+        # a text is only shortened where the rows do not suffice, or another line that is not spare gets a place
+        choices = [_heaviest(blocks, room - rows) for blocks in (others, shorter)]
+        kept = max(choices, key=lambda kept: _worth(kept, room - rows))
+        most_kept = most_kept or kept
+        if len(kept) == len(others):
+            return [*kept, *commands]
+        # names never take the place of what has to be said first
+        if sum(line.weight >= FIRST for line, _ in kept) < sum(line.weight >= FIRST for line, _ in most_kept):
+            break
+        more = _folded("plain", visible(_rest(others, kept)), width)
+        if len(more) <= rows:
+            return [*kept, (Line("", " ".join(more)), more), *commands]
+    more = _folded("plain", _rest(others, most_kept, named=False), width)
+    return [*most_kept, (Line("", " ".join(more)), more), *commands]
+
+
+def _rest(blocks: Sequence[_Block], kept: Sequence[_Block], *, named: bool = True) -> str:
+    """Return the text in place of lines that were not kept: their number, and the parts of the model in them.
+
+    named : whether the parts are named, not only counted
+    """
+    left = len(blocks) - len(kept)
+    more = f"{left} more {'line' if left == 1 else 'lines'}"
+    parts = [line.part for line, _ in blocks if line.part and all(line is not one for one, _ in kept)]
+    if parts and not named:
+        more += f", {len(parts)} of them with parts of the model"
+    more += ": -v shows all"
+    return f"also {', '.join(parts)}; {more}" if parts and named else more
 
 
 def _worth(blocks: Sequence[_Block], room: int) -> tuple[bool, int]:

@@ -15,7 +15,7 @@ from odomcorrupt.study.select.confidence import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -122,12 +122,24 @@ class FoundDependence(NamedTuple):
     numbers : coefficients by name, if it was fitted
     fitted : whether it is in the model as a basis function
     mean : its mean, if only that is in the model
+    left_out : why it was left out of the model, if it was
     """
 
     law: Dependence
     numbers: dict[str, LawNumber]
     fitted: bool
     mean: float | None
+    left_out: str = ""
+
+    @property
+    def in_model(self) -> bool:
+        """Whether it, or its mean, is in the model."""
+        return self.fitted or self.mean is not None
+
+    @property
+    def part(self) -> str:
+        """Name of the effect of the model that it, or its mean, is; "" if neither is in the model."""
+        return self.law.name if self.fitted else f"mean_of_{self.law.name}" if self.mean is not None else ""
 
     @property
     def expression(self) -> str:
@@ -150,8 +162,23 @@ def dependences_found(learned: Learned, fit: Fit | None = None) -> list[FoundDep
             effect, errors = own[law.name]
             pairs = zip(amplitudes(effect), errors, strict=True)
             numbers = {p.name: LawNumber(getattr(effect, p.name), error, p.unit) for p, error in pairs}
-        found.append(FoundDependence(law, numbers, law in learned.laws, learned.mean_of(law)))
+        fitted = law in learned.laws
+        found.append(FoundDependence(law, numbers, fitted, learned.mean_of(law), learned.why_left_out(law)))
     return found
+
+
+def foremost(found: Sequence[FoundDependence], most: int) -> list[FoundDependence]:
+    """Return all dependences of the model, and those with the most evidence among others, together `most` if possible.
+
+    found : in the order of their evidence, see `dependences_found`
+    """
+    others = most - sum(one.in_model for one in found)
+    chosen = []
+    for one in found:
+        if one.in_model or others > 0:
+            chosen.append(one)
+            others -= not one.in_model
+    return chosen
 
 
 _CLOCKS = ("time_offset", "clock_skew")

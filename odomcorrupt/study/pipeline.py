@@ -150,14 +150,12 @@ def _supported(
         search, parts = drop_unsupported_parts(search, held_out)
         work.begin("fit", 0.8, 3.2)
         remaining, written, more = _without_excess(search, recordings)
-        robot, proof, _ = written
-        kept = {effect.name for effect in proof.model.effects}
-        unusable = [effect.name for effect in robot.model.effects if effect.name not in kept]
+        unusable = written[1].left_out
         remarks += [part.remark for part in parts if part.failure]
         if not unusable:
             return remaining, written, [*remarks, *more]
-        remarks += [change for change in proof.changes if any(name in change for name in unusable)]
-        search = without_parts(search, dict.fromkeys(unusable, "no odometry of the fitted drive satisfies it"))
+        remarks += [change for change in written[1].changes if any(name in change for name in unusable)]
+        search = without_parts(search, unusable)
 
 
 def _written(search: Learned, recordings: Sequence[Recording]) -> _Written:

@@ -15,7 +15,7 @@ from test_report import parsed_page
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.user import user_effect
-from odomcorrupt.report.findings import dependences_found, effects_found
+from odomcorrupt.report.findings import dependences_found, effects_found, foremost
 from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
@@ -32,10 +32,12 @@ from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.dependence import BasisScore, Dependence
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
+from odomcorrupt.study.select.result import Learned
 from odomcorrupt.study.select.score import Score
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm
+from odomcorrupt.study.validate.held_out import OF_ONE_DRIVE, without_parts
 from odomcorrupt.study.validate.lack_of_fit import Failure
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
@@ -157,8 +159,87 @@ def test_a_validated_drive_is_not_asked_for_but_what_it_showed_is_said(rich):
     why = "the other drive does not support it: -1 +- 25 nats"
     learned = replace(rich, unknown=(over_time,), laws=(), left_out={over_time.name: why})
     lines, _ = _found_lines(learned, rich.fit, set(), held_out="recordings")
-    assert sum(line.text.endswith(f"(not in the model; {why})") for line in lines) == 1
+    assert sum(line.text.endswith(f"(left out of the model: {why})") for line in lines) == 1
     assert not any("--validate" in line.text for line in lines)
+
+
+def test_a_dependence_of_the_model_is_told_as_such_though_another_part_was_dropped(rich, sequence):
+    """What is dropped changes what others may replace, and a changed copy of a dependence was taken for another one."""
+    law, name = UNKNOWNS[-1], "along_over_distance"
+    fit = rich.fit.refit((*rich.fit.effects, user_effect(name, "along += v * (k * cos(distance))", {"k": 0.01})))
+    rivals = [replace(one, instead_of=("unequal_wheels",)) for one in (UNKNOWNS[0], law)]
+    both = replace(rich, fit=fit, unknown=(law, *rivals), laws=(law,), noise=())
+    kept = without_parts(both, {"unequal_wheels": "the error grows with it"})
+    assert [effect.name for effect in kept.fit.effects if effect.kind == "effect"] == [name]
+    # a rival of what was dropped is not told beside a dependence of its name
+    included, other = dependences_found(kept)
+    assert (included.fitted, included.part, list(included.numbers)) == (True, name, ["k"])
+    assert (other.fitted, other.part, other.law.instead_of) == (False, "", ())
+    printed = learned_json(kept, sequence.evaluations, NONE)["unknown"]
+    assert [one["in_model"] for one in printed] == [True, False]
+    assert [one["expression"] for one in printed] == [included.expression, other.expression]
+    text = found_text(kept, NONE)
+    assert f"fitted: {included.expression}" in text
+    assert f"suggested: {other.expression}" in text
+    lines, _ = _found_lines(kept, kept.fit, set())
+    remarks = {line.part: line.text.endswith("(not in the model)") for line in lines if "depends" in line.text}
+    remarks |= {line.part: line.text.endswith("(not in the model)") for line in lines if "periodic" in line.text}
+    assert remarks == {name: False, "": True}
+
+
+def test_why_a_dependence_was_left_out_is_said_on_its_line_and_not_on_others_of_its_name(rich):
+    law = UNKNOWNS[-1]
+    weaker, over_time = replace(law, nats=12.0), unknown("yaw", "time", per="s")
+    why = {law.name: "no odometry satisfies it on the fitted drive", over_time.name: OF_ONE_DRIVE}
+    for held_out in ("halves", "recordings"):
+        learned = replace(rich, unknown=(law, weaker), laws=(), left_out=why)
+        lines, _ = _found_lines(learned, rich.fit, set(), held_out=held_out)
+        (said, other) = (line.text for line in lines if "periodic" in line.text)
+        assert said.endswith(" (left out of the model: no odometry satisfies it on the fitted drive)")
+        assert " (not in the model" in other
+    for held_out, said in (("halves", "not in the model; to decide, val"), ("recordings", "left out of the model: it")):
+        lines, _ = _found_lines(replace(learned, unknown=(over_time,)), rich.fit, set(), held_out=held_out)
+        (line,) = (line for line in lines if f" ({said}" in line.text)
+        assert over_time.expression not in line.short
+        assert line.short.endswith(": --validate OTHER decides") == (held_out == "halves")
+        assert line.short.endswith(f" ({said} depends on the time within this one drive; a second one would show "
+                                   "whether it recurs)") == (held_out == "recordings")  # fmt: skip
+
+
+def test_all_parts_of_the_model_are_named_and_other_dependences_as_far_as_there_is_room(rich):
+    laws = tuple(replace(UNKNOWNS[i], nats=10.0 + i) for i in (0, 2, 3))
+    both = replace(rich, unknown=(UNKNOWNS[1], *laws), laws=laws)
+    shown = foremost(dependences_found(both), 2)
+    assert [one.law for one in shown] == [*laws]
+    assert [one.law for one in foremost(dependences_found(replace(both, laws=())), 2)] == [UNKNOWNS[1], laws[0]]
+    lines, _ = _found_lines(both, rich.fit, set())
+    assert all(any(law.expression in line.text for line in lines) for law in laws)
+
+
+def test_a_dependence_that_is_negligible_is_in_the_model_only_if_it_is(rich, monkeypatch):
+    monkeypatch.setattr(Learned, "hardly_moves", lambda *_: True)
+    for laws, said in (
+        (UNKNOWNS[:1], "in the model, but negligible"),
+        ((), "negligible, and not in the model"),
+    ):
+        _, (line,) = _found_lines(replace(rich, unknown=UNKNOWNS[:1], laws=laws), rich.fit, set())
+        assert line.text == f"{UNKNOWNS[0].expression}: {said}"
+
+
+def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequence, monkeypatch):
+    def doubted(*given):
+        return [one._replace(confidence=0.02) for one in effects_found(*given)]
+
+    monkeypatch.setattr("odomcorrupt.report.text.brief.effects_found", doubted)
+    known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
+    lines = findings_brief(known, NONE, sequence).lines
+    assert not any(line.label == "perhaps" or line.text.startswith("unequal_wheels  ") for line in lines)
+    (beside,) = (line for line in lines if "unequal_wheels" in line.text)
+    assert beside[:2] == ("included", "also unequal_wheels (confidence 0.02)")
+    assert beside.part == "unequal_wheels (confidence 0.02)"
+    alone = findings_brief(replace(rich, unknown=(), laws=(), noise=()), NONE, sequence).lines
+    assert alone[0].label == "PERHAPS"
+    assert alone[0].text.startswith("unequal_wheels  ")
 
 
 def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich, sequence):

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from odomcorrupt.summary import ALWAYS, FIRST, MOST_LINES, SPARE, Line, Summary, command_line, wrapped
+from odomcorrupt.summary import ALWAYS, FIRST, FOUND, MOST_LINES, SPARE, Line, Summary, command_line, wrapped
 
 
 @pytest.mark.parametrize(("count", "width", "words"), [*product((1, 7, 12), (40, 80), (3, 60))])
@@ -63,3 +63,27 @@ def test_prose_is_wrapped_at_the_width_of_a_terminal_and_rows_of_tables_are_not(
     assert text[-2:] == ["", row]
     assert len(text) > 4
     assert all(line.startswith("  ") and len(line) <= 40 for line in text[:-2])
+
+
+def test_parts_of_the_model_are_named_though_their_lines_are_left_out():
+    parts = [Line("", f"part {i} " * 12, weight=FOUND if i < 3 else SPARE, part=f"part_{i}") for i in range(6)]
+    text = Summary((Line("V", "v"), *parts, Line("errors", "e " * 60, weight=ALWAYS, short="e"))).text()
+    rows = text.splitlines()
+    assert len(rows) <= MOST_LINES
+    assert "part 0" in text
+    unseen = [line.part for line in parts if line.text.strip() not in " ".join(text.split())]
+    assert unseen
+    assert f"also {', '.join(unseen)}; {len(unseen)} more lines: -v shows all" in " ".join(text.split())
+    assert "also" not in Summary((Line("V", "v"), *parts[:2])).text()
+
+
+def test_what_was_identified_precedes_other_lines_and_names_take_no_room_from_warnings():
+    wide = Line("or", "o " * 90, part="")
+    found = Line("", "second effect", weight=FOUND, part="second_effect")
+    lines = (Line("V", "v"), wide, wide, found, Line("rejected", "r " * 60, weight=FIRST), command_line(["go"]))
+    assert "second effect" in Summary(lines).text()
+    many = [Line("spare", "s", weight=SPARE, part=f"effect_number_{i}") for i in range(30)]
+    tight = (Line("V", "v"), *(Line(f"warning {i}", "w", weight=FIRST) for i in range(6)), *many)
+    rows = Summary(tight).text().splitlines()
+    assert rows[-1].strip() == "30 more lines, 30 of them with parts of the model: -v shows all"
+    assert len(rows) == MOST_LINES

@@ -49,6 +49,15 @@ def test_the_error_does_not_fall_where_measures_disagree():
     assert falls_sentence(compared(0.060, 2.0, 0.006)) == "the error falls to 60 % from base to robot"
 
 
+@pytest.mark.parametrize(("gain", "said"), [(0.19, False), (0.21, True), (-0.19, False), (-0.21, True)])
+def test_a_change_of_the_likelihood_is_printed_if_it_exceeds_two_standard_errors(gain, said):
+    words = measures_words(compared(0.060, gain, 0.006))
+    assert words.startswith("10 s error 100 mm -> 60 mm")
+    assert ("log likelihood" in words) == said
+    assert "ATE 10 mm -> 6.0 mm" in words
+    assert measures_words(compared(float("nan"), 0.19, float("nan"))) == "log likelihood: no change"
+
+
 def test_what_is_not_known_does_not_count():
     comparison = compared(float("nan"), 2.0, float("nan"))
     assert agreement_of(comparison).verdict == "better"

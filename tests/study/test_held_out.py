@@ -284,14 +284,15 @@ def test_what_no_odometry_satisfies_is_left_out_and_the_others_are_refitted(monk
         others = tuple(effect for effect in model.effects if effect.name != "wheelbase")
         if len(others) == len(model.effects):
             return checked(model, recordings)
-        return RoundTrip(replace(model, effects=others), ("wheelbase left out: no odometry satisfies it",))
+        why = "no odometry satisfies it"
+        return RoundTrip(replace(model, effects=others), (f"wheelbase left out: {why}",), {"wheelbase": why})
 
     both = pipeline.learn_robot([run]).proof.model
     monkeypatch.setattr(pipeline, "verified_model", without_wheelbase)
     found = pipeline.learn_robot([run])
     alone = fit_robot([run], [effect_from_values("unequal_wheels", {})], law_name="diffusion").model
     (kept,) = (effect for effect in found.proof.model.effects if effect.name == "unequal_wheels")
-    assert "wheelbase" in found.search.left_out
+    assert found.search.left_out == {"wheelbase": "no odometry satisfies it"}
     assert any("wheelbase left out" in remark for remark in found.dropped)
     assert kept.curvature == pytest.approx(alone.effects[0].curvature, rel=1e-3)
     assert {effect.name for effect in both.effects} > {effect.name for effect in found.proof.model.effects}

@@ -58,6 +58,7 @@ def test_what_no_form_of_makes_usable_is_left_out_and_said(drive):
     assert found.model.effects == (scale,)
     assert "stuck (k = 1" in found.changes[0]
     assert "left out" in found.changes[0]
+    assert found.left_out == {"stuck": found.changes[0].rpartition(": ")[2]}
 
 
 @pytest.mark.slow
@@ -90,7 +91,7 @@ def test_a_sound_model_is_left_as_it_is(drive):
         NOISE, (effect_from_values("wheelbase", {"e": 0.02}), effect_from_values("side_slip", {"k": 0.03}))
     )
     found = verified_model(model, [drive])
-    assert found.changes == ()
+    assert (found.changes, found.left_out) == ((), {})
     assert found.model == model
 
 

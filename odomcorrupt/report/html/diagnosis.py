@@ -7,7 +7,7 @@ from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
-from odomcorrupt.report.findings import dependences_found, effects_found, noise_found
+from odomcorrupt.report.findings import dependences_found, effects_found, foremost, noise_found
 from odomcorrupt.report.html.comparison import sequence_table
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
@@ -154,7 +154,7 @@ def _cards(learned: Learned, sequence: Comparison) -> list[str]:
     found = [_clock(line) for line in clock_lines(names, learned.clocks)]
     found += [_effect(one, sequence) for one in effects_found(learned)]
     found += [_noise(one) for one in noise_found(learned)]
-    found += [_unknown(one) for one in dependences_found(learned)[:3]]
+    found += [_unknown(one) for one in foremost(dependences_found(learned), 3)]
     return [f'<div class="cards">{"".join(found)}</div>'] if found else []
 
 

@@ -13,6 +13,7 @@ from odomcorrupt.report.findings import (
     dependences_found,
     effects_found,
     effects_with_errors,
+    foremost,
     noise_found,
 )
 from odomcorrupt.report.text.comparison import (
@@ -35,14 +36,15 @@ from odomcorrupt.report.text.numbers import clock_text, confidence_words, noise_
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.select.confidence import EVEN_ODDS
 from odomcorrupt.study.validate.compare import agreement_of
-from odomcorrupt.summary import ALWAYS, FIRST, SPARE, USUAL, Line, Summary, Tone, command_line
+from odomcorrupt.study.validate.held_out import OF_ONE_DRIVE
+from odomcorrupt.summary import ALWAYS, FIRST, FOUND, SPARE, USUAL, Line, Summary, Tone, command_line
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.report.findings import FoundDependence
+    from odomcorrupt.report.findings import FoundDependence, FoundEffect, FoundNoise
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
@@ -55,6 +57,9 @@ _LEAST_TURNED_RAD, _LEAST_APART_M = radians(0.1), 0.005
 """Least yaw and displacement of the truth's tracked point that are reported; mountings are rarely measured better."""
 _PERHAPS = "perhaps"
 """Label of names below even odds."""
+_HARDLY = 0.05
+"""Confidence below which a part of the model is no finding: it is named beside the findings, if there are any."""
+_TO_DECIDE, _DECIDES = "to decide, validate on another drive (--validate OTHER)", "--validate OTHER decides"
 _OF_ONE_DRIVE = ("time", "distance")
 """Regressors that no manoeuvre varies: another drive shows whether an error recurs."""
 
@@ -246,20 +251,21 @@ def _found_lines(
 
     Effects and dependences of the model come first, in order of their evidence; then dependences that are not in the
     model, noise, names below even odds, and the set-up. Negligible findings share one line, because they require no
-    action.
+    action, and so do parts of the model that are hardly causes, if anything else was found.
 
     undecided : names in the line of undecided alternatives
     held_out : data of the evaluation
     """
     ranked: list[tuple[tuple[_Group, float], Line]] = []  # in a group the one with the most evidence is first
     ranks: dict[str, tuple[_Group, float]] = {}
-    small: list[str] = []
+    small: dict[str, str] = {}  # texts of negligible parts by name
+    absent: list[str] = []  # negligible and not in the model
     effects = effects_found(search, fit)
     sure = any(one.confidence >= EVEN_ODDS and not one.negligible for one in effects)
     for one in effects:
         name, said = one.effect.name, f"{one.names}  {', '.join(numbers_text(one.effect, one.errors))}"
         if one.negligible:
-            small.append(said)
+            small[name] = said
             continue
         rivals = [rival for rival in one.rivals if rival not in undecided]
         said += f"  {confidence_words(one.confidence)}"
@@ -271,49 +277,87 @@ def _found_lines(
         ranks[name] = (group, -one.gain_nats)
         said += _contact_words(one.effect, search)
         # without any likelier effect it is what the errors fall by
-        ranked.append((ranks[name], Line(label, said, weight=SPARE if doubtful and sure else USUAL)))
-    for unknown in dependences_found(search, fit)[:2]:
+        weight = FOUND if group is _Group.NAMED else SPARE if doubtful and sure else USUAL
+        ranked.append(
+            (ranks[name], Line(label, said, weight=weight, part="" if group is _Group.SET_UP else _part(one)))
+        )
+    for unknown in foremost(dependences_found(search, fit), 2):
         law = unknown.law
         if law in search.unexplained or law.instead_of:
             other = f"or, instead of {' and '.join(law.instead_of)}, " if law.instead_of else ""
-            said = f"{other}{dependence(law)}: {unknown.expression}{_left_out(unknown, search, held_out)}"
+            named, remark = f"{other}{dependence(law)}", _left_out(unknown, held_out)
+            said = f"{named}: {unknown.expression}{remark}"
+            short = "" if unknown.fitted else f"{named}{f': {_DECIDES}' if _TO_DECIDE in remark else remark}"
             beside = [ranks[name] for name in law.instead_of if name in ranks]
             own = (_Group.NAMED if unknown.fitted else _Group.NOT_IN_MODEL, -law.nats)
             rank = max(beside, default=own)
-            ranked.append((rank, Line("", said, weight=USUAL if rank[0] <= _Group.NOT_IN_MODEL else SPARE)))
+            weight = FOUND if unknown.fitted else USUAL if rank[0] <= _Group.NOT_IN_MODEL else SPARE
+            ranked.append((rank, Line("", said, weight=weight, short=short, part=unknown.part)))
+        elif unknown.in_model:
+            small[unknown.part] = unknown.expression
         else:
-            small.append(unknown.expression)
+            absent.append(unknown.expression)
     for noise in noise_found(search):
         values = ", ".join(noise_text(noise.effect))
         said = f"{noise.effect.name}, {values}  {confidence_words(noise.confidence)}"
         said += ", or the scale of the truth varies" if noise.of_truth else ""
         doubtful = noise.confidence < EVEN_ODDS
         group = _Group.DOUBTFUL if doubtful else _Group.NOISE
-        ranked.append(((group, 0.0), Line("noise", said, weight=SPARE if doubtful else USUAL)))
-    lines = [line for _, line in sorted(ranked, key=lambda one: one[0])]
+        ranked.append(((group, 0.0), Line("noise", said, weight=SPARE if doubtful else USUAL, part=_part(noise))))
+    likely = [one for one in effects if not (one.negligible or one.effect.name in search.of_setup)]
+    lines = _beside_findings(ranked, [*likely, *noise_found(search)])
     lines += _clock_lines(search.clocks, search.fit)
     lines += [
         Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): did the robot change?", "warning")
         for one in search.disagreements
     ]
     lines += [Line("data", contradiction(one), "warning") for one in search.contradicted]
-    said = f"{', '.join(small)}: in the model, but negligible"
-    return lines, [Line("negligible", said, weight=SPARE)] if small else []
+    return lines, _negligible_lines(small, absent)
 
 
-def _left_out(unknown: FoundDependence, search: Learned, held_out: JudgedOn) -> str:
+def _negligible_lines(small: Mapping[str, str], absent: Sequence[str]) -> list[Line]:
+    """Return a line of negligible findings, if any: texts of parts of the model by name, and dependences not in it."""
+    said = [f"{', '.join(small.values())}: in the model, but negligible"] if small else []
+    said += [f"{', '.join(absent)}: negligible, and not in the model"] if absent else []
+    return [Line("negligible", "; ".join(said), weight=SPARE, part=", ".join(small))] if said else []
+
+
+def _beside_findings(
+    ranked: Sequence[tuple[tuple[_Group, float], Line]], parts: Sequence[FoundEffect | FoundNoise]
+) -> list[Line]:
+    """Return lines in order, with one line for all parts that are hardly causes if there are other findings."""
+    hardly = [_part(one) for one in parts if one.confidence < _HARDLY]
+    ordered = sorted(ranked, key=lambda one: one[0])
+    findings = [(rank, line) for rank, line in ordered if line.part not in hardly]
+    if not hardly or all(group is _Group.SET_UP for (group, _), _ in findings):
+        return [line for _, line in ordered]
+    named = ", ".join(hardly)
+    return [*(line for _, line in findings), Line("included", f"also {named}", weight=SPARE, part=named)]
+
+
+def _part(one: FoundEffect | FoundNoise) -> str:
+    """Return the name of a part of the model, after "perhaps" below even odds, or with its confidence."""
+    name = one.effect.name
+    if one.confidence < _HARDLY:
+        return f"{name} ({confidence_words(one.confidence)})"
+    return name if one.confidence >= EVEN_ODDS else f"{_PERHAPS} {name}"
+
+
+def _left_out(unknown: FoundDependence, held_out: JudgedOn) -> str:
     """Return that a dependence is reported only, not in the model, and what decides; "" if nothing is to be said."""
     law = unknown.law
     if unknown.fitted:
         return ""
     undecided = law.regressor in _OF_ONE_DRIVE and held_out != "recordings"
-    other = "to decide, validate on another drive (--validate OTHER)" if undecided else ""
+    other = _TO_DECIDE if undecided else ""
     if law.instead_of:
         return f" ({other})" if other else ""
-    if held_out == "recordings":
-        other = search.left_out.get(law.name, "")
+    # a second drive decides about what was left out only for want of one
+    why = other if undecided and unknown.left_out in ("", OF_ONE_DRIVE) else unknown.left_out
+    if unknown.mean is None and why != other:
+        return f" (left out of the model: {why})"
     said = "not in the model" if unknown.mean is None else f"the model has its mean, {unknown.mean:.4g}"
-    return f" ({'; '.join(filter(None, (said, other)))})"
+    return f" ({'; '.join(filter(None, (said, why)))})"
 
 
 def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:

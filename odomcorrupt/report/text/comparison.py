@@ -176,14 +176,19 @@ def _signed(value: float) -> str:
 
 
 def measures_words(comparison: Comparison, *, most: int | None = None) -> str:
-    """Return every measure of the first and the last model, or the first ones, and whether all of them agree."""
+    """Return the measures of the first and the last model, or the first ones, and whether all of them agree.
+
+    A change of the log likelihood is among them if it is significant: one half of a drive, whose fit without an effect
+    has almost no noise, can make up all of it.
+    """
     agreement = agreement_of(comparison)
     words = [
         f"{one.name} {_signed(one.after - one.before)} nats/m"
         if one.name == "log likelihood"
         else f"{one.name} {size('along', one.before)} -> {size('along', one.after)}"
         for one in agreement.measures
-    ]
+        if one.name != "log likelihood" or one.change != "same"
+    ] or ["log likelihood"]
     mixed = ": they disagree" if most is None else ", other measures disagree"
     ending = {"mixed": mixed, "worse": ": it is worse", "same": ": no change"}.get(agreement.verdict, "")
     return ", ".join(words[:most]) + ending

@@ -7,7 +7,7 @@ from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.report.findings import dependences_found, effects_found, effects_with_errors, noise_found
+from odomcorrupt.report.findings import dependences_found, effects_found, effects_with_errors, foremost, noise_found
 from odomcorrupt.report.text.comparison import rejection, size, within
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.numbers import (
@@ -57,7 +57,7 @@ def found_text(
         probability += ", or the scale of the truth varies" if noise.of_truth else ""
         values = ", ".join(noise_text(noise.effect))
         lines.append(f"noise: {noise.name}, {values} ({probability}): {noise.effect.summary}")
-    for unknown in dependences_found(learned, fit)[:3]:
+    for unknown in foremost(dependences_found(learned, fit), 3):
         lines += _unknown_lines(unknown)
     lines += [_event_line(one) for one in unexplained_events(learned.fit)]
     like_a_clock = [name for name in learned.added if name in RIVALS]

@@ -138,8 +138,18 @@ class Learned:
         per_s = travelled_m / max(sum(float(np.sum(m.dt_s)) for m in motions), 1e-9)
         return self.error_m < self.decisions.practical.per_m * WINDOW_S * per_s
 
+    def why_left_out(self, one: Dependence) -> str:
+        """Return why a dependence that the selection included is not in the model; "" for others."""
+        return self.left_out.get(one.name, "") if self._was_included(one) and one not in self.laws else ""
+
+    def _was_included(self, one: Dependence) -> bool:
+        """Return whether the selection included a dependence; included ones precede others of the same name."""
+        return one is next((other for other in self.unknown if other.name == one.name), None)
+
     def mean_of(self, one: Dependence) -> float | None:
         """Return the mean that is in the model in place of a dependence on the time of a single drive, if it is."""
+        if not self._was_included(one):
+            return None
         own = (effect for effect in self.fit.effects if effect.name in self.means)
         return next((float(effect.k) for effect in own if effect.name == f"mean_of_{one.name}"), None)  # type: ignore[attr-defined]
 

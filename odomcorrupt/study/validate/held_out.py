@@ -35,13 +35,14 @@ from odomcorrupt.study.validate.evaluation import block_differences, evaluate_st
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Container, Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.clock import Clock
     from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.evaluation import Evaluation
 
@@ -53,6 +54,8 @@ _FRACTION = re.compile(r"(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \*
 """Beginning of a dependence that is a fraction of a motion."""
 _DOUBTFUL = 1.05
 """Ratio of 10 s errors with and without a doubtful part from which it is dropped (judgement: 2 to 10 %)."""
+OF_ONE_DRIVE = "it depends on the time within this one drive; a second one would show whether it recurs"
+"""Why a dependence on the time of a single drive is left out."""
 _MIN_BLOCKS = 6
 """Fewest blocks of 15 s for a significance test of the likelihood."""
 
@@ -147,13 +150,30 @@ def _limited_to(learned: Learned, fitted: Fit, left_out: Mapping[str, str], mean
     noise = tuple(
         gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or gain.effect.name in kept
     )
-    # a dependence that was selected instead of a dropped effect names no effect any more
-    unknown = tuple(
-        replace(one, instead_of=tuple(name for name in one.instead_of if name in kept)) for one in learned.unknown
-    )
+    unknown = _beside(learned.unknown, laws, kept)
     learned = replace(learned, laws=laws, noise=noise, unknown=unknown, means=tuple(m for m in means if m in kept))
     left_out = {**learned.left_out, **left_out}
     return replace(learned, fit=fitted, error_m=ten_second_error(fitted), left_out=left_out)
+
+
+def _beside(unknown: Sequence[Dependence], laws: Sequence[Dependence], kept: Container[str]) -> tuple[Dependence, ...]:
+    """Return dependences without the names of dropped effects that they may replace.
+
+    Those that may replace nothing any more are left out if the model has a dependence of that name. The others stay the
+    same objects, because those in the model are told by identity.
+
+    laws : dependences in the model
+    kept : names of its effects
+    """
+    named = {law.name for law in laws}
+    found: list[Dependence] = []
+    for one in unknown:
+        names = tuple(name for name in one.instead_of if name in kept)
+        if names == one.instead_of:
+            found.append(one)
+        elif names or one.name not in named:
+            found.append(replace(one, instead_of=names))
+    return tuple(found)
 
 
 def _needs_support(one: HeldOut, others: Sequence[Recording]) -> HeldOut:
@@ -162,9 +182,7 @@ def _needs_support(one: HeldOut, others: Sequence[Recording]) -> HeldOut:
         return one
     if others:
         return replace(one, failure=_unsupported(one, others))
-    return replace(
-        one, failure="it depends on the time within this one drive; a second one would show whether it recurs"
-    )
+    return replace(one, failure=OF_ONE_DRIVE)
 
 
 def _needed(one: HeldOut, others: Sequence[Recording]) -> HeldOut:

@@ -8,7 +8,7 @@ either is reported, also in the model file.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +30,7 @@ from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.validate.predictive_check import overlapping, smooth_truth
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -67,10 +67,15 @@ _MAX_NOMINAL = 1.5
 
 @dataclass(frozen=True, slots=True)
 class RoundTrip:
-    """A model that can be read back, correct and corrupt, and descriptions of the changes this needed."""
+    """A model that can be read back, correct and corrupt.
+
+    changes : descriptions of the changes that this needed
+    left_out : why each effect of the fitted model that it lacks was left out, by name
+    """
 
     model: MotionModel
     changes: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +99,7 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> Round
     """
     drives = [_drive(model, recording) for recording in recordings]
     changes: list[str] = []
+    left_out: dict[str, str] = {}
     model = _within_bounds(model, changes)
     while True:
         failure = _failure(model, drives) or _worse(model, drives)
@@ -101,13 +107,21 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> Round
             break
         repair = next((m for m in _repairs(model) if not (_failure(m[0], drives) or _worse(m[0], drives))), None)
         # If no single change helps, drop the weakest effect and try again.
-        model, change = repair or _without(model, _weakest(model))
+        repaired, change = repair or _without(model, _weakest(model))
         changes.append(f"{change}: {failure}")
-    model, notes = _correctable(model, drives)
+        left_out |= dict.fromkeys(_names(model) - _names(repaired), failure)
+        model = repaired
+    corrected, notes = _correctable(model, drives)
+    left_out |= dict.fromkeys(_names(model) - _names(corrected), "`correct` leaves a smaller error without it")
+    model = corrected
     said = (*changes, *notes, *bound_notes(model), *_setup_note(model, recordings))
     if said:
         model = replace(model, source=dict(model.source) | {"remarks": list(said)})
-    return RoundTrip(model, said)
+    return RoundTrip(model, said, left_out)
+
+
+def _names(model: MotionModel) -> set[str]:
+    return {effect.name for effect in model.effects}
 
 
 def bound_notes(model: MotionModel) -> tuple[str, ...]:
