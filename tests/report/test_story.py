@@ -124,7 +124,7 @@ def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
     assert "missing, in the order of evidence" in text
     assert re.search(r"  \+ unequal_wheels .* mm after 10 s   confidence 0\.\d\d", text)
     # 40 nats of what depends on something look like a gain that wanders, too, and are more than its 25
-    varies = "the gain of travel or turn varies slowly"
+    varies = "the gain of travel, of turns or of one wheel varies slowly"
     assert f"noise: gauss_markov (yaw), sigma 2 %, tau 4 s (confidence 0.38): {varies}" in text
     assert "unknown: the yaw error depends on speed (40 nats), and no known effect explains it" in text
     assert f"fitted: {UNKNOWNS[0].expression}" in text

@@ -299,7 +299,7 @@ def _found_lines(
             absent.append(unknown.expression)
     for noise in noise_found(search):
         values = ", ".join(noise_text(noise.effect))
-        said = f"{noise.effect.name}, {values}  {confidence_words(noise.confidence)}"
+        said = f"{noise.name}, {values}  {confidence_words(noise.confidence)}"
         said += ", or the scale of the truth varies" if noise.of_truth else ""
         doubtful = noise.confidence < EVEN_ODDS
         group = _Group.DOUBTFUL if doubtful else _Group.NOISE
