@@ -34,7 +34,7 @@ class Found:
 class Unfit:
     """A fit beside which no further term can be fitted."""
 
-    effects = ()
+    effects = random = ()
 
     def refit(self, effects, **_):
         raise FitError(f"{effects}: the covariance of the residuals is not positive definite")
@@ -84,6 +84,7 @@ class Weighted:
     """A fit with the gain of its effect; the hinge gains 60 nats more if the outliers that it leaves lose weight."""
 
     GAINS: ClassVar = {"hinge": 120.0, "step": 144.0}
+    random: ClassVar = ()
 
     def __init__(self, weights, effects=()):
         self.noise, self.effects = SimpleNamespace(weights=weights), effects
