@@ -12,7 +12,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 MOST_LINES = 8
-"""Largest number of lines of a summary, so that it is read without scrolling."""
+"""Largest number of lines of a summary, so that it is read without scrolling; more only if a long command would take the
+place of what has to be said first."""
+_COMMAND_LINES = 2
+"""Lines of a command that count then."""
 WIDTH = 80
 """Columns of a summary, if the terminal has as many."""
 
@@ -128,8 +131,10 @@ def _within(lines: Sequence[Line], width: int, most: int) -> list[_Block]:
     others = [block for block in blocks if block[0].tone != "command"]
     room = most - sum(len(parts) for _, parts in commands)
     shorter = [(line, _folded(line.tone, visible(line.short or line.text), width)) for line, _ in others]
+    first = sum(len(parts) for i, (line, parts) in enumerate(shorter) if not i or line.weight >= FIRST) + 1
+    room = max(room, min(first, most - _COMMAND_LINES))
     most_kept: list[_Block] = []
-    for rows in range(1, most):
+    for rows in range(1, room + 1):
         # a text is only shortened where the rows do not suffice, or another line that is not spare gets a place
         choices = [_heaviest(blocks, room - rows) for blocks in (others, shorter)]
         kept = max(choices, key=lambda kept: _worth(kept, room - rows))
