@@ -18,7 +18,7 @@ RUNS = BENCHMARKS / "laboratory" / "results"
     [
         (
             "hidden_effects.py",
-            ["summary", RUNS / "twentieth.jsonl", "--page"],
+            ["summary", RUNS / "twentyfirst.jsonl", "--page"],
             "hidden_effects.md",
         ),
         ("ordinary.py", ["page", BENCHMARKS / "ordinary" / "results" / "tenth.jsonl", "-o"], "ordinary.md"),
