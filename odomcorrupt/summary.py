@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 MOST_LINES = 8
-"""Largest number of lines of a summary, so that it is read without scrolling; more only if a long command would take the
-place of what has to be said first."""
+"""Largest number of lines of a summary, so that it is read without scrolling; more only if a long command would take
+the place of what has to be said first."""
 _COMMAND_LINES = 2
 """Lines of a command that count then."""
 WIDTH = 80
