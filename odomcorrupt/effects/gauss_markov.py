@@ -42,7 +42,7 @@ class GaussMarkov(Effect):
     """f = g (v, 0, 0), g (0, 0, omega) or g (0, 0, v / 1 m), g' = -g / tau + white noise, of deviation sigma.
 
     Unlike a bias it vanishes at rest. The gain is limited to 0.9, so that an odometry exists for every motion. The last
-    form is the difference of the gains of two wheels 1 m apart, on any robot; on a track b it is the b-th part of it.
+    form is a difference between the gains of both wheels: they differ by g b on a track of b metres.
     """
 
     name = "gauss_markov"

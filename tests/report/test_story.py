@@ -171,7 +171,7 @@ def test_a_dependence_of_the_model_is_told_as_such_though_another_part_was_dropp
     both = replace(rich, fit=fit, unknown=(law, *rivals), laws=(law,), noise=())
     kept = without_parts(both, {"unequal_wheels": "the error grows with it"})
     assert [effect.name for effect in kept.fit.effects if effect.kind == "effect"] == [name]
-    # a rival of what was dropped is not told beside a dependence of its name
+    # a rival of what was dropped is not reported beside a dependence of its name
     included, other = dependences_found(kept)
     assert (included.fitted, included.part, list(included.numbers)) == (True, name, ["k"])
     assert (other.fitted, other.part, other.law.instead_of) == (False, "", ())

@@ -160,7 +160,7 @@ def _beside(unknown: Sequence[Dependence], laws: Sequence[Dependence], kept: Con
     """Return dependences without the names of dropped effects that they may replace.
 
     Those that may replace nothing any more are left out if the model has a dependence of that name. The others stay the
-    same objects, because those in the model are told by identity.
+    same objects, because those in the model are recognised by identity.
 
     laws : dependences in the model
     kept : names of its effects
