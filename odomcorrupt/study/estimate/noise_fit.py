@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import chi2
 
+from odomcorrupt.study.estimate.knots import KnotPosterior
 from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood
-from odomcorrupt.study.estimate.random_process import joined, root_of
+from odomcorrupt.study.estimate.random_process import joined, knots_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.problem import Problem
-    from odomcorrupt.study.estimate.random_process import Root
+    from odomcorrupt.study.estimate.random_process import Knots
     from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
 _ROBUST_ROUNDS = 5
@@ -124,10 +124,10 @@ def fit_noise_beside(
         noise = fit_noise(intervals, components, columns, start, headings=headings)
     if not random:
         return noise
-    root = joined([root_of(effect, problem) for effect in random])
-    for normal in _normals(root):
+    knots = joined([knots_of(effect, problem) for effect in random])
+    for normal in _normals(knots):
         before = noise.free
-        rest = replace(intervals, residual=intervals.residual - _drawn(noise, problem, columns, root, normal))
+        rest = replace(intervals, residual=intervals.residual - _drawn(noise, problem, columns, knots, normal))
         refit_start = NoiseStart(before, weights, bursts=start.bursts)
         noise = fit_noise(rest, components, columns, refit_start, headings=headings)
         weights = noise.weights
@@ -141,30 +141,25 @@ def without_process(noise: NoiseFit, problem: Problem, columns: Array, random: S
     """Return the intervals with a posterior draw of the random coefficients subtracted; the step noise is left."""
     if not random:
         return problem.intervals
-    root = joined([root_of(effect, problem) for effect in random])
-    drawn = _drawn(noise, problem, columns, root, _normals(root)[0])
+    knots = joined([knots_of(effect, problem) for effect in random])
+    drawn = _drawn(noise, problem, columns, knots, _normals(knots)[0])
     return replace(problem.intervals, residual=problem.intervals.residual - drawn)
 
 
-def _normals(root: Root) -> Array:
+def _normals(knots: Knots) -> Array:
     """Return standard normal draws, one row per round; always the same for the same process."""
-    return np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, root.mixing.shape[1]))
+    return np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, len(knots.time_s)))
 
 
-def _drawn(noise: NoiseFit, problem: Problem, columns: Array, root: Root, normal: Array) -> Array:
+def _drawn(noise: NoiseFit, problem: Problem, columns: Array, knots: Knots, normal: Array) -> Array:
     """Return a posterior draw (K, 3) of the processes' contribution to the residuals."""
-    whiten, mixing = noise.whitener.whiten, root.mixing
-    r, design, knots = whiten(problem.intervals.residual), whiten(columns), noise.whitener.knots(root.spread)
-    factor = cholesky(np.eye(mixing.shape[1]) + mixing.T @ knots.inner(knots) @ mixing, lower=True)
-
-    def carried(data: Array) -> Array:
-        return solve_triangular(factor, mixing.T @ knots.products(data), lower=True)
-
+    whiten = noise.whitener.whiten
+    r, design = whiten(problem.intervals.residual)[:, None], whiten(columns)
+    posterior = KnotPosterior.of(noise.whitener.knots(knots.spread), knots.precision)
     if columns.shape[2]:
-        own = carried(design)
+        own = posterior.scores(design)
         normal_matrix = design.T @ design - own.T @ own
-        theta = np.linalg.lstsq(normal_matrix, design.T @ r - own.T @ carried(r[:, None])[:, 0], rcond=None)[0]
+        theta = np.linalg.lstsq(normal_matrix, design.T @ r - own.T @ posterior.scores(r), rcond=None)[0]
         r = r - design @ theta
-    factors = solve_triangular(factor, carried(r[:, None])[:, 0] + normal, lower=True, trans="T")
-    process: Array = root.spread @ (mixing @ factors)
+    process: Array = knots.spread @ posterior.values(posterior.scores(r) + normal[:, None])
     return process.reshape(-1, 3)

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import block_diag, cholesky, eigh
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import block_diag, csr_array, diags_array, hstack
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
-from odomcorrupt.study.estimate.knots import Shrunk
+from odomcorrupt.study.estimate.banded import band_factor, band_solve, sparse_band
+from odomcorrupt.study.estimate.knots import KnotPosterior
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
 from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
 from odomcorrupt.study.estimate.truth_field import field_roots, has_field, remainder_whitener
@@ -36,24 +36,33 @@ Allan deviation, Woodman 2007); a shorter one is hardly separable from noise of 
 _MOST_KNOTS = 400
 _COARSELY, FINELY = 2.0, 8.0
 """Knots per correlation time: few suffice to detect a process, more show how rough it is."""
+_LEAST_SCALE = 1e-9
 _WALK_S = 20.0
 _BREAK_S = 1e3
 
 
 @dataclass(frozen=True, slots=True)
-class Root:
-    """Root S M of a process's covariance: columns for independent standard normal factors.
+class Knots:
+    """Values of a process at its knots, which are normal with zero mean, and their contributions to the residuals.
 
     spread : S (3 K, k), contribution of each knot to each residual, sparse
-    mixing : M (k, m), contribution of each factor to each knot
+    precision : Q (k, k), inverse of the prior covariance of the values, sparse
+    time_s : (k,) times of the knots
     """
 
     spread: csr_array
-    mixing: Array
+    precision: csr_array
+    time_s: Array
+
+    @property
+    def mixing(self) -> Array:
+        """Root M (k, k) of the prior covariance, for independent standard normal factors."""
+        factor = band_factor(sparse_band(self.precision))
+        return band_solve(factor, np.eye(len(self.time_s)), transposed=True)
 
     @property
     def columns(self) -> Array:
-        """The root S M as a dense matrix (3 K, m)."""
+        """Root S M (3 K, k) of the process's covariance."""
         return self.spread @ self.mixing
 
 
@@ -101,53 +110,50 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
 def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFit:
     """Return the same noise fit without random coefficients."""
     white = noise.whitener
-    if white.shrunk is None:
+    if white.process is None:
         return noise
-    plain = replace(white, shrunk=None, log_det=white.log_det + float(np.log(white.shrunk.factors).sum()))
+    plain = replace(white, process=None, log_det=white.log_det - white.process.log_growth)
     plain = widened(plain, problem, ())
     return estimated(noise, plain, by_column(np.concatenate((problem.intervals.residual[:, :, None], columns), axis=2)))
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
     """Return a whitener whose covariance also includes random coefficients and the truth's bias or spatial field."""
-    roots = [root_of(effect, problem) for effect in random]
+    parts = [knots_of(effect, problem) for effect in random]
     if has_bias(problem):
-        roots.append(_written_out(bias_roots(problem)))
+        parts.append(_of_columns(bias_roots(problem)))
     if has_field(problem):
-        roots.append(_written_out(field_roots(problem)))
-    if not roots:
+        parts.append(_of_columns(field_roots(problem)))
+    if not parts:
         return white
-    root = joined(roots)
-    # eigenvectors of the small matrix, which is cheaper; directions negligible beside the noise are dropped
-    knots = white.knots(root.spread)
-    square, turned = eigh(root.mixing.T @ knots.inner(knots) @ root.mixing)
-    plain = square > 1e-9 * max(float(square[-1]), 1.0)
-    square, turned = square[plain], turned[:, plain] / np.sqrt(square[plain])
-    growth = 1.0 + square
-    return replace(
-        white,
-        shrunk=Shrunk.along(knots, root.mixing @ turned, 1.0 / np.sqrt(growth)),
-        log_det=white.log_det + 0.5 * float(np.log(growth).sum()),
-    )
+    knots = joined(parts)
+    process = KnotPosterior.of(white.knots(knots.spread), knots.precision)
+    return replace(white, process=process, log_det=white.log_det + process.log_growth)
 
 
-def joined(roots: Sequence[Root]) -> Root:
-    """Return the root of several independent processes together."""
-    if len(roots) == 1:
-        return roots[0]
-    return Root(csr_array(hstack([root.spread for root in roots])), block_diag(*(root.mixing for root in roots)))
+def joined(parts: Sequence[Knots]) -> Knots:
+    """Return the knots of several independent processes together, in order of time, so that the band stays narrow."""
+    if len(parts) == 1:
+        return parts[0]
+    time_s = np.concatenate([part.time_s for part in parts])
+    order = np.argsort(time_s, kind="stable")
+    spread = csr_array(hstack([part.spread for part in parts], format="csc")[:, order])
+    precision = csr_array(block_diag([part.precision for part in parts], format="csr")[order][:, order])
+    return Knots(spread, precision, time_s[order])
 
 
-def _written_out(columns: Array) -> Root:
-    """Return a root whose columns are the given ones (K, 3, m)."""
-    return Root(csr_array(columns.reshape(-1, columns.shape[2])), np.eye(columns.shape[2]))
+def _of_columns(columns: Array) -> Knots:
+    """Return independent standard normal factors of columns (K, 3, m) as knots after all others."""
+    flat = columns.reshape(-1, columns.shape[2])
+    return Knots(csr_array(flat), csr_array(np.eye(flat.shape[1])), np.full(flat.shape[1], np.inf))
 
 
-def root_of(effect: Effect, problem: Problem) -> Root:
-    """Return the root of the covariance of a random coefficient with its parameters."""
+def knots_of(effect: Effect, problem: Problem) -> Knots:
+    """Return the knots of a random coefficient with its parameters."""
     (process,) = processes_like(effect)
-    root = rooted(problem, process, FINELY)
-    return Root(root.spread, getattr(effect, process.scale) * root.mixing)
+    knots = unit_knots(problem, process, FINELY)
+    scale = max(getattr(effect, process.scale), _LEAST_SCALE)
+    return replace(knots, precision=knots.precision / scale**2)
 
 
 def processes() -> list[Process]:
@@ -193,8 +199,8 @@ def unit_column(problem: Problem, process: Process) -> Array:
     return problem.intervals.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
 
 
-def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Root:
-    """Return the root of the covariance of a process at scale 1, with `parts` knots per correlation time."""
+def unit_knots(problem: Problem, process: Process, parts: float = _COARSELY) -> Knots:
+    """Return the knots of a process at scale 1, with `parts` knots per correlation time."""
     intervals = problem.intervals
     # separate the runs in time: the process is independent in each
     time = intervals.end_s + problem.run * (float(intervals.end_s.max()) + 1e4)
@@ -203,20 +209,26 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Root
     step = max((_WALK_S if tau is None else tau) / parts, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
     cells = np.unique(np.floor(time / step))
     knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
-    prior = process.variance * np.exp(-np.abs(knots[:, None] - knots) / tau) if tau is not None else _walk(knots)
-    root = cholesky(prior + 1e-9 * np.eye(len(knots)) * np.trace(prior) / len(knots), lower=True)
     # interpolate between the two neighbouring knots, both of which exist
     left = np.minimum(np.searchsorted(knots, time, side="right") - 1, len(knots) - 2)
     part = (time - knots[left]) / step
     unit, rows, left = unit_column(problem, process).ravel(), np.arange(3 * len(intervals)), np.repeat(left, 3)
     weights = np.concatenate((unit * np.repeat(1.0 - part, 3), unit * np.repeat(part, 3)))
     where = np.tile(rows, 2), np.concatenate((left, left + 1))
-    return Root(csr_array((weights, where), shape=(len(rows), len(knots))), root)
+    spread = csr_array((weights, where), shape=(len(rows), len(knots)))
+    return Knots(spread, _precision(process, np.diff(knots)), knots)
 
 
-def _walk(knots: Array) -> Array:
-    """Return the covariance of a random walk of unit density that restarts after each long break."""
-    start = np.concatenate(([True], np.diff(knots) > _BREAK_S))
-    begin = knots[np.maximum.accumulate(np.where(start, np.arange(len(knots)), 0))]
-    since = knots - begin + 1.0
-    return np.minimum(since[:, None], since) * (begin[:, None] == begin)
+def _precision(process: Process, gaps_s: Array) -> csr_array:
+    """Return the precision (k, k) of a process at scale 1 at knots with given gaps (k - 1,), s.
+
+    Each value is a multiple of the previous one, plus an independent change. A random walk restarts after long breaks.
+    """
+    if process.tau is None:
+        keeps, varies = np.where(gaps_s > _BREAK_S, 0.0, 1.0), np.where(gaps_s > _BREAK_S, 1.0, gaps_s)
+    else:
+        keeps = np.exp(-gaps_s / process.tau)
+        varies = process.variance * -np.expm1(-2.0 * gaps_s / process.tau)
+    deviation = np.sqrt(np.concatenate(([process.variance], varies)))
+    changes = diags_array([1.0 / deviation, -keeps / deviation[1:]], offsets=[0, -1])
+    return csr_array(changes.T @ changes)

@@ -18,9 +18,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import lapack
 
-from odomcorrupt.errors import FitError
+from odomcorrupt.study.estimate.banded import band_factor, band_solve, half_log_det
 from odomcorrupt.study.estimate.knots import WhitenedKnots
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
-    from odomcorrupt.study.estimate.knots import Shrunk
+    from odomcorrupt.study.estimate.knots import KnotPosterior
 
 FLOOR = np.array([1e-10, 1e-10, 1e-12])
 """Lower limit of the variances (10 um, 1 urad), so that the matrix is not singular while the robot stands still."""
@@ -50,13 +49,13 @@ class Whitener:
 
     factor : (6, 3 K) lower banded
     log_det : sum of log of L's diagonal
-    shrunk : part of the covariance due to random processes over all residuals; None by default
+    process : random processes in the covariance; None by default
     rho : (K, 3, 3) of the quasi-differences to which L belongs, see above; None if it belongs to the residuals
     """
 
     factor: Array
     log_det: float
-    shrunk: Shrunk | None = None
+    process: KnotPosterior | None = None
     rho: Array | None = None
 
     def whiten(self, columns: Array) -> Array:
@@ -66,15 +65,15 @@ class Whitener:
 
     def solved(self, flat: Array) -> Array:
         """Return L^-1 z for quasi-differences z of shape (3 K, c)."""
-        return _band_solve(self.factor, flat)
+        return band_solve(self.factor, flat)
 
     def whitened(self, flat: Array) -> Array:
         """Return L^-1 x like `whiten`, for x of shape (3 K, c)."""
         white = self._by_band(flat)
-        return white if self.shrunk is None else white - self.shrunk.lost(white)
+        return white if self.process is None else white - self.process.lost(white)
 
     def knots(self, spread: csr_array) -> WhitenedKnots:
-        """Return L^-1 S of the knots of a process (3 K, k), see `Shrunk`, whitened by the band alone."""
+        """Return L^-1 S of the knots of a process (3 K, k), whitened by the band alone."""
         by_knot, rows = spread.tocsc(), spread.shape[0]
         blocks = []
         for knot in range(0, spread.shape[1], _KNOTS):
@@ -104,9 +103,9 @@ class Whitener:
         """Return W' W (k, k) of the whitened columns W of a sparse S (3 K, k)."""
         knots = self.knots(spread)
         information = knots.inner(knots)
-        if self.shrunk is not None:
-            along = knots.inner(self.shrunk.knots) @ (self.shrunk.mixing * np.sqrt(1.0 - self.shrunk.factors**2))
-            information -= along @ along.T
+        if self.process is not None:
+            along = band_solve(self.process.factor, self.process.knots.inner(knots))
+            information -= along.T @ along
         return information
 
     def pulled(self, white: Array) -> Array:
@@ -115,7 +114,7 @@ class Whitener:
 
     def transposed(self, white: Array) -> Array:
         """Return L^-T z (3 K, c) of whitened data z (3 K, c), the transpose of `whitened`."""
-        return self._back(white if self.shrunk is None else white - self.shrunk.lost(white))
+        return self._back(white if self.process is None else white - self.process.lost(white, transposed=True))
 
     def _by_band(self, flat: Array) -> Array:
         """Return x of shape (3 K, c) whitened by the band alone."""
@@ -123,7 +122,7 @@ class Whitener:
 
     def _back(self, white: Array) -> Array:
         """Return the transpose of `_by_band` applied to data (3 K, c)."""
-        back = _band_solve(self.factor, white, transposed=True)
+        back = band_solve(self.factor, white, transposed=True)
         if self.rho is not None:
             blocks = back.reshape(len(self.rho), 3, -1)
             carried = np.einsum("kji,kjc->kic", self.rho[1:], blocks[1:])
@@ -312,16 +311,6 @@ def whitener(intervals: Intervals, q: Array, truth: TruthNoise) -> Whitener:
     return factored(band, rho_of(intervals))
 
 
-def _band_solve(factor: Array, flat: Array, *, transposed: bool = False) -> Array:
-    """Return L^-1 z, or L^-T z, for z of shape (3 K, c) and the lower banded L (6, 3 K)."""
-    if not flat.shape[1]:  # LAPACK must not be called without columns
-        return flat
-    solved, info = lapack.dtbtrs(factor, flat, uplo="L", trans="T" if transposed else "N")
-    if info != 0:
-        raise FitError("the covariance of the residuals is singular")
-    return solved
-
-
 def fixed_band(intervals: Intervals) -> Array:
     """Return the constant part of the covariance as a band (6, 3 K): its floor, and axes not measured by the truth."""
     band = band_of(*unseen_piece(intervals))
@@ -331,10 +320,8 @@ def fixed_band(intervals: Intervals) -> Array:
 
 def factored(band: Array, rho: Array | None = None) -> Whitener:
     """Return the whitener of a lower banded covariance (6, 3 K) of residuals, or of their quasi-differences."""
-    factor, info = lapack.dpbtrf(band, lower=1)
-    if info != 0:
-        raise FitError("the covariance of the residuals is not positive definite")
-    return Whitener(factor, float(np.sum(np.log(factor[0]))), rho=rho)
+    factor = band_factor(band)
+    return Whitener(factor, half_log_det(factor), rho=rho)
 
 
 def _adjoint_of_inverse(xyt: Array) -> Array:

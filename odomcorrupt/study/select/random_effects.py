@@ -26,8 +26,8 @@ from odomcorrupt.study.estimate.random_process import (
     bias_of,
     processes,
     processes_like,
-    rooted,
     unit_column,
+    unit_knots,
     with_random,
     without_random,
 )
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.estimate.random_process import Process, Root
+    from odomcorrupt.study.estimate.random_process import Knots, Process
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
 
@@ -94,8 +94,8 @@ def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) ->
         if blind and process.unit is bias_of:
             continue  # the truth is a gyro, and the bias may be its own
         # a random walk is rough at every scale: with few knots a mean-reverting bias would fit better
-        root = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
-        nats, scale = evidence.of(root, process)
+        knots = unit_knots(fit.problem, process, FINELY) if process.tau is None else unit_knots(fit.problem, process)
+        nats, scale = evidence.of(knots, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
         least = decisions.mean_reverting_nats if process.mean_reverting else decisions.correlated_nats
         if _matched(fit) and getattr(effect, "channel", "") == "along":
@@ -224,10 +224,10 @@ def remeasured(fit: Fit, effect: Effect) -> tuple[Effect, float]:
     """Return a random coefficient of a fit with its parameters re-estimated beside the noise, and what that gains."""
     evidence = _Evidence(_beside(fit, effect))
     (present,) = processes_like(effect)
-    before = evidence.at(rooted(fit.problem, present, FINELY), present, getattr(effect, present.scale))
+    before = evidence.at(unit_knots(fit.problem, present, FINELY), present, getattr(effect, present.scale))
     best = max(
         (
-            (evidence.of(rooted(fit.problem, process, FINELY), process), process)
+            (evidence.of(unit_knots(fit.problem, process, FINELY), process), process)
             for process in processes_like(effect, beside=True)
         ),
         key=lambda found: found[0][0],
@@ -279,9 +279,9 @@ class _Evidence:
         self._fit = fit
         self._known: dict[tuple[Callable[[Motion], Array], int, bytes], tuple[Array, Array]] = {}
 
-    def of(self, root: Root, process: Process) -> tuple[float, float]:
+    def of(self, knots: Knots, process: Process) -> tuple[float, float]:
         """Return the gain at the best scale of a process, nats, and that scale."""
-        spectrum, scales = self._spectrum(root, process), _scales(process)
+        spectrum, scales = self._spectrum(knots, process), _scales(process)
         for _ in range(2):
             gains = _gains(*spectrum, scales)
             best = int(np.argmax(gains))
@@ -289,13 +289,13 @@ class _Evidence:
             scales = np.geomspace(0.9 * scale, min(1.1 * scale, _scales(process)[-1]), 21)
         return nats, scale
 
-    def at(self, root: Root, process: Process, scale: float) -> float:
+    def at(self, knots: Knots, process: Process, scale: float) -> float:
         """Return the gain of a process at a scale, nats."""
-        return float(_gains(*self._spectrum(root, process), np.array([scale]))[0])
+        return float(_gains(*self._spectrum(knots, process), np.array([scale]))[0])
 
-    def _spectrum(self, root: Root, process: Process) -> tuple[Array, Array]:
-        information, score = self._of_knots(root.spread, process)
-        return _spectrum(root.mixing.T @ information @ root.mixing, root.mixing.T @ score)
+    def _spectrum(self, knots: Knots, process: Process) -> tuple[Array, Array]:
+        (information, score), mixing = self._of_knots(knots.spread, process), knots.mixing
+        return _spectrum(mixing.T @ information @ mixing, mixing.T @ score)
 
     def _of_knots(self, spread: csr_array, process: Process) -> tuple[Array, Array]:
         """Return information (k, k) and score (k,) of the knots beside the model."""
@@ -324,7 +324,7 @@ def _whitened(fit: Fit, process: Process) -> tuple[Array, Array]:
     whiten, beside = fit.noise.whitener.whiten, [fit.design_matrix]
     if process.unit is bias_of:
         beside.append(unit_column(fit.problem, process)[:, :, None])
-    columns = rooted(fit.problem, process).columns
+    columns = unit_knots(fit.problem, process).columns
     return whiten(np.concatenate(beside, axis=2)), whiten(columns.reshape(-1, 3, columns.shape[1]))
 
 
