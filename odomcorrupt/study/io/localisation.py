@@ -46,6 +46,10 @@ SPARSE_HZ = 5.0
 """Rate below which such poses are corrections; faster ones are sent at all times, also at rest."""
 _APART_M, _APART_RAD = 0.25, 0.2
 """Motion after which the pose of a faster localisation is used: that after which nav2's amcl corrects."""
+_STRAIGHT_RAD, _COARSE_M, _CORRELATED = 0.1, 0.005, 0.7
+"""Largest turn of a straight step; spread of the error of 0.25 m of travel above which poses in the map are a
+localisation's, if that of single steps is less than such a part of it. Simulated localisations have 9 to 15 mm, motion
+capture with odometry of wheels 1 to 3 mm."""
 _UNEVEN = 0.3
 """Spread (10 to 90 %) of the times between corrections over their median; updates by travel or turn exceed it."""
 _BASES = frozenset({"base_link", "base_footprint"})
@@ -63,10 +67,13 @@ _MAX_AGE = 4
 def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
     """Return the truth reduced to its corrections if it repeats the odometry in between; otherwise unchanged.
 
-    Both must be sorted by stamp. A truth of low rate that is named like a localisation's is marked as localised.
+    Both must be sorted by stamp. A truth of low rate that is named like a localisation's, and one in the frame of a map
+    with the accuracy of a localisation, are marked as localised.
     """
     if not (truth.headed and odometry.headed):
         return truth
+    if _is_coarse_in_map(odometry, truth):
+        truth = replace(truth, localised=True)
     if len(truth) < SPARSE_HZ * truth.span_s:
         named = bool(_NAMES.search(truth.name.lower())) or _is_by_motion(odometry, truth)
         truth = replace(truth, localised=truth.localised or named)
@@ -116,12 +123,7 @@ def spaced_by_motion(recording: Recording) -> Recording:
     inside = np.flatnonzero(recording.within_odometry)
     if not recording.localised or len(inside) < SPARSE_HZ * float(np.ptp(t_s[inside])):
         return recording
-    own = recording.odometry.at(t_s[inside], recording.origin_ns)
-    rows = [0]
-    for i, pose in enumerate(own):
-        x, y, turned = pose - own[rows[-1]]
-        if math.hypot(x, y) >= _APART_M or abs(turned) >= _APART_RAD:
-            rows.append(i)
+    rows = _after_motion(recording.odometry.at(t_s[inside], recording.origin_ns))
     if len(rows) < CORRECTIONS:
         return recording
     said = (
@@ -130,6 +132,16 @@ def spaced_by_motion(recording: Recording) -> Recording:
     )
     kept = inside[rows]
     return replace(recording, truth=truth.only(kept), notes=(*recording.notes, said))
+
+
+def _after_motion(path: Array) -> list[int]:
+    """Return the indices of the poses of a path (n, 3) after each 0.25 m or 0.2 rad."""
+    rows = [0]
+    for i, pose in enumerate(path):
+        x, y, turned = pose - path[rows[-1]]
+        if math.hypot(x, y) >= _APART_M or abs(turned) >= _APART_RAD:
+            rows.append(i)
+    return rows
 
 
 def has_own_scale(truth: Samples) -> bool:
@@ -166,6 +178,34 @@ def _is_by_motion(odometry: Samples, truth: Samples) -> bool:
     own = _odometry_at(odometry, truth.stamps_ns)[0]
     moved = np.abs(between(own[:-1], own[1:])).max(axis=1) > _MIN_MOTION
     return bool(high - low > _UNEVEN * usual and moved.mean() > 1.0 - REPEATED)
+
+
+def _is_coarse_in_map(odometry: Samples, truth: Samples) -> bool:
+    """Return whether poses in the map have the errors of a localisation, whatever their topic is called.
+
+    Their travel is compared with the odometry's over a quarter of a metre of straight driving. A constant error of the
+    odometry does not count, nor does a marker's distance from the axis, nor white noise as of an antenna: errors of a
+    localisation hardly change from one pose to the next.
+    """
+    name = truth.name.lower()
+    if plain(truth.frame).rpartition("/")[2] != "map" or _MEASURED.search(name) or _IMAGES.search(name):
+        return False
+    inside = (truth.stamps_ns >= odometry.stamps_ns[0]) & (truth.stamps_ns <= odometry.stamps_ns[-1])
+    if has_own_scale(truth) or not inside.any():
+        return False
+    own = _odometry_at(odometry, truth.stamps_ns[inside])[0]
+    real = np.column_stack((truth.xyz[:, :2], truth.yaw_rad))[inside]
+    every, apart = np.arange(len(own)), np.array(_after_motion(own))
+    near_m, far_m = (_travel_error(own[rows], real[rows]) for rows in (every, apart))
+    return far_m > _COARSE_M and near_m < _CORRELATED * far_m
+
+
+def _travel_error(own: Array, real: Array) -> float:
+    """Return the spread of real minus own travel on straight steps between poses (n, 3), m; 0 if there are too few."""
+    steps = between(own[:-1], own[1:])
+    straight = np.abs(steps[:, 2]) < _STRAIGHT_RAD
+    apart = (between(real[:-1], real[1:]) - steps)[straight, 0]
+    return 1.4826 * float(np.median(np.abs(apart - np.median(apart)))) if len(apart) >= CORRECTIONS else 0.0
 
 
 def ahead_s(

@@ -38,6 +38,8 @@ _LEAST_S = 0.04
 """Least offset of the odometry's clock at which a lag is tested, seconds: motors and filters lag by 50 ms and more."""
 _CLEAR = -100.0
 """Difference, nats, that neither penalties nor the few samples of the truth at the ends of a drive can reverse."""
+_HOPELESS = -300.0
+"""Difference, nats, that refined shapes cannot reverse either."""
 _LAGS, _MISFIT = ("channel_lag", "motor_lag", "steering_lag"), 0.2
 """Names of lags; largest offset, as a fraction of a time constant, that may be a lag's misfit (as `_MISFIT_GAIN`)."""
 
@@ -83,8 +85,10 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> Cloc
     candidate = tried(without, with_it, score, decisions)
     if candidate.refused:
         return None
-    # shapes refined with the clock offset have absorbed a part of its misfit
-    other = _reshaped(with_it.refit(), [e.name for e in fit.effects if e.name in registry()], decisions)
+    other = with_it.refit()
+    if other.log_likelihood - fit.log_likelihood > _HOPELESS:
+        # shapes refined with the clock offset have absorbed a part of its misfit
+        other = _reshaped(other, [e.name for e in fit.effects if e.name in registry()], decisions)
     return ClockRival(other, more_nats(other, fit, clear=_CLEAR), (candidate,))
 
 

@@ -117,6 +117,31 @@ def test_poses_in_the_map_that_come_after_so_much_motion_are_a_localisations(tmp
 
 
 @pytest.mark.parametrize(
+    ("name", "frame", "correlated_m", "white_m", "localised"),
+    [
+        ("/robot_pose", "map", 0.015, 5e-4, True),
+        ("/robot_pose", "world", 0.015, 5e-4, False),
+        ("/vicon/robot", "map", 0.015, 5e-4, False),
+        ("/robot_pose", "map", 0.001, 5e-4, False),  # motion capture
+        ("/robot_pose", "map", 0.005, 0.012, False),  # an antenna
+    ],
+)
+def test_poses_in_the_map_are_a_localisations_by_their_errors(tmp_path, name, frame, correlated_m, white_m, localised):
+    """Whatever the topic is called: errors of a localisation are a centimetre, and change over a metre of path."""
+    moved, real, rng = odometry(120.0), truth(120.0, noise=0.0), np.random.default_rng(8)
+    own, at = ((rows.stamps_ns - START_NS) * 1e-9 for rows in (real, moved))
+    base = np.stack([np.interp(at, own, column) for column in real.xyt.T], axis=1)[::5]
+    kept = np.exp(-np.hypot(*np.diff(base[:, :2], axis=0).T) / 1.5)
+    error = [rng.standard_normal(3)]
+    for keep in kept:
+        error.append(keep * error[-1] + np.sqrt(1.0 - keep**2) * rng.standard_normal(3))
+    base[:, :2] += correlated_m * np.array(error)[:, :2] + white_m * rng.standard_normal((len(base), 2))
+    poses = topic(name, "PoseStamped", flat(moved.stamps_ns[::5], base), frame=frame)
+    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
+    assert recording.localised == localised
+
+
+@pytest.mark.parametrize(
     ("name", "kind", "frame", "own_scale", "in_map"),
     [
         ("/vslam/odometry", "Odometry", "world", True, True),
