@@ -57,8 +57,7 @@ class Knots:
     @property
     def mixing(self) -> Array:
         """Root M (k, k) of the prior covariance, for independent standard normal factors."""
-        factor = band_factor(sparse_band(self.precision))
-        return band_solve(factor, np.eye(len(self.time_s)), transposed=True)
+        return _root(self.precision)
 
     @property
     def columns(self) -> Array:
@@ -232,3 +231,12 @@ def _precision(process: Process, gaps_s: Array) -> csr_array:
     deviation = np.sqrt(np.concatenate(([process.variance], varies)))
     changes = diags_array([1.0 / deviation, -keeps / deviation[1:]], offsets=[0, -1])
     return csr_array(changes.T @ changes)
+
+
+def prior_root(process: Process, gaps_s: Array) -> Array:
+    """Return a root (k, k) of the prior covariance of a process at scale 1 at knots with given gaps (k - 1,), s."""
+    return _root(_precision(process, gaps_s))
+
+
+def _root(precision: csr_array) -> Array:
+    return band_solve(band_factor(sparse_band(precision)), np.eye(precision.shape[0]), transposed=True)

@@ -38,8 +38,9 @@ _LEAST_S = 0.04
 """Least offset of the odometry's clock at which a lag is tested, seconds: motors and filters lag by 50 ms and more."""
 _CLEAR = -100.0
 """Difference, nats, that neither penalties nor the few samples of the truth at the ends of a drive can reverse."""
-_HOPELESS = -300.0
-"""Difference, nats, that refined shapes cannot reverse either."""
+_HOPELESS, _BESIDE_NATS = -300.0, 30.0
+"""Difference, nats, that refined shapes cannot reverse either; gain of a lag beside a clock over either alone, which
+other errors at changes of speed, not yet in the model, do not reach."""
 _LAGS, _MISFIT = ("channel_lag", "motor_lag", "steering_lag"), 0.2
 """Names of lags; largest offset, as a fraction of a time constant, that may be a lag's misfit (as `_MISFIT_GAIN`)."""
 
@@ -57,7 +58,7 @@ class ClockRival(NamedTuple):
 
 
 def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> ClockRival | None:
-    """Return a fit with a lag in place of the offset of the odometry's clock; None if not applicable.
+    """Return a fit with a lag in place of, or beside, the offset of the odometry's clock; None if not applicable.
 
     A lag is a delay to first order, so a clock offset, which is estimated before all effects, absorbs it. If the
     odometry leads, it may integrate commands, which motors follow with a lag; if it is late, it may be filtered. A
@@ -83,13 +84,35 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> Cloc
     (score,) = score_terms(without, [term], decisions, family=1)
     with_it = without.refit([*without.effects, term.effect([tau_s])], weights_of=without)
     candidate = tried(without, with_it, score, decisions)
+    beside = _lag_beside_clock(fit, term.effect([0.5 * tau_s]), decisions)
+    least = beside.more_nats - _BESIDE_NATS
     if candidate.refused:
-        return None
+        return beside._replace(candidates=(candidate,)) if least > 0.0 else None
     other = with_it.refit()
     if other.log_likelihood - fit.log_likelihood > _HOPELESS:
-        # shapes refined with the clock offset have absorbed a part of its misfit
-        other = _reshaped(other, [e.name for e in fit.effects if e.name in registry()], decisions)
-    return ClockRival(other, more_nats(other, fit, clear=_CLEAR), (candidate,))
+        other = _refined(other, fit, decisions)
+    alone = ClockRival(other, more_nats(other, fit, clear=_CLEAR), (candidate,))
+    return beside._replace(candidates=(candidate,)) if least > max(alone.more_nats, 0.0) else alone
+
+
+def _lag_beside_clock(fit: Fit, lag: Effect, decisions: Decisions) -> ClockRival:
+    """Return a fit with a lag beside the clock offset, which has absorbed it; its gain is less its penalty.
+
+    An offset within the odometry's period belongs to the lag: a lag of discrete steps and one of continuous motion with
+    the same mean delay differ by half a period.
+    """
+    half = [replace(clock, offset_s=0.5 * clock.offset_s) for clock in fit.problem.clocks]
+    other = _refined(fit.refit([*fit.effects, lag], clocks=half), fit, decisions)
+    period_s = max(float(np.median(np.diff(r.odometry_s))) for r in fit.problem.recordings)
+    if min(abs(clock.offset_s) for clock in other.problem.clocks) < period_s:
+        return ClockRival(other, -np.inf)
+    paid = penalty(LibraryTerm.of(lag, fit.problem.motions), len(fit.problem.intervals), decisions)
+    return ClockRival(other, more_nats(other, fit, clear=_CLEAR) - paid)
+
+
+def _refined(other: Fit, fit: Fit, decisions: Decisions) -> Fit:
+    """Return another fit with the shapes of the effects of `fit` refined: these have absorbed a part of its misfit."""
+    return _reshaped(other, [e.name for e in fit.effects if e.name in registry()], decisions)
 
 
 def clock_beside_lag(fit: Fit, given: Container[str], decisions: Decisions) -> ClockRival | None:

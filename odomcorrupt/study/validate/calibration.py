@@ -129,8 +129,8 @@ _MIN_WINDOWS = 3
 """Fewest windows for a statement."""
 _DRAWS = 20_000
 _SEED = 1_950_128
-_MIN_WEIGHT = 1e-3
-"""Chi-square components with smaller weights are neglected."""
+_MIN_WEIGHT, _ALIKE = 1e-3, 0.02
+"""Chi-square components with smaller weights are neglected; logarithm of the ratio of weights drawn together."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -228,10 +228,14 @@ def _squares(
 
 def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
     """Return draws of the sum of all normalised squares of windows with shared errors."""
+    weights = np.sort(errors.spectrum)
+    weights = weights[weights > _MIN_WEIGHT]
     total = np.zeros(_DRAWS)
-    for weight in errors.spectrum:
-        if weight > _MIN_WEIGHT:
-            total += weight * rng.chisquare(1, _DRAWS)
+    # nearly equal weights are drawn together
+    group = np.floor(np.log(weights) / _ALIKE)
+    for alike in np.split(weights, np.flatnonzero(np.diff(group)) + 1):
+        if len(alike):
+            total += alike.mean() * rng.chisquare(len(alike), _DRAWS)
     return total
 
 

@@ -20,11 +20,12 @@ from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covari
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
 from odomcorrupt.study.io.headings import UNKNOWN_RAD
 from odomcorrupt.study.validate.calibration import Horizon, ParameterUncertainty, horizon_of, uncertainty_of
+from odomcorrupt.study.validate.process_windows import process_roots, random_covariance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.effects.effect import Effect, Motion, RandomCoefficient
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.config import Approach
@@ -103,9 +104,11 @@ class Evaluation:
         positions = None if self.headed else position_windows(self.left, windows)
         errors = self.errors_of(windows, positions)
         count = errors.error.shape[1]
-        more = random_covariance(_random_effects(self.model), windows, self.problem.motions[0])[:, :count, :count]
-        shared = window_roots(self.left, windows)
-        shared = None if shared is None else shared[:, :count]
+        random, motion = _random_effects(self.model), self.problem.motions[0]
+        more = random_covariance(random, windows, motion)[:, :count, :count]
+        roots = window_roots(self.left, windows), process_roots(random, windows, motion)
+        common = [root[:, :count] for root in roots if root is not None]
+        shared = np.concatenate(common, axis=2) if common else None
         errors = replace(errors, covariance=errors.covariance + more, shared=shared)
         return errors, uncertainty_of(
             self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0, positions=positions
@@ -255,47 +258,6 @@ def _most_likely_truth(intervals: Intervals, q: Array, start: Array, *, headed: 
 def _unpacked(free: Array, *, headed: bool) -> TruthNoise:
     xy, yaw, random_walk = np.exp(free)
     return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(random_walk))
-
-
-def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Motion) -> Array:
-    """Return the covariance (K, 3, 3) from random gains on each window of one run.
-
-    A gain g is a Markov process: Cov(g_i, g_j) is Var(g_i) times the product of the factors kept from i to j. With c_i
-    the effect of step i at the window's end, the sum over all pairs therefore takes one backward pass.
-    """
-    total = np.zeros((len(windows), 3, 3))
-    for effect in random:
-        for gain in effect.gains(motion):
-            total += _of_gain(gain, windows, motion)
-    return total
-
-
-def _of_gain(gain: RandomCoefficient, windows: Intervals, motion: Motion) -> Array:
-    moved = windows.carried(gain.f * motion.dt_s[:, None])
-    keep = gain.keep[windows.source] ** windows.share
-    variance = _variances(gain)[windows.source]
-    last = np.zeros(len(keep), dtype=bool)
-    last[np.concatenate((windows.first[1:] - 1, [len(keep) - 1]))] = True
-    later = np.zeros_like(moved)
-    sums = [0.0, 0.0, 0.0]
-    rows = zip(*moved.tolist(), keep.tolist(), last.tolist(), strict=True)
-    for place, (along, across, yaw, kept, ends) in reversed(list(enumerate(rows))):
-        if ends:
-            sums = [0.0, 0.0, 0.0]
-        later[:, place] = sums
-        sums = [kept * (s + c) for s, c in zip(sums, (along, across, yaw), strict=True)]
-    both = moved[:, None] * (later + 0.5 * moved)[None]
-    outer = variance * (both + np.swapaxes(both, 0, 1))
-    return np.ascontiguousarray(np.moveaxis(np.add.reduceat(outer, windows.first, axis=2), 2, 0))
-
-
-def _variances(gain: RandomCoefficient) -> Array:
-    """Return the variance (n,) of the gain in each interval."""
-    variance, found = gain.start, []
-    for keep, kick in zip(gain.keep.tolist(), gain.kick.tolist(), strict=True):
-        variance = keep * keep * variance + kick
-        found.append(variance)
-    return np.array(found)
 
 
 _Summed = Literal["interval_nats", "sized_nats", "interval_metres"]
