@@ -332,7 +332,7 @@ class _Selection:
             self._compare(CoarseDesign(self.fit.problem, least_thresholds(self.fit)), again=True)
 
     def _replace_clock_by_lag(self, *, first: bool = False) -> bool:
-        """Include a lag in place of the offset of the odometry's clock, or beside it; return whether it was included."""
+        """Include a lag in place of the odometry's clock offset, or beside it; return whether it was included."""
         self.over_lag = None
         found = clock_rivals.lag_in_place(self.fit, self.decisions, first=first)
         if found is None:
