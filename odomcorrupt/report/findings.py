@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects.effect import Effect, amplitudes
 from odomcorrupt.study.estimate.drive_type import readings_of
+from odomcorrupt.study.estimate.random_process import part_name
 from odomcorrupt.study.select.confidence import (
     Evidence,
     confidence,
@@ -94,8 +95,7 @@ class FoundNoise(NamedTuple):
     @property
     def name(self) -> str:
         """Name with the channel that it acts on."""
-        channel = getattr(self.effect, "channel", "")
-        return f"{self.effect.name} ({channel})" if channel else self.effect.name
+        return part_name(self.effect)
 
 
 def noise_found(learned: Learned) -> list[FoundNoise]:

@@ -14,7 +14,7 @@ from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import with_gyros_corrected
-from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.decisions import DECISIONS
@@ -173,17 +173,19 @@ def _without_excess(search: Learned, recordings: Sequence[Recording]) -> tuple[L
     dropped; their confidence would be even odds at most (`Learned.drifts_too_far`).
     """
     written = _written(search, recordings)
-    processes = [gain.effect.name for gain in search.noise if gain.effect.name in CORRELATED_NOISE]
+    processes = [gain for gain in search.noise if gain.effect.name in CORRELATED_NOISE]
     if not (written[-1].too_large and processes):
         return search, written, []
-    others = tuple(gain for gain in search.noise if gain.effect.name not in processes)
+    others = tuple(gain for gain in search.noise if gain not in processes)
     calmer = replace(search, noise=others, fit=search.fit.refit(random=()))
     without = _written(calmer, recordings)
     if not without[-1].holds:
         return search, written, []
+    names = " and ".join(part_name(gain.effect) for gain in processes)
+    found = "were found, but are" if len(processes) > 1 else "was found, but is"
     said = (
-        f"{' and '.join(processes)} was found, but is not in the model: with it, a robot would drift much farther than "
-        "in the recordings; without it, about as far"
+        f"{names} {found} not in the model: with it, a robot would drift much farther than in the recordings; without "
+        "it, about as far"
     )
     return calmer, without, [said]
 

@@ -99,3 +99,35 @@ def filtered(recording, tau_s, by):
     late = lag.recorded(np.stack(astuple(increments(path.xyt)), axis=1), recording.odometry_s[1:], None, None).steps
     xyt = accumulate(path.xyt[0], Increments(*np.ascontiguousarray(late.T)))
     return replace(recording, odometry=Trajectory(path.stamps_ns, xyt))
+
+
+@pytest.mark.parametrize(("tau_s", "offset_s"), [(0.12, -0.04), (0.1, -0.08)])
+def test_motors_that_follow_late_beside_an_early_clock_are_both(tau_s, offset_s):
+    """Their sum is a clock offset that neither explains alone; its misfit was a dozen of effects, two of them sure."""
+    recording = as_recording(simulate(93, None, duration_s=120.0))
+    late = replace(recording.truth, xyt=followed(recording.truth, tau_s))
+    late = replace(late, stamps_ns=late.stamps_ns - int(offset_s * 1e9))
+    recording = replace(recording, truth=late)
+    sum_s = offset_s - tau_s
+    clocked = fit(
+        [recording], clocks=(Clock(sum_s),), free_clocks=((True, False),), approach=choose_approach([recording])
+    )
+    found = lag_in_place(clocked, DECISIONS, first=True)
+    assert found.more_nats > 60.0
+    (lag,), (clock,) = found.fit.effects, found.fit.problem.clocks
+    assert lag.name == "motor_lag"
+    assert lag.tau == pytest.approx(tau_s, abs=0.006)
+    assert clock.offset_s == pytest.approx(offset_s, abs=0.006)
+
+
+def followed(path, tau_s):
+    """Return the poses of a robot whose speeds follow those of a path with a continuous first-order lag."""
+    t_s = path.seconds_since(int(path.stamps_ns[0]))
+    grid_s = np.arange(0.0, t_s[-1] + 0.002, 0.002)
+    there = path.at(grid_s, int(path.stamps_ns[0]))
+    steps = increments(there)
+    kept, speeds = np.exp(-0.002 / tau_s), np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad))
+    for i in range(1, speeds.shape[1]):
+        speeds[:, i] = kept * speeds[:, i - 1] + (1.0 - kept) * speeds[:, i]
+    poses = accumulate(there[0], Increments(*speeds))
+    return np.stack([np.interp(t_s, grid_s[: len(poses)], column) for column in poses.T], axis=1)

@@ -24,15 +24,17 @@ from odomcorrupt.study.estimate.clocks import Clocks
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.drift_error import Drift
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.random_process import part_name
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.clock_rivals import beside_lags
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.contribution import Contribution, Span
+from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 from odomcorrupt.study.select.stepwise import Learned, Step, learn
 from odomcorrupt.study.validate import held_out
 from odomcorrupt.study.validate.evaluation import Evaluation
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
-from odomcorrupt.study.validate.held_out import HeldOut, drop_unsupported_parts
+from odomcorrupt.study.validate.held_out import HeldOut, drop_unsupported_parts, without_parts
 from odomcorrupt.study.validate.round_trip import RoundTrip
 
 QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
@@ -266,6 +268,18 @@ def test_what_is_a_hundredth_of_another_effect_may_be_what_its_form_leaves():
         spans = {"wheelbase": Span(0.5, 0.1, 4.0), "wheel_scale": Span(part * 0.5, 0.1, 4.0)}
         moved = replace(learned, contributions={name: Contribution(span, None) for name, span in spans.items()})
         assert at_most - 0.1 < confidence(evidence_of(step, moved)) <= at_most
+
+
+def test_of_two_processes_of_one_name_only_the_one_that_fails_leaves_the_model():
+    """The other one has the same name and acts on another channel: both stayed, and one was said to be left out."""
+    run = with_truth(drive(4, seconds=60.0), 5)
+    both = [effect_from_values("gauss_markov", {"sigma": 0.02, "channel": channel}) for channel in ("along", "yaw")]
+    fitted = fit([run], random=both, approach=Approach())
+    learned = replace(learned_with(run), fit=fitted, noise=tuple(DetectedRandomEffect(one, 20.0) for one in both))
+    left = without_parts(learned, {"gauss_markov (yaw)": "it fails"})
+    assert left.fit.random == (both[0],)
+    assert [gain.effect for gain in left.noise] == [both[0]]
+    assert part_name(both[1]) in left.left_out
 
 
 def test_a_drive_too_short_to_be_halved_tests_nothing_and_drops_nothing():

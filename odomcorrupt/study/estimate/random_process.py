@@ -41,6 +41,12 @@ _WALK_S = 20.0
 _BREAK_S = 1e3
 
 
+def part_name(effect: Effect) -> str:
+    """Return the name of a part of a model; of a random coefficient with its channel, because it may have several."""
+    channel = getattr(effect, "channel", "") if effect.kind == "noise" else ""
+    return f"{effect.name} ({channel})" if channel else effect.name
+
+
 @dataclass(frozen=True, slots=True)
 class Knots:
     """Values of a process at its knots, which are normal with zero mean, and their contributions to the residuals.

@@ -26,7 +26,7 @@ from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.heading_source import sees_travel
-from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.io.encoders import speeds_in_steps
 from odomcorrupt.study.select.decisions import DECISIONS, equal_candidates
 from odomcorrupt.study.select.remainder import within_remainder
@@ -186,7 +186,7 @@ def noise_evidence(gain: DetectedRandomEffect, learned: Learned) -> Evidence:
     process with which the model drifts further than the recordings imitates an error that depends on the motion.
     """
     left = 0.0 if gain.effect.layer == "record" else learned.left_nats
-    own = held_out_limit(gain.effect.name, gain.nats, learned)
+    own = held_out_limit(part_name(gain.effect), gain.nats, learned)
     late = [step.candidates[0].gain for step in learned.steps if step.added in _LATE]
     misfit = gain.effect.name == "heavy_tails" and gain.nats < _MISFIT_GAIN * max(late, default=0.0)
     misfit |= gain.effect.name in CORRELATED_NOISE and (learned.drifts_too_far or _loses_slow_turns(learned))

@@ -24,7 +24,7 @@ from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error, with_truths_corrected
 from odomcorrupt.study.estimate.gauss_newton import fit_problem
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned, clock_leaders
@@ -133,8 +133,8 @@ def without_parts(learned: Learned, reasons: Mapping[str, str]) -> Learned:
 
     reasons : why each part is left out, by its name
     """
-    parts = [part for part in _parts(learned.fit) if part.name in reasons]
-    noise = tuple(gain for gain in learned.noise if gain.effect.name not in reasons)
+    parts = [part for part in _parts(learned.fit) if part_name(part) in reasons or part.name in reasons]
+    noise = tuple(gain for gain in learned.noise if gain.effect not in parts and gain.effect.name not in reasons)
     return _limited_to(replace(learned, noise=noise), _without(learned.fit, parts), reasons, learned.means)
 
 
@@ -147,8 +147,9 @@ def _limited_to(learned: Learned, fitted: Fit, left_out: Mapping[str, str], mean
     kept = {effect.name for effect in (*fitted.effects, *fitted.random)}
     fitted = with_robust_errors(fitted, kept)
     laws = tuple(one for one in learned.laws if one.name in kept)
+    random = {part_name(effect) for effect in fitted.random}
     noise = tuple(
-        gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or gain.effect.name in kept
+        gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or part_name(gain.effect) in random
     )
     unknown = _beside(learned.unknown, laws, kept)
     learned = replace(learned, laws=laws, noise=noise, unknown=unknown, means=tuple(m for m in means if m in kept))
@@ -213,7 +214,7 @@ def _least_confident(
     With a wrong cause at other speeds or in other bends, predictions may be worse than without it.
     """
     evidence = {step.added: evidence_of(step, learned) for step in learned.steps if step.added is not None}
-    evidence |= {gain.effect.name: noise_evidence(gain, learned) for gain in learned.noise}
+    evidence |= {part_name(gain.effect): noise_evidence(gain, learned) for gain in learned.noise}
     certain = [
         (confidence(evidence[one.name], learned.decisions.prior), parts, one)
         for parts, one in found
@@ -324,7 +325,7 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
     elif unlikelier and not closer:
         failure = f"on held-out data the model is {-nats:.0f} nats less likely with it"
     return HeldOut(
-        name=" with ".join(part.name for part in parts),
+        name=" with ".join(map(part_name, parts)),
         nats=nats,
         error=error,
         ten_second_error_m=(base.rmse, with_it.rmse),

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.intervals import Intervals
 
-_PER_TIME, _MOST_KNOTS = 2.0, 200
+_PER_TIME, _MOST_KNOTS = 8.0, 200
 """Knots per correlation time, and their largest number: a process that is faster is hardly common to two windows."""
 _WALK_S = 20.0
 
