@@ -56,9 +56,11 @@ def noise_text(effect: Effect) -> list[str]:
     """Return a random effect's numbers and the wheel it acts on, in words; a time constant of zero is left out."""
     shown = [p for p in parameters(effect) if p.amplitude or getattr(effect, p.name)]
     wheel = getattr(effect, "wheel", "both")
+    # a difference between the gains of the wheels is a turn for each metre of travel
+    gain = "rad/m" if getattr(effect, "channel", "") == "wheels" else ""
     return [
         *([f"wheel {wheel}"] if wheel != "both" else []),
-        *(f"{p.name} {value_text(getattr(effect, p.name), None, p.unit)}" for p in shown),
+        *(f"{p.name} {value_text(getattr(effect, p.name), None, p.unit or gain)}" for p in shown),
     ]
 
 
