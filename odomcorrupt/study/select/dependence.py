@@ -243,9 +243,10 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
         motions, placed=shared_frame(recordings) is not None, sideways=is_holonomic(recordings, motions)
     )
     for name, regressor in regressors.items():
-        hats = np.concatenate([regressor(m)[0].T for m in motions], axis=1)
+        hats = _hats(regressor, motions)
         for per, channels in (("m", CHANNELS), ("rad", ("yaw",)), ("s", ("yaw",))):
-            used = np.abs(hats * amounts[per]).sum(axis=1) > 0.01 * np.abs(amounts[per]).sum()
+            least = 0.01 * np.abs(amounts[per]).sum()
+            used = np.array([np.abs(hat * amounts[per]).sum() > least for hat in hats])
             if used.sum() < 2:
                 continue
             for channel in channels:
@@ -266,10 +267,18 @@ def _columns_of(
     motions: Sequence[Motion],
 ) -> Array:
     """Return columns (K, 3, m) of errors of a channel: the used hats of a regressor times an amount of motion (n,)."""
-    hats = np.concatenate([regressor(m)[0].T for m in motions], axis=1)[used]
-    errors = np.zeros((len(hats), len(amount), 3))
-    errors[:, :, CHANNELS.index(channel)] = hats * amount
-    return by_column(np.stack([intervals.column(error) for error in errors]))
+    hats, columns = _hats(regressor, motions), []
+    errors = np.zeros((len(amount), 3))
+    for i in np.flatnonzero(used):
+        errors[:, CHANNELS.index(channel)] = hats[i] * amount
+        columns.append(intervals.column(errors))
+    return by_column(np.stack(columns))
+
+
+def _hats(regressor: Callable[[Motion], tuple[Array, Array]], motions: Sequence[Motion]) -> Array:
+    """Return the values (k, n) of a regressor's hats on all motions; without a copy on a single one."""
+    parts = [regressor(motion)[0].T for motion in motions]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
 def _dependence(
