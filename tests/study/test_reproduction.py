@@ -149,7 +149,9 @@ class Search:
 def test_a_process_that_drifts_too_far_is_dropped_if_the_model_drifts_as_far_as_the_recordings_without(
     monkeypatch, with_it, without, left
 ):
-    noise = tuple(SimpleNamespace(effect=SimpleNamespace(name=name, kind="noise")) for name in ("quantization", "gauss_markov"))
+    noise = tuple(
+        SimpleNamespace(effect=SimpleNamespace(name=name, kind="noise")) for name in ("quantization", "gauss_markov")
+    )
     search = Search(noise, SimpleNamespace(refit=lambda random: SimpleNamespace(random=random)))
 
     def written(own, _recordings):
