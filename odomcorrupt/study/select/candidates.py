@@ -188,7 +188,7 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
         room = p.high if value > 0.0 else -p.low
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
             why = "beyond what is physically possible" if room > 0.0 else _IMPOSSIBLE_SIGN
-            return f"{p.name} would be {value:.3g}, {why}{euler_clause(fit, score)}"
+            return f"{p.name} would be {f'{value:.3g} {p.unit}'.rstrip()}, {why}{euler_clause(fit, score)}"
     if score.effect.name != "channel_lag" and may_be_of_filter(fit, score):
         return "no larger than the artefact of a filter with a delay or with pose updates"
     return _imitated_by_noise(fit, score, still=still)
