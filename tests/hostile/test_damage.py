@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import io
 import os
 import resource
@@ -335,9 +336,13 @@ def test_a_signal_leaves_no_output_and_what_was_there(number, code, bags, tmp_pa
 
 def test_a_reader_that_leaves_early_is_no_traceback(bags):
     words = [*OURS, str(bags["mcap none"].path), "-", "--seed", "7"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        process.stdout.read(10)
-        process.stdout.close()
+    read, write = os.pipe()
+    # a pipe that holds the whole output may be closed too late to interrupt the program
+    fcntl.fcntl(write, fcntl.F_SETPIPE_SZ, 4096)
+    with subprocess.Popen(words, stdout=write, stderr=subprocess.PIPE) as process:
+        os.close(write)
+        os.read(read, 10)
+        os.close(read)
         said = process.stderr.read().decode()
     assert "Traceback" not in said
     assert said.count("\n") <= 1
