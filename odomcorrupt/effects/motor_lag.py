@@ -63,10 +63,11 @@ class MotorLag(Effect):
             return TwistError(np.zeros((0, 3)), state)
         commanded = np.stack((motion.v, motion.vy, motion.omega))
         mean, last = _kept(abs(self.tau), motion.dt_s)
+        kept = last.tolist()
         start = commanded[:, 0] if state.twist is None else state.twist
         before = np.zeros((3, len(motion) + 1))
         for i in np.flatnonzero(commanded.any(axis=1) | (start != 0.0)):
-            before[i] = _followed(commanded[i].tolist(), last.tolist(), float(start[i]))
+            before[i] = _followed(commanded[i].tolist(), kept, float(start[i]))
         change = mean * (before[:, :-1] - commanded)
         return TwistError(np.sign(self.tau) * change.T, state._replace(twist=before[:, -1]))
 
@@ -74,19 +75,20 @@ class MotorLag(Effect):
         """Return the commanded increments (n, 3) that move the robot by these."""
         reported = steps.copy()
         before, last_s = state
-        for i, (step, now_s) in enumerate(zip(steps, t_s.tolist(), strict=True)):
-            dt_s, last_s = now_s - last_s, now_s
-            if not dt_s > 0.0:  # repeated stamp, or a reset of time
-                before = before if dt_s == 0.0 else None
+        dt_s = np.diff(t_s, prepend=last_s)
+        kept = np.stack(_kept(abs(self.tau), dt_s), axis=1).tolist()
+        for i, (step, seconds, (mean, last)) in enumerate(zip(steps, dt_s.tolist(), kept, strict=True)):
+            if not seconds > 0.0:  # repeated stamp, or a reset of time
+                before = before if seconds == 0.0 else None
                 continue
-            commanded = step / dt_s
-            if before is not None:
-                mean, last = _kept(abs(self.tau), np.array([dt_s]))
-                commanded = (commanded - mean * before) / (1.0 - mean)
-                reported[i] = dt_s * commanded
-                before = commanded + last * (before - commanded)
-            else:
+            commanded = step / seconds
+            if before is None:
                 before = commanded
+                continue
+            commanded = (commanded - mean * before) / (1.0 - mean)
+            reported[i] = seconds * commanded
+            before = commanded + last * (before - commanded)
+        last_s = float(t_s[-1]) if len(t_s) else last_s
         return Recorded(reported, _Speeds(before, last_s))
 
 

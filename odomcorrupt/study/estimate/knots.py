@@ -15,6 +15,8 @@ import numpy as np
 from odomcorrupt.study.estimate.banded import band_factor, band_solve, diagonals, half_log_det, sparse_band
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from scipy.sparse import csr_array
 
     from odomcorrupt.geometry.se2 import Array
@@ -36,23 +38,22 @@ class WhitenedKnots:
     def inner(self, other: WhitenedKnots) -> Array:
         """Return S' V^-1 T (k, l) with other knots T, whitened by the same factor."""
         inner = np.zeros((self.count, other.count))
+        for knot, there, own, values in self._overlaps(other):
+            inner[knot : knot + own.shape[1], there : there + values.shape[1]] = own.T @ values
+        return inner
+
+    def _overlaps(self, other: WhitenedKnots) -> Iterator[tuple[int, int, Array, Array]]:
+        """Yield the first knots of two blocks that share rows, and the values of each on these rows."""
         for row, knot, own in self.blocks:
             for later, there, values in other.blocks:
                 begin, end = max(row, later), min(row + len(own), later + len(values))
                 if begin < end:
-                    block = own[begin - row : end - row].T @ values[begin - later : end - later]
-                    inner[knot : knot + own.shape[1], there : there + values.shape[1]] = block
-        return inner
+                    yield knot, there, own[begin - row : end - row], values[begin - later : end - later]
 
     def information(self, precision: csr_array) -> Array:
         """Return S' V^-1 S + Q (b + 1, k), as a lower band, for the precision Q (k, k) of the knots' prior."""
-        products = []
-        for i, (row, knot, own) in enumerate(self.blocks):
-            for later, there, values in self.blocks[i:]:
-                begin, end = max(row, later), min(row + len(own), later + len(values))
-                if begin < end:
-                    block = values[begin - later : end - later].T @ own[begin - row : end - row]
-                    products.append((there, knot, block))
+        below = ((knot, there, own, values) for knot, there, own, values in self._overlaps(self) if there >= knot)
+        products = [(there, knot, values.T @ own) for knot, there, own, values in below]
         prior = precision.tocoo()
         width = max((there + block.shape[0] - 1 - knot for there, knot, block in products), default=0)
         width = min(max(width, int((prior.row - prior.col).max())), self.count - 1)

@@ -96,6 +96,11 @@ class Process:
         """Whether the process is a mean-reverting bias."""
         return self.tau is not None and self.unit is bias_of
 
+    @property
+    def memory_s(self) -> float:
+        """Time for which knots are placed, s: the correlation time, or one that resolves a random walk."""
+        return _WALK_S if self.tau is None else self.tau
+
 
 def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
     """Return a noise fit with random coefficients and the truth's bias in its covariance, its linear part re-estimated.
@@ -209,9 +214,8 @@ def unit_knots(problem: Problem, process: Process, parts: float = _COARSELY) -> 
     intervals = problem.intervals
     # separate the runs in time: the process is independent in each
     time = intervals.end_s + problem.run * (float(intervals.end_s.max()) + 1e4)
-    tau = process.tau
     gaps = np.diff(time)
-    step = max((_WALK_S if tau is None else tau) / parts, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
+    step = max(process.memory_s / parts, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
     cells = np.unique(np.floor(time / step))
     knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
     # interpolate between the two neighbouring knots, both of which exist

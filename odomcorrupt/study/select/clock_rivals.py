@@ -85,14 +85,15 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> Cloc
     with_it = without.refit([*without.effects, term.effect([tau_s])], weights_of=without)
     candidate = tried(without, with_it, score, decisions)
     beside = _lag_beside_clock(fit, term.effect([0.5 * tau_s]), decisions)
-    least = beside.more_nats - _BESIDE_NATS
+    beside = beside._replace(candidates=(candidate,))
+    clearly_more_nats = beside.more_nats - _BESIDE_NATS
     if candidate.refused:
-        return beside._replace(candidates=(candidate,)) if least > 0.0 else None
+        return beside if clearly_more_nats > 0.0 else None
     other = with_it.refit()
     if other.log_likelihood - fit.log_likelihood > _HOPELESS:
         other = _refined(other, fit, decisions)
     alone = ClockRival(other, more_nats(other, fit, clear=_CLEAR), (candidate,))
-    return beside._replace(candidates=(candidate,)) if least > max(alone.more_nats, 0.0) else alone
+    return beside if clearly_more_nats > max(alone.more_nats, 0.0) else alone
 
 
 def _lag_beside_clock(fit: Fit, lag: Effect, decisions: Decisions) -> ClockRival:

@@ -133,8 +133,8 @@ def without_parts(learned: Learned, reasons: Mapping[str, str]) -> Learned:
 
     reasons : why each part is left out, by its name
     """
-    parts = [part for part in _parts(learned.fit) if part_name(part) in reasons or part.name in reasons]
-    noise = tuple(gain for gain in learned.noise if gain.effect not in parts and gain.effect.name not in reasons)
+    parts = [part for part in _parts(learned.fit) if not reasons.keys().isdisjoint((part.name, part_name(part)))]
+    noise = tuple(gain for gain in learned.noise if gain.effect.name not in reasons)
     return _limited_to(replace(learned, noise=noise), _without(learned.fit, parts), reasons, learned.means)
 
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 _PER_TIME, _MOST_KNOTS = 8.0, 200
 """Knots per correlation time, and their largest number: a process that is faster is hardly common to two windows."""
-_WALK_S = 20.0
 
 
 def process_roots(random: Sequence[Effect], windows: Intervals, motion: Motion) -> Array | None:
@@ -35,7 +34,7 @@ def process_roots(random: Sequence[Effect], windows: Intervals, motion: Motion) 
             continue
         (process,) = processes_like(effect)
         span_s = float(motion.t_s[-1] - motion.t_s[0])
-        step_s = max((process.tau or _WALK_S) / _PER_TIME, span_s / _MOST_KNOTS)
+        step_s = max(process.memory_s / _PER_TIME, span_s / _MOST_KNOTS)
         knots_s = motion.t_s[0] + np.arange(int(span_s / step_s) + 2) * step_s
         change = process.unit(motion) * motion.dt_s[:, None]
         columns = []
