@@ -81,6 +81,13 @@ class Noise:
         return law_named(self.law_name)
 
     @property
+    def per_message(self) -> bool:
+        """Whether a part of it acts once per message, so that its drift depends on the message rate."""
+        k = self.coefficients
+        stepwise = self.law.per_step and self.step is None and any(getattr(k, name) for name in self.law.alphas)
+        return stepwise or k.white_v > 0.0 or k.white_omega > 0.0
+
+    @property
     def numbers(self) -> list[tuple[str, float]]:
         """Names and values of the first four coefficients, and of others that are not zero."""
         values = asdict(self.coefficients)

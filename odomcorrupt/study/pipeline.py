@@ -15,6 +15,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import with_gyros_corrected
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
+from odomcorrupt.study.io.message_rate import thinned
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.decisions import DECISIONS
@@ -99,7 +100,8 @@ def learn_robot(
     """
     work = Work(watch, following=5.5)
     recordings, held_out = (
-        with_correlation_lengths(some, choose_approach(some)) if some else some for some in (recordings, held_out)
+        with_correlation_lengths(thinned(some), choose_approach(some)) if some else some
+        for some in (recordings, held_out)
     )
     search = learn(recordings, decisions=decisions, work=work)
     work.begin("each part on held-out data", 1.5, 4.0)
@@ -232,6 +234,8 @@ def diagnose_model(
     if model is not None:
         model = model.in_frame(shared_frame(recordings) or "")
     start = () if model is None else (*model.effects, *model.setup.effects)
+    if model is None or not model.noise.per_message:
+        recordings = thinned(recordings)
     work = Work(watch, following=3.7)
     law = LAW if model is None else model.noise.law_name
     search = learn(recordings, start, law_name=law, decisions=decisions, work=work)

@@ -20,9 +20,10 @@ from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.windows import joint_rmse, time_windows
+from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
+from odomcorrupt.study.io.message_rate import thinned
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import split_of
 from odomcorrupt.study.validate.evaluation import Evaluation, LogScore, evaluate_stretch, horizons_of, log_score_of
@@ -110,6 +111,8 @@ def compare(
     All models are evaluated with the same clocks, so that differences between them are not those of clocks. A model
     that fails there does not if its most likely offsets within two standard errors remove the misfit.
     """
+    if not any(model.noise.per_message for model in models.values()):
+        recordings = thinned(recordings)
     approach = choose_approach(recordings)
     recordings = with_correlation_lengths(recordings, approach)
     found = clocks or clocks_beside(recordings, approach, list(models.values())[-1])
@@ -132,8 +135,8 @@ def compare(
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
-        raw_error_m=_ten_seconds(raw),
-        clock_error_m=_ten_seconds(clock_right),
+        raw_error_m=phased_rmse(raw),
+        clock_error_m=phased_rmse(clock_right),
         clock_trajectory=trajectory_error(clock_right),
         evaluations=tuple(evaluations.values()),
     )
@@ -194,7 +197,7 @@ def _evaluation(
     return ModelEvaluation(
         name=name,
         judged_on=_judged_on(model, pieces),
-        ten_second_error_m=_ten_seconds([piece.left for piece in pieces]),
+        ten_second_error_m=phased_rmse([piece.left for piece in pieces]),
         nats=log_score_of(pieces, first),
         horizons=horizons,
         curve=tuple(h for h in every if h.distance_m in CURVE_M),
@@ -276,10 +279,6 @@ def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approa
         effects=(*refitted.effects[:count], *random),
         setup=replace(model.setup, effects=refitted.effects[count:], truth=refitted.noise.truth),
     )
-
-
-def _ten_seconds(recordings: Sequence[Recording]) -> float:
-    return joint_rmse(time_windows(recording) for recording in recordings)
 
 
 def sequence_comparison(

@@ -153,7 +153,7 @@ def evaluate_stretch(
         left=left,
         model=model,
         truth=truth if headed else replace(truth, yaw_rad=float(left.heading_error_rad or 0.0)),
-        problem=problem,
+        problem=replace(problem, smoothers=(), left=()),  # only refits need them
         whitener=white,
         q=q + random_covariance(_random_effects(model), intervals, problem.motions[0]),
         innovations=innovations,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose, wrap
-from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse, time_windows
+from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse, phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
 
 RPE_M = 1.0
@@ -128,13 +127,15 @@ class ClockGain:
 
 
 def clock_gain(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> ClockGain:
-    """Return the drift without and with clock correction, over non-overlapping windows that start at the truth."""
-    before = [aligned(r, Clock()) for r in recordings]
-    after = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
+    """Return the drift without and with clock correction, over windows that start at the truth."""
+    sides = [aligned(r, Clock()) for r in recordings], [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
 
-    def both(windows_of: Callable[[Recording], Intervals]) -> tuple[float, float]:
-        first, second = (joint_rmse([windows_of(r) for r in side]) for side in (before, after))
-        return first, second
+    def both(error_of: Callable[[list[Recording]], float]) -> tuple[float, float]:
+        before, after = map(error_of, sides)
+        return before, after
 
-    ten, fifty = (partial(distance_windows, length_m=length_m) for length_m in (10.0, 50.0))
-    return ClockGain(both(ten), both(fifty), both(time_windows))
+    return ClockGain(both(partial(_after_path, 10.0)), both(partial(_after_path, 50.0)), both(phased_rmse))
+
+
+def _after_path(length_m: float, recordings: list[Recording]) -> float:
+    return joint_rmse(distance_windows(recording, length_m) for recording in recordings)
