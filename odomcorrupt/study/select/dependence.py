@@ -23,6 +23,7 @@ from odomcorrupt.study.select.closed_loop import hardly_turns, may_be_steering, 
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.periodic import waves
 from odomcorrupt.study.select.score import score_columns, score_terms
+from odomcorrupt.study.select.screening import least_screened
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.channels import MOVES
 from odomcorrupt.study.terms.splines import curve_regressors
@@ -47,10 +48,6 @@ _CORRECTED = ("yaw_acceleration", "yaw")
 """Regressor and channel of a dependence that a controller causes, see `score_of_corrections`."""
 _MOST_STARTS = 40
 """Largest number of terms of one regressor and channel from which shape searches may start."""
-
-_COARSE_SHARE = {"place": 0.03, "other": 0.25}
-"""Fraction of the gain of an effect that screening finds, at least, of a basis function that explains it nearly.
-The least in 24 searches was 0.07 for a place, which a coarse grid may miss, and 0.4 for any other regressor."""
 
 _OF_TILT = ("along", "acceleration")
 """Channel and regressor of the error of a truth by laser that tilts when the robot brakes."""
@@ -154,14 +151,14 @@ def basis_scores(
     worth = sorted(
         (
             (_kind(s), s.nats - penalty(s.term, count, decisions), i, s)
-            for i, s in enumerate(search.promising() + waves(fit))
+            for i, s in enumerate(search.promising(against_nats) + waves(fit))
         ),
         key=lambda w: (w[0], -w[1], w[2]),
     )
     terms: list[BasisTerm] = []
     most = max((nats for _, nats, _, _ in worth), default=0.0)
     for kind, group in groupby(worth, key=lambda w: w[0]):
-        least = min(_COARSE_SHARE["place" if kind[0] == "position" else "other"] * against_nats, most)
+        least = min(least_screened(kind[0], against_nats), most)
         near = [(nats, s) for _, nats, _, s in islice(group, _MOST_STARTS) if nats > decisions.exact_nats]
         terms += search.forms([s for _, s in near]) if near and near[0][0] >= least else []
     found: dict[tuple[str, str], list[Score]] = {}

@@ -47,6 +47,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.screening import CoarseDesign
 
 
+_WIDE_NATS = 30.0
+"""Margin of an effect over basis functions that later refits do not change so much that it matters."""
 _VARIED_S = 5.0
 """Time between changes of the speeds at which copies are recognised, s: slower than accelerations."""
 _AT_EDGES = 1e-3
@@ -106,17 +108,29 @@ def compare_each_with_basis(
 ) -> list[ModelComparison]:
     """Return comparisons of effects of a fit with basis functions, of each one and, if several, of all together.
 
-    Several effects may explain one cause together; replacing only one of them would then gain nothing.
+    Several effects may explain one cause together; replacing only one of them would then gain nothing. A function that
+    replaces all of them also replaces each one beside the others, so if one has a wide margin, all together have.
 
-    known : comparisons of an earlier, similar fit that are kept
+    known : comparisons of an earlier, similar fit, of which wide margins are kept
     """
-    before = {one.names: one for one in known}
-    groups = [*([effect] for effect in effects), *([list(effects)] if len(effects) > 1 else [])]
-    names = [tuple(effect.name for effect in group) for group in groups]
-    return [
-        before.get(name) or compare_with_basis(fit, group, decisions, design)
-        for name, group in zip(names, groups, strict=True)
-    ]
+    before = {one.names: one for one in known if one.margin > _WIDE_NATS}
+    found = [before.get((effect.name,)) or compare_with_basis(fit, [effect], decisions, design) for effect in effects]
+    if len(effects) < 2:
+        return found
+    paid = sum(one.penalty for one in found) + _for_further(effects, decisions)
+    if max(one.margin + one.penalty for one in found) - paid > _WIDE_NATS:
+        return found
+    names = tuple(effect.name for effect in effects)
+    return [*found, before.get(names) or compare_with_basis(fit, effects, decisions, design)]
+
+
+def _for_further(effects: Sequence[Effect], decisions: Decisions) -> float:
+    """Return what effects after the first pay, nats, for the number of those from which they were selected.
+
+    One cause is likelier than several that imitate it together (Chen & Chen, Biometrika 95, 2008).
+    """
+    competing = [name for name, kind in registry().items() if kind.kind != "noise"]
+    return (len(effects) - 1) * float(np.log(equal_candidates(competing, decisions)))
 
 
 def compare_with_basis(
@@ -124,8 +138,7 @@ def compare_with_basis(
 ) -> ModelComparison:
     """Return the comparison of effects of a fit, taken together, with every basis function in their place.
 
-    Each further effect pays for the number of those from which it was selected (Chen & Chen, Biometrika 95, 2008), as
-    basis functions do: one cause is likelier than several that imitate it together.
+    Each further effect pays for the number of those from which it was selected, as basis functions do.
     """
     bare = fit
     for effect in effects:
@@ -134,8 +147,7 @@ def compare_with_basis(
     (own,) = score_columns(bare, [columns])
     motions, count = fit.problem.motions, len(fit.problem.intervals)
     penalties = sum(penalty(LibraryTerm.of(effect, motions), count, decisions) for effect in effects)
-    competing = [name for name, kind in registry().items() if kind.kind != "noise"]
-    penalties += (len(effects) - 1) * float(np.log(equal_candidates(competing, decisions)))
+    penalties += _for_further(effects, decisions)
     nats = 0.5 * own.statistic - penalties
     rest, whiten = project_out(bare), bare.noise.whitener.whiten
     whitened = rest.of(whiten(columns))

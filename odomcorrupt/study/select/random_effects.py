@@ -76,10 +76,13 @@ _SEEN_NATS = 1.0
 """Gain in the test from which a random walk of the bias is refitted: the smallest of nine drives with one was 3.6."""
 
 
-def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) -> list[DetectedRandomEffect]:
+def random_coefficients(
+    fit: Fit, decisions: Decisions, *, last: bool = True, least_nats: float = 0.0
+) -> list[DetectedRandomEffect]:
     """Return the random coefficients detected in the residual of a fit, in decreasing order of their gains.
 
     last : whether no effect is admitted, so that there may be no later step that tests them
+    least_nats : gain below which none is tested further or returned
     """
     log_count = float(np.log(len(fit.problem.intervals)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
@@ -111,8 +114,9 @@ def random_coefficients(fit: Fit, decisions: Decisions, *, last: bool = True) ->
     for key, (one, least) in found.items():
         if key in have or is_remainder(fit, one.effect):
             continue
-        beside, measured = _measured(fit, one, least, last=last)
-        if measured.nats > least and _in_both_halves(beside, measured.effect, decisions):
+        needed = max(least, least_nats)
+        beside, measured = _measured(fit, one, needed, last=last)
+        if measured.nats > needed and _in_both_halves(beside, measured.effect, decisions):
             named.append(measured)
     return sorted(named, key=lambda one: one.nats, reverse=True)
 

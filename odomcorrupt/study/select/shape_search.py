@@ -18,7 +18,7 @@ from odomcorrupt.errors import EffectError
 from odomcorrupt.study.select.closed_loop import least_thresholds
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.score import project_out
-from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_gains, promising_terms
+from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_gains, least_screened, promising_terms
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, Term, neighbours
 
 if TYPE_CHECKING:
@@ -150,16 +150,19 @@ class ShapeSearch:
         others = [(self.gain(other) - penalty_nats, other) for other in best.with_words(words)]
         return Located(max([(most, best), *others], key=itemgetter(0))[1], exact=False)
 
-    def promising(self) -> list[Screened]:
+    def promising(self, against_nats: float = 0.0) -> list[Screened]:
         """Return the best basis functions of every regressor and action, on the grid of their families.
 
         Rectangles are too many to try everywhere; they are tried around the best disc, if its gain is large.
+
+        against_nats : gain that they compete with, see `promising_terms`
         """
-        found = promising_terms(self._fit, self._rest, self._design)
+        found = promising_terms(self._fit, self._rest, self._design, against_nats)
         disc = max((s for s in found if s.term.function.related), key=lambda s: s.nats, default=None)
         decisions = self._decisions
         most = max((s.nats for s in found), default=0.0)
-        if disc is None or disc.nats < max(decisions.related_nats, decisions.related_share * most):
+        least = max(decisions.related_nats, least_screened("position", against_nats), decisions.related_share * most)
+        if disc is None or disc.nats < least:
             return found
         place = self.climb(disc.term)
         actions = [place.action, *(a for a in self._design.actions if "both" in a.reaches)]

@@ -74,9 +74,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Learned", "Step", "learn"]
 
-_WIDE_NATS = 30.0
-"""Margin of an effect over basis functions that the last refits do not change so much that it matters."""
-
 
 def learn(
     recordings: Sequence[Recording],
@@ -264,9 +261,9 @@ class _Selection:
         """Return the random coefficient with a clearly larger gain than the best effect, if another one is allowed."""
         if len(self.fit.random) >= self.decisions.max_correlated or is_pulled(self.fit):
             return None
-        found = random_coefficients(self.fit, self.decisions, last=best is None)
-        gain = best.gain if best is not None else 0.0
-        return found[0] if found and found[0].nats > gain + self.decisions.alternative_nats else None
+        least = (best.gain if best is not None else 0.0) + self.decisions.alternative_nats
+        found = random_coefficients(self.fit, self.decisions, last=best is None, least_nats=least)
+        return found[0] if found else None
 
     def _propose(self, *, alone: bool) -> Proposal | None:
         """Return the dependence to include next; if no effect is admitted (`alone`), preferably as a replacement."""
@@ -299,8 +296,8 @@ class _Selection:
         again : whether wide margins of the same effects in an earlier, similar model are kept
         """
         similar = again and self.compared_at is not None and terms_of(self.compared_at) == terms_of(self.fit)
-        wide = [one for one in self.compared if similar and one.margin > _WIDE_NATS]
-        self.compared = compare_each_with_basis(self.fit, self._selected(), self.decisions, design, wide)
+        known = self.compared if similar else []
+        self.compared = compare_each_with_basis(self.fit, self._selected(), self.decisions, design, known)
         self.compared_at = self.fit
 
     def _include_correlated(self, one: DetectedRandomEffect, explained: float) -> bool:
