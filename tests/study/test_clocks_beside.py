@@ -16,7 +16,8 @@ from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.clock_rivals import clock_beside_lag, lag_in_place
+from odomcorrupt.study.select.candidates import library_candidates
+from odomcorrupt.study.select.clock_rivals import cancelled_lag, clock_beside_lag, lag_in_place
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 
@@ -118,6 +119,41 @@ def test_motors_that_follow_late_beside_an_early_clock_are_both(tau_s, offset_s)
     assert lag.name == "motor_lag"
     assert lag.tau == pytest.approx(tau_s, abs=0.006)
     assert clock.offset_s == pytest.approx(offset_s, abs=0.006)
+
+
+def with_late_truth(recording, seconds):
+    """Return a recording with later stamps of the truth: odometry with an early clock."""
+    stamps_ns = recording.truth.stamps_ns + round(seconds * 1e9)
+    return replace(recording, truth=replace(recording.truth, stamps_ns=stamps_ns))
+
+
+@pytest.mark.parametrize("clocked", [False, True])
+@pytest.mark.parametrize(("name", "tau_s"), [("motor_lag", 0.08), ("channel_lag", 0.2)])
+def test_a_lag_and_the_clock_that_cancels_it_are_both(name, tau_s, clocked):
+    """To first order there is no error, and the second was the wheelbase, sure."""
+    recording = as_recording(simulate(93, None, duration_s=120.0))
+    if name == "motor_lag":
+        late = replace(recording.truth, xyt=followed(recording.truth, tau_s))
+        recording, offset_s = with_late_truth(replace(recording, truth=late), -tau_s), tau_s
+    else:
+        recording, offset_s = with_late_truth(filtered(recording, tau_s, "filter"), tau_s), -tau_s
+    approach = choose_approach([recording])
+    start = fit([recording], clocks=(Clock(),), free_clocks=((clocked, False),), approach=approach)
+    found = cancelled_lag(start, 0.0, DECISIONS)
+    (lag,), (clock,) = found.fit.effects, found.fit.problem.clocks
+    assert (lag.name, found.candidates[0].name) == (name, name)
+    assert lag.tau == pytest.approx(tau_s, abs=0.006)
+    assert clock.offset_s == pytest.approx(offset_s, abs=0.006)
+    assert cancelled_lag(start, found.more_nats, DECISIONS) is None  # an effect explains as much
+
+
+@pytest.mark.parametrize("cause", [None, "accel_slip", "backlash", "wheelbase"])
+def test_other_causes_are_no_lag_that_a_clock_cancels(cause):
+    recording = as_recording(simulate(93, cause, duration_s=120.0))
+    approach = choose_approach([recording])
+    alone = fit([recording], approach=approach)
+    gain = max((one.gain for one in library_candidates(alone, DECISIONS) if not one.refused), default=0.0)
+    assert cancelled_lag(alone, gain, DECISIONS) is None
 
 
 def followed(path, tau_s):

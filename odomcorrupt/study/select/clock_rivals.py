@@ -13,10 +13,10 @@ from odomcorrupt.study.estimate import gauss_newton
 from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.encoders import tick_of
-from odomcorrupt.study.select.candidates import library_candidates, tried, with_shape_refined
+from odomcorrupt.study.select.candidates import Candidate, library_candidates, tried, with_shape_refined
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.elimination import drop_term
-from odomcorrupt.study.select.score import score_terms
+from odomcorrupt.study.select.score import project_out, score_terms
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
 
@@ -104,11 +103,57 @@ def _lag_beside_clock(fit: Fit, lag: Effect, decisions: Decisions) -> ClockRival
     """
     half = [replace(clock, offset_s=0.5 * clock.offset_s) for clock in fit.problem.clocks]
     other = _refined(fit.refit([*fit.effects, lag], clocks=half), fit, decisions)
-    period_s = max(float(np.median(np.diff(r.odometry_s))) for r in fit.problem.recordings)
-    if min(abs(clock.offset_s) for clock in other.problem.clocks) < period_s:
+    if _within_period(other):
         return ClockRival(other, -np.inf)
     paid = penalty(LibraryTerm.of(lag, fit.problem.motions), len(fit.problem.intervals), decisions)
     return ClockRival(other, more_nats(other, fit, clear=_CLEAR) - paid)
+
+
+def cancelled_lag(fit: Fit, gain: float, decisions: Decisions) -> ClockRival | None:
+    """Return a fit with a lag and the clock offset that hid it, together far likelier than any effect; None if none.
+
+    A late clock cancels a lag of the motors, and an early one a filter of the odometry, to first order. They leave
+    errors where accelerations change, which an effect that fits badly may explain in part.
+
+    gain : that of the best effect, nats
+    """
+    recordings, motions, early = fit.problem.recordings, fit.problem.motions, fit.problem.clocks
+    tested = sees_travel(recordings) and not any(r.matched for r in recordings)
+    if (
+        not tested
+        or max(abs(clock.offset_s) for clock in early) >= _LEAST_S
+        or not fit.by_name.keys().isdisjoint(_LAGS)
+    ):
+        return None
+    lags = [(effect_from_values("channel_lag", {"channel": "all", "by": "filter"}), -1.0)]
+    if not any(tick_of(r) is not None for r in recordings):
+        lags.append((registry()["motor_lag"](), 1.0))
+    rest, whiten = project_out(fit), fit.noise.whitener.whiten
+    shifts = [] if np.any(fit.free_clocks) else [fit.problem.columns(registry()["time_offset"]())]
+    for lag, sign in lags:
+        term = LibraryTerm.of(lag, motions)
+        trial = term.effect([_LEAST_S])
+        columns = np.concatenate([fit.problem.replacement(lag, trial), *shifts], axis=2)
+        if rest.gain(whiten(columns)) <= gain + _BESIDE_NATS:
+            continue
+        late = [replace(clock, offset_s=clock.offset_s + sign * _LEAST_S) for clock in early]
+        free = [(True, rate) for _, rate in fit.free_clocks]
+        other = _refined(fit.refit([*fit.effects, trial], clocks=late, free_clocks=free), fit, decisions)
+        if _within_period(other):
+            continue
+        paid = penalty(term, len(fit.problem.intervals), decisions) + _clock_penalty(other) - _clock_penalty(fit)
+        nats = more_nats(other, fit, clear=_CLEAR) - paid
+        if nats > gain + _BESIDE_NATS:
+            (score,) = score_terms(fit, [term], decisions, family=1)
+            candidate = Candidate(score=score, fit=other, fitted=other.by_name[lag.name], gain=nats)
+            return ClockRival(other, nats, (candidate,))
+    return None
+
+
+def _within_period(fit: Fit) -> bool:
+    """Return whether a clock offset is within the odometry's period, and so may belong to a lag."""
+    period_s = max(float(np.median(np.diff(r.odometry_s))) for r in fit.problem.recordings)
+    return min(abs(clock.offset_s) for clock in fit.problem.clocks) < period_s
 
 
 def _refined(other: Fit, fit: Fit, decisions: Decisions) -> Fit:

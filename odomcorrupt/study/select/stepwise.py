@@ -24,13 +24,7 @@ from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select import clock_rivals
-from odomcorrupt.study.select.candidates import (
-    Candidate,
-    channels_of,
-    library_candidates,
-    terms_of,
-    with_shape_refined,
-)
+from odomcorrupt.study.select.candidates import Candidate, channels_of, library_candidates, terms_of, with_shape_refined
 from odomcorrupt.study.select.closed_loop import is_pulled, least_thresholds, may_be_of_filter
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
@@ -223,6 +217,9 @@ class _Selection:
         self.work.begin_step()
         candidates = library_candidates(self.fit, decisions, self.withdrawn)
         best = candidates[0] if candidates and not candidates[0].refused else None
+        found = clock_rivals.cancelled_lag(self.fit, best.gain if best is not None else 0.0, decisions)
+        if found is not None and not self._already_seen(found.fit):
+            return self._include_lag(found)
         correlated = self._correlated(best)
         proposal = None
         if best is None or correlated is not None:
@@ -337,6 +334,10 @@ class _Selection:
         if found.more_nats <= self.decisions.replacement_nats or self._already_seen(found.fit):
             self.over_lag = self.decisions.alternative_nats - found.more_nats
             return False
+        return self._include_lag(found)
+
+    def _include_lag(self, found: clock_rivals.ClockRival) -> bool:
+        """Include the lag of a model with other clocks; return True."""
         (lag,) = found.candidates
         self._record([lag], added=lag.name)
         self._continue_with_clocks_of(found.fit, max(lag.gain - found.more_nats, 0.0))
