@@ -48,6 +48,7 @@ def search(monkeypatch, following, decisions=DECISIONS):
     monkeypatch.setattr(stepwise, "library_candidates", candidates)
     monkeypatch.setattr(stepwise, "with_shape_refined", lambda fit, score, _: (fit, score))
     monkeypatch.setattr(stepwise, "without_redundant", lambda fit, *_: fit)
+    monkeypatch.setattr(stepwise.clock_rivals, "cancelled_lag", lambda *_: None)
     for name, does in {
         "_correlated": lambda *_: None,
         "_propose": lambda *_, **__: None,
