@@ -68,13 +68,13 @@ class DeadBand(Effect):
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return a candidate for each trial end of the band."""
+        """Return a candidate for each trial end of the band, with either loss beyond it: they gain at other speeds."""
         moving = driven_speeds(motions)
         if not len(moving):
             return ()
         usual = float(np.quantile(moving, 0.9))
-        bands = [cls(speed=float(np.clip(part * usual, 0.005, 2.0))) for part in _SPEEDS]
-        return on_every_track(bands, motions)
+        ends = [float(np.clip(part * usual, 0.005, 2.0)) for part in _SPEEDS]
+        return on_every_track([cls(speed=end, beyond=beyond) for beyond in ("less", "full") for end in ends], motions)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: minus the speed lost at the commanded speed."""

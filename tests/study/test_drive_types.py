@@ -39,6 +39,10 @@ def dead_band(u, _t_s):
     return np.sign(u) * np.maximum(np.abs(u) - BAND_MPS, 0.0)
 
 
+def standing(u, _t_s):
+    return np.where(np.abs(u) < 2.0 * BAND_MPS, 0.0, u)
+
+
 def sagging(u, t_s):
     return u * (1.0 - SAG_PER_S * t_s)
 
@@ -200,6 +204,15 @@ def test_wheels_show_their_flaw_and_their_track_where_nobody_said_it(true_of, re
         assert effect.track == pytest.approx(HOBBY_TRACK_M, rel=0.1)
     else:
         assert learned.steps[0].alternatives == ("battery_sag",)
+
+
+@pytest.mark.slow
+def test_motors_that_stand_still_within_the_band_alone_are_no_play():
+    """Only the losses beyond the band were tried at each of its ends; play had the name, sure, and gained nothing."""
+    effect, _ = only(learn([hobby(2, standing)]))
+    assert (effect.name, effect.beyond) == ("dead_band", "full")
+    assert effect.speed == pytest.approx(2.0 * BAND_MPS, rel=0.2)
+    assert effect.loss == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.slow

@@ -42,7 +42,9 @@ _SLACK = (np.array([0.1, 0.3]), np.array([3.0, 1.5]))
 """Smallest and largest slack, m and rad; noise above the largest suggests two paths in one."""
 _SPIKE = np.array([0.03, 0.03])
 """Least deviation of a single pose that is removed, m and rad; ticks and jitter are smaller."""
-_SIGMAS = 20.0
+_SIGMAS, _FIX_SIGMAS = 20.0, 8.0
+"""Standard deviations of the noise below which a step is no jump, and a fix of radio or satellites (positions without
+headings) beside two that agree no spike: one in a hundred is off by metres."""
 _LEVER_M = 1.0  # assumed distance of the truth's tracked point from the odometry's
 _MAX_JUMPS = 0.2  # fraction of steps that may be jumps
 
@@ -119,13 +121,15 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
             f"{path.place}: {np.sum(jump)} of its {len(path)} poses lie farther from the one before than the robot can "
             "go: several robots or publishers on one topic, or no path at all; name another one"
         )
-    rows = without_spikes(t_s, np.column_stack((xy, yaw)), reach.top, reach.noise)
+    least = reach.noise if path.headed else np.maximum(_FIX_SIGMAS / _SIGMAS * reach.noise, _SPIKE)
+    rows = without_spikes(t_s, np.column_stack((xy, yaw)), reach.top, least)
     pieces = np.split(rows, np.flatnonzero(far(rows[:-1], rows[1:])) + 1)
     main = int(np.argmax([len(p) for p in pieces]))
     groups, outliers = [[pieces[main]]], len(path) - len(rows)
     for ordered, end, begin, at in ((pieces[main + 1 :], -1, 0, -1), (pieces[:main][::-1], 0, -1, 0)):
-        for piece in ordered:
-            last = groups[at][at]
+        for whole in ordered:
+            groups[at][at], piece, spikes = _apart_from_spikes(xy, groups[at][at], whole, later=bool(at))
+            last, outliers = groups[at][at], outliers + spikes
             if not far(int(last[end]), int(piece[begin])):
                 groups[at].insert(len(groups[at]) if at else 0, piece)
             elif t_s[piece[-1]] - t_s[piece[0]] >= OUTLIER_S:
@@ -133,6 +137,28 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
             else:
                 outliers += len(piece)
     return Stretches(tuple(np.concatenate(group) for group in groups), outliers)
+
+
+def _apart_from_spikes(
+    xy: Array, kept: NDArray[np.int64], piece: NDArray[np.int64], *, later: bool
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Return two neighbouring pieces without a spike where they meet, and its number of poses.
+
+    The step to a spike may be barely a jump while the step back is barely none; then the spike belongs to a piece.
+    """
+    way = 1 if later else -1
+    inner, outer = kept[::-way], piece[::way]  # both from where they meet
+    spikes = [_spike_at(xy, inner, int(outer[0])), 0]
+    inner = inner[spikes[0] :]
+    spikes[1] = _spike_at(xy, outer, int(inner[0]))
+    return inner[::-way], outer[spikes[1] :][::way], sum(spikes)
+
+
+def _spike_at(xy: Array, piece: NDArray[np.int64], other: int) -> int:
+    """Return the number of poses with which a piece begins before it comes back to another pose."""
+    away = np.linalg.norm(xy[piece[: LONGEST + 1]] - xy[other], axis=1)
+    back = np.flatnonzero(away[1:] < _MAX_LEFT * away[0])
+    return int(back[0]) + 1 if len(back) else 0
 
 
 def _top(speeds: Array) -> float:

@@ -12,6 +12,8 @@ from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.simulation import simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.jumps import reach_of, stretches
+from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.validate.compare import compare
 
 
@@ -63,6 +65,40 @@ def test_headings_that_are_wrong_for_a_moment_never_cut_the_run(tmp_path, office
     recordings = read(tmp_path, spoilt(office, rows, errors[:, None] * [0.0, 0.0, 1.0]))
     assert len(recordings) == 1
     assert left_out(office, recordings) == set(rows)
+
+
+def fixes(seed, spikes_m, *, lasting_m=0.0):
+    """Return 60 s of fixes at 10 Hz of a robot at 0.6 m/s, each off by 0.1 m, with spikes and a jump that lasts."""
+    rng = np.random.default_rng(seed)
+    t_s = np.arange(600) / 10.0
+    xyz = np.column_stack((0.6 * t_s, np.zeros((600, 2)))) + rng.normal(size=(600, 3)) * (0.1, 0.1, 0.0)
+    rows = np.linspace(20, 580, len(spikes_m), dtype=int)
+    xyz[rows, 1] += spikes_m
+    xyz[300:, 1] += lasting_m
+    stamps_ns, nothing = (t_s * 1e9).astype(np.int64), np.full(600, np.nan)
+    return rows, Samples("run: /uwb", "/uwb", "map", stamps_ns, xyz, nothing, stamps_ns, nothing)
+
+
+SPEEDS = np.array([0.6, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_fix_that_is_off_cuts_the_run_however_far_it_is_off(seed):
+    """Near what counts as a jump (2 m), the step to it may be one and the step back not: the run was cut there."""
+    rows, path = fixes(seed, np.linspace(1.0, 3.5, 29))
+    reach = replace(reach_of(path, path), rate=4.0 * SPEEDS, top=SPEEDS)
+    found = stretches(path, reach)
+    assert len(found.rows) == 1
+    assert set(np.delete(np.arange(600), found.rows[0])) >= set(rows[5:])
+    assert found.outliers <= len(rows)
+
+
+@pytest.mark.parametrize("lasting_m", [-4.0, 4.0])
+def test_a_jump_of_fixes_that_lasts_cuts_the_run_there(lasting_m):
+    _, path = fixes(1, [], lasting_m=lasting_m)
+    found = stretches(path, replace(reach_of(path, path), rate=4.0 * SPEEDS, top=SPEEDS))
+    assert [list(rows[[0, -1]]) for rows in found.rows] == [[0, 299], [300, 599]]
+    assert not found.outliers
 
 
 @pytest.mark.slow
