@@ -23,7 +23,7 @@ from odomcorrupt.report.text.comparison import (
     reproduction_sentence,
     size,
 )
-from odomcorrupt.report.text.diagnosis import contradiction, dependence
+from odomcorrupt.report.text.diagnosis import alternative, contradiction
 from odomcorrupt.report.text.limits import (
     drive_lines,
     hidden_noise,
@@ -262,6 +262,7 @@ def _found_lines(
     absent: list[str] = []  # negligible and not in the model
     effects = effects_found(search, fit)
     sure = any(one.confidence >= EVEN_ODDS and not one.negligible for one in effects)
+    hardly = {one.effect.name for one in effects if one.confidence < _HARDLY}
     for one in effects:
         name, said = one.effect.name, f"{one.names}  {', '.join(numbers_text(one.effect, one.errors))}"
         if one.negligible:
@@ -284,8 +285,7 @@ def _found_lines(
     for unknown in foremost(dependences_found(search, fit), 2):
         law = unknown.law
         if law in search.unexplained or law.instead_of:
-            other = f"or, instead of {' and '.join(law.instead_of)}, " if law.instead_of else ""
-            named, remark = f"{other}{dependence(law)}", _left_out(unknown, held_out)
+            named, remark = alternative(law, hardly), _left_out(unknown, held_out)
             said = f"{named}: {unknown.expression}{remark}"
             short = "" if unknown.fitted else f"{named}{f': {_DECIDES}' if _TO_DECIDE in remark else remark}"
             beside = [ranks[name] for name in law.instead_of if name in ranks]

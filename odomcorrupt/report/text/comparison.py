@@ -264,10 +264,12 @@ def sentence(failure: Failure) -> str:
             f"{channel} error jumps by {size(channel, measured, signed=True)} {failure.where}: "
             f"{sense}; the model predicts no more than {size(channel, expected)}{tail}"
         )
-    per, span = (10.0, "10 m") if failure.per == "m" else (60.0, "minute")
+    per, span = (10.0, "per 10 m") if failure.per == "m" else (60.0, "per minute")
+    if failure.amount < per:  # a rate over a longer way than was driven there would be a length that never occurred
+        per, span = failure.amount, f"over the {failure.amount:.2g} {'m driven' if failure.per == 'm' else 's'}"
     besides = "on top of the above, " if failure.besides else ""
     return (
-        f"{besides}{channel} error grows {size(channel, measured * per, signed=True)} per {span} "
+        f"{besides}{channel} error grows {size(channel, measured * per, signed=True)} {span} "
         f"{failure.where}: {sense}; the model predicts no more than {size(channel, expected * per)}{tail}"
     )
 

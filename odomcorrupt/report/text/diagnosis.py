@@ -25,7 +25,7 @@ from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Container, Mapping, Sequence
 
     from odomcorrupt.report.findings import FoundDependence
     from odomcorrupt.study.design.advise import Advice
@@ -170,6 +170,19 @@ def dependence(unknown: Dependence) -> str:
         return f"the error of travel and turns alike depends on {regressor}"
     per = {"rad": " per radian turned", "s": " per second"}.get(unknown.per, "")
     return f"the {unknown.channel} error{per} depends on {regressor}"
+
+
+def alternative(unknown: Dependence, hardly: Container[str]) -> str:
+    """Return the clause of a dependence with the effects that it may replace.
+
+    hardly : names of effects that are hardly likely, and so are not named before it
+    """
+    if not unknown.instead_of:
+        return dependence(unknown)
+    others = " and ".join(unknown.instead_of)
+    if all(name in hardly for name in unknown.instead_of):
+        return f"{dependence(unknown)} (rather than {others})"
+    return f"or, instead of {others}, {dependence(unknown)}"
 
 
 def shares_text(sequence: Sequence[ModelEvaluation]) -> str:

@@ -303,7 +303,7 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
         for g in groups[:6]
     )
     what = "an excursion that comes back" if len(groups) == 1 else f"{len(groups)} excursions that come back"
-    whose = "localisation" if truth.localised else "truth"
+    whose = "localisation, or slip that took itself back" if truth.localised else "truth"
     kept = ~np.isin(whole.stamps_ns, truth.stamps_ns[out])
     return whole.only(kept, f"{what}, {len(rows)} poses, left out ({where}): errors of the {whose}")
 
