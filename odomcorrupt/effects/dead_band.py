@@ -68,13 +68,18 @@ class DeadBand(Effect):
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return a candidate for each trial end of the band, with either loss beyond it: they gain at other speeds."""
+        """Return a candidate for each trial end of the band and, on a known track, for either loss beyond it.
+
+        The two gain at other speeds. On a track that is only tried, the sharp end of a band fits any event of a slow
+        wheel: a lawn mower got noise four times too large beside it.
+        """
         moving = driven_speeds(motions)
         if not len(moving):
             return ()
         usual = float(np.quantile(moving, 0.9))
         ends = [float(np.clip(part * usual, 0.005, 2.0)) for part in _SPEEDS]
-        return on_every_track([cls(speed=end, beyond=beyond) for beyond in ("less", "full") for end in ends], motions)
+        losses = ("less",) if motions[0].track_m is None else ("less", "full")
+        return on_every_track([cls(speed=end, beyond=beyond) for beyond in losses for end in ends], motions)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: minus the speed lost at the commanded speed."""

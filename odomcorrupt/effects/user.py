@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}")
 _TAKEN = {*VARIABLES, *CONSTANTS, *FUNCTIONS, *CHANNELS, *SIDES, "name", "expression", "heading"}
-_MAX = 1e9
+LARGEST = 1e9
 """Bound of a user's parameter, whose physical limits are unknown; it keeps the numbers finite."""
 
 
@@ -156,7 +156,13 @@ def _class_of(name: str, text: str, facts: tuple[tuple[str, str, bool, float, fl
             key,
             float,
             parameter(
-                unit, "of the expression", low=-_MAX, high=_MAX, typical=typical, identity=identity, amplitude=amplitude
+                unit,
+                "of the expression",
+                low=-LARGEST,
+                high=LARGEST,
+                typical=typical,
+                identity=identity,
+                amplitude=amplitude,
             ),
         )
         for key, unit, amplitude, identity, typical in facts

@@ -17,6 +17,7 @@ from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import driving_motion
+from odomcorrupt.study.select import dependence
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dependence import basis_scores, dependences
 from odomcorrupt.study.select.stepwise import learn
@@ -45,6 +46,20 @@ def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted(
     fitted = fit([run], [fixed], approach=choose_approach([run]))
     assert fitted.effects == (fixed,)
     assert len(fitted.standard_errors) == 0
+
+
+def test_a_function_that_is_zero_but_for_rounding_is_no_dependence(monkeypatch):
+    """Its coefficient was 9e21, more than an effect may have, which ended `learn` on a mower."""
+    _, fitted = _fitted(93, "side_slip")
+    assert basis_scores(fitted, DECISIONS)
+    scored = dependence.score_terms
+
+    def steep(*given, **options):
+        return [replace(one, estimate=1e22 + one.estimate) for one in scored(*given, **options)]
+
+    monkeypatch.setattr(dependence, "score_terms", steep)
+    monkeypatch.setattr(BasisTerm, "share", lambda *_: 0.0)
+    assert basis_scores(fitted, DECISIONS) == []
 
 
 def test_a_wheel_that_ran_backwards_only_in_turns_on_the_spot_was_not_seen_in_reverse():

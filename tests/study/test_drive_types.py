@@ -209,7 +209,7 @@ def test_wheels_show_their_flaw_and_their_track_where_nobody_said_it(true_of, re
 @pytest.mark.slow
 def test_motors_that_stand_still_within_the_band_alone_are_no_play():
     """Only the losses beyond the band were tried at each of its ends; play had the name, sure, and gained nothing."""
-    effect, _ = only(learn([hobby(2, standing)]))
+    effect, _ = only(learn([replace(hobby(2, standing), track_m=HOBBY_TRACK_M)]))
     assert (effect.name, effect.beyond) == ("dead_band", "full")
     assert effect.speed == pytest.approx(2.0 * BAND_MPS, rel=0.2)
     assert effect.loss == pytest.approx(1.0, abs=0.15)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.expression import CHANNELS
+from odomcorrupt.effects.user import LARGEST
 from odomcorrupt.study.estimate.drive_type import is_holonomic
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
@@ -167,7 +168,8 @@ def basis_scores(
     for term, score in zip(terms, scores, strict=True):
         if term.action.move == "omega" and may_be_steering(fit, term.columns(fit.problem), score.estimate):
             continue
-        if term.share(score.estimate.tolist(), fit.problem.motions) < decisions.max_share:
+        possible = np.abs(score.estimate).max() < LARGEST  # else the function is zero but for rounding
+        if possible and term.share(score.estimate.tolist(), fit.problem.motions) < decisions.max_share:
             found.setdefault((term.function.regressor, term.action.channel), []).append(score)
     return [_with_others(scores, decisions) for scores in found.values()]
 
