@@ -18,7 +18,7 @@ RUNS = BENCHMARKS / "laboratory" / "results"
     [
         (
             "hidden_effects.py",
-            ["summary", RUNS / "twentysecond.jsonl", "--page"],
+            ["summary", RUNS / "twentythird.jsonl", "--page"],
             "hidden_effects.md",
         ),
         ("ordinary.py", ["page", BENCHMARKS / "ordinary" / "results" / "tenth.jsonl", "-o"], "ordinary.md"),
