@@ -238,9 +238,8 @@ def _faster(drift: Drift) -> list[str]:
 
 def per_message(noise: Noise) -> list[str]:
     """Return the parts of a noise that act once per message, so that the drift depends on the message rate."""
-    k = noise.coefficients
-    stepwise = noise.law.per_step and noise.step is None and any(getattr(k, name) for name in noise.law.alphas)
-    return [f"the law {noise.law_name}"] * stepwise + ["white noise on twists"] * bool(k.white_v or k.white_omega)
+    white = bool(noise.coefficients.white_v or noise.coefficients.white_omega)
+    return [f"the law {noise.law_name}"] * noise.law_per_message + ["white noise on twists"] * white
 
 
 def _rate(outcome: Outcome) -> list[str]:

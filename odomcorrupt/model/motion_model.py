@@ -81,11 +81,15 @@ class Noise:
         return law_named(self.law_name)
 
     @property
+    def law_per_message(self) -> bool:
+        """Whether the law acts once per message."""
+        acts = any(getattr(self.coefficients, name) for name in self.law.alphas)
+        return self.law.per_step and self.step is None and acts
+
+    @property
     def per_message(self) -> bool:
-        """Whether a part of it acts once per message, so that its drift depends on the message rate."""
-        k = self.coefficients
-        stepwise = self.law.per_step and self.step is None and any(getattr(k, name) for name in self.law.alphas)
-        return stepwise or k.white_v > 0.0 or k.white_omega > 0.0
+        """Whether the law or white noise acts once per message, so that the drift depends on the message rate."""
+        return self.law_per_message or self.coefficients.white_v > 0.0 or self.coefficients.white_omega > 0.0
 
     @property
     def numbers(self) -> list[tuple[str, float]]:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
 
@@ -69,9 +70,7 @@ def lag_in_place(fit: Fit, decisions: Decisions, *, first: bool = False) -> Cloc
     motors = max(late_s) < 0.0
     tau_s = min(map(abs, late_s)) if motors or min(late_s) > 0.0 else 0.0
     recordings = fit.problem.recordings
-    # A laser has a separate clock, so an offset is no sign of a lag.
-    tested = sees_travel(recordings) and not any(r.matched for r in recordings)
-    if not np.any(fit.free_clocks) or tau_s < _LEAST_S or not tested:
+    if not np.any(fit.free_clocks) or tau_s < _LEAST_S or not _shows_lags(recordings):
         return None
     if motors and any(tick_of(r) is not None for r in recordings):
         return None
@@ -118,12 +117,8 @@ def cancelled_lag(fit: Fit, gain: float, decisions: Decisions) -> ClockRival | N
     gain : that of the best effect, nats
     """
     recordings, motions, early = fit.problem.recordings, fit.problem.motions, fit.problem.clocks
-    tested = sees_travel(recordings) and not any(r.matched for r in recordings)
-    if (
-        not tested
-        or max(abs(clock.offset_s) for clock in early) >= _LEAST_S
-        or not fit.by_name.keys().isdisjoint(_LAGS)
-    ):
+    offset_s, has_lag = max(abs(clock.offset_s) for clock in early), any(name in fit.by_name for name in _LAGS)
+    if offset_s >= _LEAST_S or has_lag or not _shows_lags(recordings):
         return None
     lags = [(effect_from_values("channel_lag", {"channel": "all", "by": "filter"}), -1.0)]
     if not any(tick_of(r) is not None for r in recordings):
@@ -150,6 +145,11 @@ def cancelled_lag(fit: Fit, gain: float, decisions: Decisions) -> ClockRival | N
     return None
 
 
+def _shows_lags(recordings: Sequence[Recording]) -> bool:
+    """Return whether an offset of the clocks may be a sign of a lag: a laser has a clock of its own."""
+    return sees_travel(recordings) and not any(r.matched for r in recordings)
+
+
 def _within_period(fit: Fit) -> bool:
     """Return whether a clock offset is within the odometry's period, and so may belong to a lag."""
     period_s = max(float(np.median(np.diff(r.odometry_s))) for r in fit.problem.recordings)
@@ -172,8 +172,7 @@ def clock_beside_lag(fit: Fit, given: Container[str], decisions: Decisions) -> C
     """
     recordings = fit.problem.recordings
     delay = fit.by_name.get("channel_lag")
-    tested = sees_travel(recordings) and not any(r.matched for r in recordings)
-    if delay is None or delay.name in given or np.any(fit.free_clocks) or not tested:
+    if delay is None or delay.name in given or np.any(fit.free_clocks) or not _shows_lags(recordings):
         return None
     others = [e for e in fit.effects if e.name in _LAGS and e is not delay]
     late_s = 0.0
