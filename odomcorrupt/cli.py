@@ -179,7 +179,7 @@ def main() -> NoReturn:
     """Run the command line with the arguments of the program, and exit."""
     install()
     warnings.showwarning = _warn
-    # threads of a linear algebra library only wait for each other on matrices as small as ours
+    # the study limits threads of linear algebra itself (`extras.part_of_study`); none at all start faster
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # a kill unwinds like an error, so that a half-written output is removed
     for number in (signal.SIGTERM, signal.SIGHUP):

@@ -12,7 +12,7 @@ from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, require_travel
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError
-from odomcorrupt.extras import require
+from odomcorrupt.extras import part_of_study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,6 +94,7 @@ class Comparison(Result):
         return PICTURES[picture or "error"].draw(self.result)
 
 
+@part_of_study
 def compare(
     recordings: Recordings | PathLikes, models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]
 ) -> Comparison:
@@ -126,7 +127,6 @@ def compare(
     >>> [row["model"] for row in table]
     ['typical', 'model 2']
     """
-    require("scipy")
     named = named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
     drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")

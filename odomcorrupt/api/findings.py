@@ -11,7 +11,7 @@ from odomcorrupt.api.comparison import Comparison
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, refuse_turns_alone, require_travel
 from odomcorrupt.api.result import Result
-from odomcorrupt.extras import require
+from odomcorrupt.extras import part_of_study
 from odomcorrupt.result_files import refuse_existing, write_bytes
 from odomcorrupt.summary import Line, Summary
 
@@ -163,6 +163,7 @@ class Diagnosis(Findings):
         return draw_candidates(self.result.search)
 
 
+@part_of_study
 def diagnose(
     recordings: Recordings | PathLikes,
     model: ModelLike | None = None,
@@ -194,7 +195,6 @@ def diagnose(
     >>> oc.diagnose("fixtures/mystery.mcap").verdict
     'missing'
     """
-    require("scipy")
     known = None if model is None else as_model(model).motion_model
     runs = refuse_turns_alone(as_recordings(recordings))
     if known is not None:
@@ -280,6 +280,7 @@ class Learned(Findings):
         return self.comparison.draw(picture)
 
 
+@part_of_study
 def learn(
     recordings: Recordings | PathLikes,
     *,
@@ -318,7 +319,6 @@ def learn(
     >>> result.missing
     ('wheelbase',)
     """
-    require("scipy")
     runs = require_travel(as_recordings(recordings))
     held_out = validate if isinstance(validate, Recordings) or validate else ()
     others = as_recordings(held_out, like=runs).in_frame(runs.geodetic_origin) if held_out else ()

@@ -10,7 +10,7 @@ from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, Recordings, as_paths, as_recordings, require_travel
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.extras import require
+from odomcorrupt.extras import part_of_study
 from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ class Fit(Result):
         ]
 
 
+@part_of_study
 def fit(
     recordings: Recordings | PathLikes,
     effects: str | Sequence[str] = (),
@@ -111,7 +112,6 @@ def fit(
     >>> "wheel_scale.e" in result.model.parameters
     True
     """
-    require("scipy")
     from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
     from odomcorrupt.study.pipeline import LAW
     from odomcorrupt.study.validate.round_trip import verified_model
@@ -130,9 +130,9 @@ def fit(
     return Fit(runs, best, verified_model(best.model, runs))
 
 
+@part_of_study
 def require_effects(start: Model | None, effects: Sequence[str]) -> None:
     """Raise EffectError if one of the effects cannot be fitted; called before recordings are read."""
-    require("scipy")
     from odomcorrupt.study.estimate.calibrate import effects_to_fit
 
     effects_to_fit(None if start is None else start.motion_model, effects)
@@ -225,6 +225,7 @@ class SquareTest(Result):
         return f"{1e3 * distance:.1f} mm, {np.degrees(np.sqrt(np.mean(ends[:, 2] ** 2))):.2f} deg"
 
 
+@part_of_study
 def fit_returns(
     paths: PathLikes,
     ends: Sequence[tuple[float, float, float]] = (END,),
@@ -263,7 +264,6 @@ def fit_returns(
     RecordingError
         If the last sweeps of a drive do not match its first.
     """
-    require("scipy")
     import numpy as np
 
     from odomcorrupt.study.estimate.returns import USUAL, closed_drive

@@ -14,7 +14,7 @@ from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import MapError, OdomCorruptError
-from odomcorrupt.extras import require
+from odomcorrupt.extras import part_of_study
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.occupancy_grid import format_map
@@ -33,7 +33,7 @@ from odomcorrupt.rng import draw_seed
 from odomcorrupt.trajectories import read_drive, read_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from matplotlib.figure import Figure
 
@@ -274,12 +274,7 @@ def draw_maps(
         return noise.feed(odometry.stamps_ns, odometry.xyt).error_xyt
 
     if method == "laser":
-        require("scipy")
-        from odomcorrupt.laser.mapping import laser_maps
-        from odomcorrupt.study.io.laser_truth import laser_run
-
-        matched = laser_run(path, str(path), odom_topic, scan, watch)
-        drawn = laser_maps(matched, error_of(matched.odometry), resolution)
+        drawn = _laser_maps(path, odom_topic, scan, watch, error_of, resolution)
         following = ("odomcorrupt", "map", path, "--method", "laser", "-o", "map.yaml")
         return Maps(
             source=fspath(bag), model=chosen, seed=drawn_seed, run=run, maps=drawn.maps, notes=drawn.notes,
@@ -299,6 +294,22 @@ def draw_maps(
         source=fspath(bag), model=chosen, seed=drawn_seed, run=run, maps=maps, notes=notes,
         following=("odomcorrupt", "preview", path),
     )  # fmt: skip
+
+
+@part_of_study
+def _laser_maps(
+    path: Path,
+    odom_topic: str | None,
+    scan: str | None,
+    watch: Watch,
+    error_of: Callable[[Trajectory], Array],
+    resolution: float,
+) -> LaserMaps:
+    from odomcorrupt.laser.mapping import laser_maps
+    from odomcorrupt.study.io.laser_truth import laser_run
+
+    matched = laser_run(path, str(path), odom_topic, scan, watch)
+    return laser_maps(matched, error_of(matched.odometry), resolution)
 
 
 def _mount(laser_pose: Sequence[float]) -> Mount:

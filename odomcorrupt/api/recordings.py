@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES, STEERED
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.extras import require
+from odomcorrupt.extras import part_of_study
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Origin
@@ -147,6 +147,7 @@ class Recordings(Sequence["Recording"]):
         return _read([replace(first, path=path, name="") for path in as_paths(paths)])
 
 
+@part_of_study
 def read_recordings(
     paths: PathLikes,
     *,
@@ -220,7 +221,6 @@ def read_recordings(
     >>> rec[0].name
     'mystery.mcap'
     """
-    require("scipy")
     from odomcorrupt.study.io import Source
 
     if drive_type not in (AUTO, *DRIVE_TYPES):

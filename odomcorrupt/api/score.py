@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
-from odomcorrupt.extras import require
+from odomcorrupt.extras import part_of_study
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -100,6 +100,7 @@ class Score(Result):
         return draw_score(self.result)
 
 
+@part_of_study
 def score(
     runs: PathLikes,
     estimate: str | None = None,
@@ -152,7 +153,6 @@ def score(
     >>> oc.score("scored", "/odom", align="origin").result.runs[0].status
     'lost'
     """
-    require("scipy")
     from odomcorrupt.scoring.run import score as score_runs
 
     roots = as_paths(runs)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import EffectError, OdomCorruptError
-from odomcorrupt.extras import require
+from odomcorrupt.extras import part_of_study
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.summary import Line, Summary, command_line
 
@@ -103,6 +103,7 @@ class Simulation(Result):
         return draw_corruption(run.truth_xyt, odometry[rows], name, names=("truth", "odometry"))
 
 
+@part_of_study
 def simulate(
     target: str | PathLike[str] | None = None,
     *,
@@ -168,7 +169,6 @@ def simulate(
     >>> run.answer["cause"]
     'wheelbase'
     """
-    require("scipy")
     from odomcorrupt.simulation.bag import write_mcap
     from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
     from odomcorrupt.simulation.routes import read_commands

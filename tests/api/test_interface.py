@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import odomcorrupt as oc
 from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError, OdomCorruptError
+from odomcorrupt.extras import part_of_study
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.trajectories import read_drive
 
@@ -248,6 +250,16 @@ def test_topics_of_a_bag_are_rows_and_say_what_corruption_modifies():
     rows = {row["topic"]: row for row in oc.info(OFFICE).rows()}
     assert {topic for topic, row in rows.items() if row["moved"]} == {"/odom", "/tf"}
     assert rows["/odom"]["messages"] == 3000
+
+
+def test_parts_of_the_study_run_with_one_thread_of_linear_algebra_and_leave_the_number_of_their_caller():
+    def threads():
+        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+    with threadpool_limits(2, user_api="blas"):
+        assert part_of_study(threads)() == {1}
+        assert threads() == {2}
+    assert all(hasattr(one, "__wrapped__") for one in (oc.fit, oc.compare, oc.diagnose, oc.learn, oc.read_recordings))
 
 
 STUDY = {"comparison", "findings", "fit", "recordings"}
