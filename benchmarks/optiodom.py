@@ -1,0 +1,311 @@
+"""OptiOdom: final position errors of one model a robot, learned on the other half of its runs, beside the published.
+
+    python benchmarks/optiodom.py FOLDER [--robot diff ...] [--runs N] [--fit EFFECT ...] [-o JSON] [--page MD]
+
+FOLDER holds diff.npz, tricyc.npz, omni3.npz and omni4.npz: wheel ticks and motion capture of 399 runs of four robots
+(Sousa, Petry & Moreira, OptiOdom: a generic approach for odometry calibration of wheeled mobile robots, J. Intell.
+Robot. Syst. 2022), which are not part of this repository. Odometry is summed at full rate with the nominal parameters
+of the published table. The measure is the published one: the distance between the last poses of odometry and truth,
+both begun at the origin. Halves are every second run, so both have runs of every set. `--runs` takes that many runs,
+evenly spread, for a quick look; `--fit` fits these effects instead of learning which ones there are; `--write` writes
+each run as text files of odometry and truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import between
+from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.reader import recordings_of
+from odomcorrupt.study.io.recording import Recording
+from odomcorrupt.study.pipeline import LAW, learn_robot
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from odomcorrupt.effects.effect import Effect
+
+EPOCH_NS = 1_600_000_000_000_000_000
+PAGE = """\
+# A public table: 399 runs of four robots
+
+For readers who want to see how models that are learned here do beside published calibrations. OptiOdom (Sousa, Petry &
+Moreira, J. Intell. Robot. Syst. 2022) compares seven calibrations on motion-capture runs of a differential, a tricycle
+and two omnidirectional robots. Their measure is the distance between the last poses of odometry and truth of a run,
+both begun at the origin; the table has the largest and the median of all runs, in m. The published parameters were
+fitted on all runs that they are measured on. Models of `learn` are learned on every second run and measured on the
+others, and the reverse. `benchmarks/optiodom.py` makes this page.
+
+| robot | runs | nominal | best published, fitted on all runs | learned on the other half |
+|---|---|---|---|---|
+{rows}
+
+What was learned, on the even and on the odd runs:
+
+{models}
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """A robot of the table.
+
+    title, drive_type, track_m : its name, layout and nominal distance between its wheels
+    turn_m : nominal travel of a wheel per unit of its ticks and metre of diameter
+    displacement : body displacements (n, 3) from the travel of the wheels (n, w), the steering angles (n,) and geometry
+    nominal, published : diameters and geometry; of omni3 the page states the published figure
+    goal : the largest and the median error to reach, m
+    """
+
+    title: str
+    drive_type: str
+    track_m: float | None
+    turn_m: float
+    displacement: Callable[[np.ndarray, np.ndarray, Mapping[str, float]], np.ndarray]
+    nominal: tuple[Sequence[float], Mapping[str, float]]
+    published: tuple[Sequence[float], Mapping[str, float]] | None
+    goal: tuple[float, float]
+    stated: str = ""
+
+
+def _differential(w: np.ndarray, _steering: np.ndarray, g: Mapping[str, float]) -> np.ndarray:
+    return np.stack((w.sum(axis=1) / 2.0, np.zeros(len(w)), (w[:, 0] - w[:, 1]) / g["l"]), axis=1)
+
+
+def _tricycle(w: np.ndarray, steering: np.ndarray, g: Mapping[str, float]) -> np.ndarray:
+    angle = steering + g["offset"]
+    return np.stack((w[:, 0] * np.cos(angle), np.zeros(len(w)), w[:, 0] * np.sin(angle) / g["l"]), axis=1)
+
+
+def _three(w: np.ndarray, _steering: np.ndarray, g: Mapping[str, float]) -> np.ndarray:
+    along, across = (w[:, 1] - w[:, 0]) / np.sqrt(3.0), (2.0 * w[:, 2] - w[:, 0] - w[:, 1]) / 3.0
+    return np.stack((along, across, -w.sum(axis=1) / (3.0 * g["l"])), axis=1)
+
+
+def _four(w: np.ndarray, _steering: np.ndarray, g: Mapping[str, float]) -> np.ndarray:
+    rows = np.array([[1.0, -1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0], [-1.0, -1.0, -1.0, -1.0]])
+    return w @ rows.T / np.array([4.0, 4.0, 2.0 * g["l"]])
+
+
+ROBOTS = {
+    "diff": Robot(
+        "differential", "differential", 0.2, 1.0 / (43.7 * 64.0), _differential,
+        ((0.084, 0.084), {"l": 0.2}), ((0.083254, 0.083321), {"l": 0.200946}), (0.053, 0.011),
+    ),
+    "tricyc": Robot(
+        "tricycle", "tricycle", None, 1.0 / 1600.0, _tricycle,
+        ((0.065,), {"l": 0.15, "offset": 0.0}), ((0.063025,), {"l": 0.154167, "offset": np.radians(-1.150)}),
+        (0.165, 0.060), "Kallasi .165",
+    ),
+    "omni3": Robot(
+        "three omnidirectional wheels", "omni", None, 1.0 / (12.0 * 1024.0), _three,
+        ((0.102,) * 3, {"l": 0.195}), None, (0.116, 0.028), "Lin .209, OptiOdom .222",
+    ),
+    "omni4": Robot(
+        "four mecanum wheels", "omni", None, 1.0, _four,
+        ((0.06,) * 4, {"l": 0.4}), ((0.06332, 0.06420, 0.06421, 0.06395), {"l": 0.413184}), (0.121, 0.026),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run: ticks (n, w) and steering (n,) of the steps that end at the samples, truth (n, 3), and stamps (n,)."""
+
+    name: str
+    ticks: np.ndarray
+    steering: np.ndarray
+    truth: np.ndarray
+    stamps_ns: np.ndarray
+
+    def odometry(self, robot: Robot, diameters_m: Sequence[float], geometry: Mapping[str, float]) -> np.ndarray:
+        """Return the poses (n, 3) of the odometry with these parameters, from the origin."""
+        travel_m = np.pi * robot.turn_m * self.ticks[1:] * np.asarray(diameters_m)
+        steps = robot.displacement(travel_m, self.steering[1:], geometry)
+        return accumulate(np.zeros(3), Increments.of_rows(steps))
+
+
+def read(folder: Path, name: str, most: int | None = None) -> list[Run]:
+    """Return the runs of a robot, or `most` of them, evenly spread, an even number from each place."""
+    with np.load(folder / f"{name}.npz", allow_pickle=False) as file:
+        data = {key: file[key] for key in file.files}
+    ends = np.cumsum(data["rows"])
+    chosen = list(range(len(ends)))
+    if most is not None and most < len(ends):
+        pairs = np.unique(np.linspace(0, len(ends) // 2 - 1, max(most // 2, 1)).round().astype(int))
+        chosen = [i for pair in pairs for i in (2 * pair, 2 * pair + 1)]
+    found = []
+    for i in chosen:
+        rows = slice(int(ends[i] - data["rows"][i]), int(ends[i]))
+        ticks = data["ticks"][rows].astype(np.float64)
+        count = len(ticks)
+        found.append(
+            Run(
+                f"{data['kind'][i]} {data['set'][i]} {data['run'][i]}",
+                ticks.reshape(count, -1),
+                data["steering"][rows].astype(np.float64) if "steering" in data else np.zeros(count),
+                data["truth"][rows].astype(np.float64),
+                EPOCH_NS + np.round(np.arange(count) * data["dt"][i] * 1e9).astype(np.int64),
+            )
+        )
+    return found
+
+
+def as_recordings(run: Run, robot: Robot) -> list[Recording]:
+    """Return a run as the reader of bags does it: cleaned and checked."""
+
+    def samples(xyt: np.ndarray, name: str, frame: str) -> Samples:
+        none = np.zeros(0)
+        xyz = np.column_stack((xyt[:, :2], np.zeros(len(xyt))))
+        return Samples(f"{run.name}: {name}", name, frame, run.stamps_ns, xyz, xyt[:, 2], none.astype(np.int64), none)
+
+    odometry = samples(run.odometry(robot, *robot.nominal), "/odom", "odom")
+    parts = recordings_of(run.name, odometry, samples(run.truth, "/ground_truth", "world"), robot.track_m)
+    return [_of_robot(part, robot) for part in parts]
+
+
+def _of_robot(recording: Recording, robot: Robot) -> Recording:
+    return replace(recording, drive_type=robot.drive_type)
+
+
+def final_error_m(odometry: np.ndarray, truth: np.ndarray) -> float:
+    """Return the distance (m) of the last poses of two paths (n, 3), both begun at the origin."""
+    ends = [between(path[0], path[-1]) for path in (odometry, truth)]
+    return float(np.hypot(*(ends[0] - ends[1])[:2]))
+
+
+def corrected_error_m(run: Run, robot: Robot, effects: Sequence[Effect]) -> float:
+    """Return the final position error (m) of a run whose odometry is corrected by effects."""
+    odometry = Trajectory(run.stamps_ns, run.odometry(robot, *robot.nominal))
+    recording = Recording(
+        run.name, odometry, Trajectory(run.stamps_ns, run.truth), int(run.stamps_ns[0]), robot.track_m
+    )
+    return final_error_m(undo(recording, effects).odometry.xyt, run.truth)
+
+
+def learned(key: str, runs: Sequence[Run], fitted: Sequence[str]) -> tuple[list[Effect], dict[str, Any]]:
+    """Return the systematic effects of the model of some runs, and what is reported of it; in a process of its own."""
+    robot, start = ROBOTS[key], time.process_time()
+    recordings, refused = [], []
+    for run in runs:
+        try:
+            recordings += as_recordings(run, robot)
+        except RecordingError as why:
+            refused.append(str(why))
+    if fitted:
+        model = fit_robot(recordings, [effect_from_values(name, {}) for name in fitted], law_name=LAW).model
+        said: dict[str, Any] = {}
+    else:
+        found = learn_robot(recordings)
+        model = found.proof.model
+        errors_mm = [round(1e3 * one.ten_second_error_m, 1) for one in found.comparison.evaluations]
+        said = {"ten_second_errors_mm": errors_mm, "rejected": found.comparison.evaluations[-1].verdict.fails}
+    effects = [effect for effect in (*model.effects, *model.setup.effects) if effect.kind != "noise"]
+    minutes = sum(float(run.stamps_ns[-1] - run.stamps_ns[0]) for run in runs) / 60e9
+    return effects, {
+        **said,
+        "refused": refused,
+        "effects": {effect.name: _values(effect) for effect in effects},
+        "cpu_s_per_minute": round((time.process_time() - start) / minutes, 2),
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
+    }
+
+
+def _values(effect: Effect) -> dict[str, Any]:
+    own = {p.name: float(f"{getattr(effect, p.name):.4g}") for p in parameters(type(effect))}
+    expression = getattr(effect, "expression", None)
+    return own if expression is None else {"expression": expression.text, **own}
+
+
+def measured(key: str, folder: Path, most: int | None, fitted: Sequence[str]) -> dict[str, Any]:
+    """Return the errors of all runs of a robot by column, and the models of both halves."""
+    robot, runs = ROBOTS[key], read(folder, key, most)
+    errors = {"nominal": [final_error_m(run.odometry(robot, *robot.nominal), run.truth) for run in runs]}
+    if robot.published is not None:
+        errors["published"] = [final_error_m(run.odometry(robot, *robot.published), run.truth) for run in runs]
+    halves, own, models = (runs[::2], runs[1::2]), [0.0] * len(runs), []
+    for half in (0, 1):
+        # a process of its own, for its memory
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            effects, said = pool.submit(learned, key, halves[half], fitted).result()
+        models.append(said)
+        own[1 - half :: 2] = [corrected_error_m(run, robot, effects) for run in halves[1 - half]]
+    errors["learned"] = own
+    table = {column: [round(max(e), 4), round(float(np.median(e)), 4)] for column, e in errors.items()}
+    worst = [runs[i].name for i in np.argsort(own)[::-1][:5]]
+    return {"runs": len(runs), "largest_and_median_m": table, "worst": worst, "models": models}
+
+
+def page_of(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the page of the documentation."""
+    rows, models = [], []
+    for key, one in found.items():
+        table = {column: f"{most:.3f} ({median:.3f})" for column, (most, median) in one["largest_and_median_m"].items()}
+        published = "; ".join(part for part in (table.get("published", ""), ROBOTS[key].stated) if part)
+        rows.append(f"| {ROBOTS[key].title} | {one['runs']} | {table['nominal']} | {published} | {table['learned']} |")
+        for half, model in zip(("even", "odd"), one["models"], strict=True):
+            effects = "; ".join(
+                f"`{name}` " + ", ".join(f"{k} {v}" for k, v in own.items()) for name, own in model["effects"].items()
+            )
+            models.append(f"- {ROBOTS[key].title}, {half}: {effects or 'nothing'}.")
+    return PAGE.format(rows="\n".join(rows), models="\n".join(models))
+
+
+def write(folder: Path, key: str, runs: Sequence[Run]) -> None:
+    """Write runs as CSV files of odometry and truth, for `learn ROBOT/*_odom.csv --truth-bag ...`."""
+    target, robot = folder / key, ROBOTS[key]
+    target.mkdir(parents=True, exist_ok=True)
+    for run in runs:
+        for role, xyt in (("odom", run.odometry(robot, *robot.nominal)), ("truth", run.truth)):
+            table = np.column_stack((run.stamps_ns * 1e-9, xyt))
+            path = target / f"{run.name.replace(' ', '_')}_{role}.csv"
+            np.savetxt(path, table, fmt="%.6f", delimiter=",", header="t,x,y,yaw", comments="")
+
+
+def main() -> None:
+    """Print a line a robot; write the table as asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--robot", nargs="+", choices=ROBOTS, default=list(ROBOTS))
+    parser.add_argument("--runs", type=int, help="take that many runs of each robot")
+    parser.add_argument("--fit", nargs="+", default=[], metavar="EFFECT", help="fit these effects, learn nothing")
+    parser.add_argument("--write", type=Path, help="write the runs as text files to this folder, and end")
+    parser.add_argument("-o", "--output", type=Path, help="JSON file of all figures")
+    parser.add_argument("--page", type=Path, help="page of the documentation")
+    given = parser.parse_args()
+    found = {}
+    for key in given.robot:
+        if given.write:
+            write(given.write, key, read(given.folder, key, given.runs))
+            continue
+        found[key] = measured(key, given.folder, given.runs, given.fit)
+        print(key, json.dumps(found[key], indent=1), flush=True)
+    if given.output:
+        given.output.write_text(json.dumps(found, indent=1) + "\n")
+    if given.page:
+        given.page.write_text(page_of(found))
+
+
+if __name__ == "__main__":
+    main()
