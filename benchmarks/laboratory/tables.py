@@ -168,7 +168,12 @@ def outside(rows: Rows) -> Lines:
         ["its median and 90th percentile", f"{np.median(offered):.2f} / {np.quantile(offered, 0.9):.2f}; goal 1.25"
          if offered else "none offered"],
     ])  # fmt: skip
-    return [*lines, *(f"- {_drive(row)}: depends on {row.get('depends_on')}; {_said(row)}" for row in rows), ""]
+    wrong = [
+        row for row in rows
+        if "answer" not in row or {u[0] for u in row["answer"]["unknown"][:1]} != {row["depends_on"]} or names(row)
+    ]  # fmt: skip
+    listed = (f"- {_drive(row)}: depends on {row.get('depends_on')}; {_said(row)}" for row in wrong)
+    return [*lines, "Other regressors first, or beside a known name:", "", *listed, ""]
 
 
 def mixtures(rows: Rows, goals: Sequence[str] = ("97 %", "80 %", "0.2")) -> Lines:

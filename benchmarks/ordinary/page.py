@@ -75,9 +75,6 @@ def page(rows: Rows) -> str:
         "## Excited and not right",
         "",
         *_list(rows, _miss),
-        "## Every drive",
-        "",
-        *_every(rows),
     ]
     return "\n".join(lines) + "\n"
 
@@ -198,15 +195,3 @@ def _error(row: dict[str, Any]) -> str:
     e, after = row["expected"], row.get("after_m")
     shown = "none" if after is None else f"{1e3 * after:.1f}"
     return f"10 s error {1e3 * e['before_m']:.1f} before, {shown} after, floor {1e3 * e['floor_m']:.1f} mm"
-
-
-def _every(rows: Rows) -> Lines:
-    out = []
-    for row in rows:
-        if "expected" not in row:
-            out.append([row["key"], "", "broke", "", ""])
-            continue
-        verdict = ("false alarm" if v.false_alarms(row) else "clean") if v.is_control(row) else (
-            "right" if v.right(row) else "missed" if v.is_excited(row) else "not excited")  # fmt: skip
-        out.append([row["key"], _planted(row), _said(row), verdict, _error(row)])
-    return table(("drive", "planted", "named", "verdict", "held-out error"), out)
