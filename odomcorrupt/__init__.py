@@ -7,10 +7,11 @@ The Python interface; each name is imported on first use, so that `import odomco
 0.02
 """
 
-from __future__ import annotations
-
 TYPE_CHECKING = False
-"""As in `typing`, whose import would double the time until Ctrl-C is handled quietly (`__main__`)."""
+"""As in `typing`, whose import would double the time until Ctrl-C is handled quietly (`__main__`).
+
+Nothing is imported here: under `python -m` the working directory is on Python's path until `__main__` runs.
+"""
 
 if TYPE_CHECKING:
     from typing import Any
@@ -85,7 +86,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     """Import the module of a public name."""
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

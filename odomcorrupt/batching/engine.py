@@ -28,6 +28,7 @@ from odomcorrupt.batching.manifest import (
 from odomcorrupt.batching.runner import PAUSE_S, Failure, attempt
 from odomcorrupt.batching.sinks import read_tum, write_npz
 from odomcorrupt.corruption.transform import Transform
+from odomcorrupt.effects import import_from, imported_from
 from odomcorrupt.errors import BatchError
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
 
     context = multiprocessing.get_context("fork" if _alone() else "spawn")
     news = context.Queue() if audience.shown else None
-    with ProcessPoolExecutor(jobs, context, _prepare_worker, (news,)) as pool:
+    with ProcessPoolExecutor(jobs, context, _prepare_worker, (news, imported_from)) as pool:
         futures = {pool.submit(_attempt_numbered, number, task): number for number, task in left.items()}
         try:
             waiting = set(futures)
@@ -168,9 +169,12 @@ _news: Any = None
 """In a worker: queue for progress messages; None without a listener."""
 
 
-def _prepare_worker(news: Any) -> None:
+def _prepare_worker(news: Any, folders: Mapping[str, str]) -> None:
     global _news  # noqa: PLW0603 - a worker's own, set once
     _news = news
+    for name, folder in folders.items():
+        if name not in sys.modules:
+            import_from(name, folder)
     if news is not None:
         # unread progress messages must not keep a worker alive
         news.cancel_join_thread()

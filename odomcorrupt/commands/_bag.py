@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import added, one_of
+from odomcorrupt.commands._options import added, one_of, setting
 from odomcorrupt.commands._standard import overwrite_option
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ ODOM_TOPIC = ("--odom-topic", "--odom", "odom_topic")
 """Names of the option that selects the odometry."""
 
 frame_options = added(
-    click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry topic to modify."),
-    click.option("--odom-frame", metavar="FRAME", help="Odom frame. [default: that of the odometry]"),
-    click.option("--base-frame", metavar="FRAME", help="Robot's frame. [default: the odometry's child frame]"),
+    setting(*ODOM_TOPIC, metavar="TOPIC", help="Odometry topic to modify."),
+    setting("--odom-frame", metavar="FRAME", help="Odom frame. [default: that of the odometry]"),
+    setting("--base-frame", metavar="FRAME", help="Robot's frame. [default: the odometry's child frame]"),
 )
 """Adds the options that select odometry and frames."""
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from odomcorrupt.commands._options import POSE, Number, added, one_of
+from odomcorrupt.commands._options import POSE, Number, added, one_of, setting
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 map_options = added(
     click.option("--map", "map_", metavar="MAP", help="Draw free poses only: a map's .yaml, or a topic of the bag."),
-    click.option(
+    setting(
         "--map-pose", type=POSE, help="Pose of the odom frame in the map. [default: TF of the bag; without a bag 0,0,0]"
     ),
-    click.option(
+    setting(
         "--robot-radius",
         "radius",
         type=Number("metres", 0.0, 100.0),

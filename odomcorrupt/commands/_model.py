@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from odomcorrupt.commands._options import FILE, POSE, Decorator, added, usage_errors
+from odomcorrupt.commands._options import FILE, POSE, Decorator, EffectText, added, setting, usage_errors
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
@@ -37,34 +37,34 @@ def _completing(module: str, table: str) -> Callable[..., list[str]]:
 def _model_options(default: str) -> Decorator:
     """Return a decorator that adds the options of `choose_model`; `default` is the noise without any of them."""
     return added(
-        click.option(
+        setting(
             "--alpha", metavar="A1 A2 A3 A4",
             help="rot_rot rot_trans trans_trans trans_rot: noise in the first, caused by the second. Under diffusion, "
             "the standard deviation after 1 rad or 1 m (0.05, 5deg, 10deg/m); other laws differ (velocity: also in the "
             "order), and amcl's alphas are --law quadratic. [omni: 4 or 5 numbers, velocity: 4 to 6]",
         ),
-        click.option(
+        setting(
             "--law", metavar="NAME", shell_complete=_completing("model.noise_laws", "LAWS"),
             help="Noise law of A1...: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
         ),
-        click.option(
+        setting(
             "--twist-noise", nargs=2, type=float, metavar="V W", help="White noise on every twist, m/s and rad/s."
         ),
-        click.option(
+        setting(
             "--step", metavar="STEP",
             help="Apply a step-dependent law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
         ),
-        click.option(
+        setting(
             "--preset", metavar="NAME", shell_complete=_completing("model.presets", "PRESETS"),
             help="Ready-made noise: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
             f"[default: {default}]",
         ),
-        click.option(
-            "--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...",
+        setting(
+            "--effect", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
             shell_complete=_completing("effects", "registry"), help="Systematic error (repeatable).",
         ),
         click.option("--model", type=FILE, help="Motion model, as `fit` writes it."),
-        click.option(
+        setting(
             "--track", type=float, metavar="M",
             help="Distance between the wheels, for effects of single wheels. [default: the model's]",
         ),

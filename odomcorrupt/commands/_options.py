@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
+from click.core import ParameterSource
 
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.extras import require
@@ -20,6 +22,33 @@ if TYPE_CHECKING:
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 Decorator: TypeAlias = "Callable[[Callable[..., Any]], Callable[..., Any]]"
+
+
+class Setting(click.Option):
+    """An option that a file of defaults found in the working directory may set: noise, topic, frame, seed.
+
+    Such a file may come with a download. So no option may be one whose value names a file, a host or code, replaces or
+    adds output, raises a limit, or asks for work.
+    """
+
+
+setting = functools.partial(click.option, cls=Setting)
+"""Adds a `Setting`, as `click.option` adds an option."""
+
+
+class EffectText(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
+    """An effect as NAME:KEY=VALUE,...; code, as in my_file.Wobble, only if typed, not from a file of defaults."""
+
+    name = "text"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the text."""
+        text = str(value)
+        source = None if ctx is None or param is None else ctx.get_parameter_source(param.name or "")
+        name = text.partition(":")[0]
+        if source is ParameterSource.DEFAULT_MAP and "." in name and "=" not in name:
+            self.fail(f"{text}: names code, which a file of defaults may not; type it: --effect {text}", param, ctx)
+        return text
 
 
 def added(*options: Decorator) -> Decorator:

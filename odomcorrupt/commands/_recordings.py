@@ -13,7 +13,7 @@ import click
 from click.core import ParameterSource
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import OUTPUT, PAGE, TRACK, Decorator, Number, Share, added
+from odomcorrupt.commands._options import OUTPUT, PAGE, TRACK, Decorator, Number, Share, added, setting
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
@@ -86,11 +86,11 @@ class Reading(NamedTuple):
 
 
 _USUAL = (
-    click.option(
+    setting(
         "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only candidate]"
     ),
-    click.option("--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."),
-    click.option(
+    setting("--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."),
+    setting(
         "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"
     ),
 )  # fmt: skip
@@ -100,27 +100,27 @@ _OTHERS = (
         "--truth-bag", "--truth-file", "truth_bags", type=click.Path(path_type=Path), multiple=True,
         help="Bag, TUM or CSV file with the truth, where the recording has none: one for all, or one for each.",
     ),
-    click.option(
+    setting(
         "--truth-shift", "truth_shift_s", type=Number("seconds", -1e10, 1e10), default=0.0, metavar="SECONDS",
         help="Seconds added to the truth's stamps if its clock is far off (the remainder is fitted).",
     ),
-    click.option(
+    setting(
         "--scan", metavar="TOPIC",
         help="Laser scans (LaserScan, PointCloud2) to learn from if there is no truth; none: no laser. "
         "[default: the only one]",
     ),
-    click.option(
+    setting(
         "--laser-scale-accuracy", type=Share("a share as in 0.3% or 0.003", 0.0, 20.0), metavar="SHARE",
         default="0.3%",
         help="Standard deviation of the laser's own scale error: no learned scale is more accurate. "
         "[default: 0.3%]",
     ),
-    click.option(
+    setting(
         "--imu", metavar="TOPIC",
         help="Gyro: tells whether the heading is from wheels or a gyro. (Only `diagnose` can use it without a truth or "
         "a laser.) [default: the only Imu]",
     ),
-    click.option(
+    setting(
         "--gyro-scale-accuracy", type=Share("a share as in 1% or 0.01", 0.0, 20.0), metavar="SHARE", default="1%",
         help="Standard deviation of the gyro's own scale error, if the gyro is the truth. [default: 1%]",
     ),
@@ -129,12 +129,12 @@ _OTHERS = (
         help="CSV of relative motions (t0,t1,dx,dy,dyaw) to learn from, as scan matchers and visual odometry write "
         "them: one for all, or one for each.",
     ),
-    click.option(
+    setting(
         "--joints", nargs=2, metavar="LEFT RIGHT",
         help="Wheel joints in JointState whose angles replace the odometry. [default: joints named as wheels, for the "
         "track alone]",
     ),
-    click.option(
+    setting(
         "--drive-type", type=click.Choice((*DRIVE_TYPES, AUTO)), default=AUTO,
         help="Drive type; it decides which effects are tested. [default: auto, from the motion]",
     ),

@@ -9,6 +9,7 @@ import os
 import pkgutil
 import shutil
 import sys
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -16,25 +17,25 @@ import click
 from click.core import ParameterSource
 
 from odomcorrupt import commands
-from odomcorrupt.commands._options import Decorator, OutputFile, added
+from odomcorrupt.commands._options import Decorator, OutputFile, Setting, added
 from odomcorrupt.input_files import read_input
 from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.summary import Summary, wrapped
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from odomcorrupt.api.result import Result
 
 CONFIG = "odomcorrupt.toml"
-"""Name of the file of defaults, read if it is in the working directory."""
+"""Name of the file of defaults, read if it is in the working directory: for settings only, as it may be anyone's."""
 Files: TypeAlias = "Mapping[Path, Callable[[], object]]"
 """Output files of a command and their writers; if a writer returns text, it is printed instead of `wrote FILE`."""
 _LIMIT_BYTES = 1 << 20
 WORDS = "odomcorrupt.words"
 """Key in click's context for the words typed after the command's name."""
 _DEFAULTS = "odomcorrupt.defaults"
-"""Key in click's context for the name of the file of defaults, and the options it set."""
+"""Key in click's context for the name of the file of defaults, whether it was found, and the options it set."""
 _WIDTH = 80
 
 
@@ -108,10 +109,10 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
             raise click.UsageError("--quiet and --verbose exclude each other; give one of them")
         console = Console(verbose, quiet, as_json)
         ctx = click.get_current_context()
-        file, names = ctx.meta.get(_DEFAULTS, ("", ()))
+        file, found, names = ctx.meta.get(_DEFAULTS, ("", False, ()))
         used = [name for name in names if ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP]
-        if used:
-            console.note(f"defaults from {file}: {', '.join(used)}")
+        if used and (found or not quiet):
+            click.echo(f"defaults from {file}: {', '.join(used)}", err=True)
         return command(*args, console=console, **given)
 
     return added(
@@ -181,33 +182,54 @@ def chosen_output(argument: str | None, option: str | None, metavar: str = "OUTP
 
 
 def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) -> None:
-    """Set a command's defaults from a file: top-level keys for all commands that have them, then its own table."""
+    """Set a command's defaults from a file: top-level keys for all commands that have them, then its own table.
+
+    Raises
+    ------
+    click.UsageError
+        If a key names no option, or the file was found in the working directory and the option is no `Setting`.
+    """
     file = Path(CONFIG) if path is None else path
     if ctx.resilient_parsing or (path is None and not file.exists()):
         return
-    table = _table(file)
-    name = ctx.command.name or ""
-    known = _names(ctx.command)
     defaults: dict[str, Any] = {}
-    for key, value in table.items():
-        option = key.replace("_", "-")
-        if isinstance(value, dict):
-            if key not in command_names():
-                raise click.UsageError(f"{file}: [{key}] is not a command; there are {', '.join(command_names())}")
-        elif option in known:
-            defaults[known[option]] = value
-        elif option not in _options_of_all():
-            raise click.UsageError(f"{file}: {key}: no command has this option")
-    for key, value in table.get(name, {}).items():
-        option = key.replace("_", "-")
-        if option not in known:
-            raise click.UsageError(f"{file}: [{name}] {key}: is not an option; there are {', '.join(sorted(known))}")
-        defaults[known[option]] = value
+    for command, option, key, value in _entries(file, ctx.command):
+        if path is None and not isinstance(option, Setting):
+            raise click.UsageError(
+                f"{file}: {key}: a file found in the working directory sets noise, topics, frames and seeds only; type "
+                f"{option.opts[0]}, or name the file: --config {file}"
+            )
+        if command is ctx.command:
+            alphas = option.name == "alpha" and isinstance(value, list)
+            defaults[option.name or ""] = " ".join(map(str, value)) if alphas else value
     if defaults:
-        joined = {key: " ".join(map(str, value)) if key == "alpha" and isinstance(value, list) else value
-                  for key, value in defaults.items()}  # fmt: skip
-        ctx.default_map = {**(ctx.default_map or {}), **joined}
-        ctx.meta[_DEFAULTS] = (str(file), tuple(sorted(defaults)))
+        ctx.default_map = {**(ctx.default_map or {}), **defaults}
+        ctx.meta[_DEFAULTS] = (str(file), path is None, tuple(sorted(defaults)))
+
+
+def _entries(file: Path, own: click.Command) -> Iterator[tuple[click.Command, click.Option, str, Any]]:
+    """Yield the entries of a file of defaults, tables last: a command that has the option, the option, key, value."""
+    table = _table(file)
+    for key, value in table.items():
+        if not isinstance(value, dict):
+            every = chain([own], map(_command, command_names()))
+            command = next((one for one in every if _word(key) in _named(one)), None)
+            if command is None:
+                raise click.UsageError(f"{file}: {key}: no command has this option")
+            yield command, _named(command)[_word(key)], key, value
+    for name, values in table.items():
+        if not isinstance(values, dict):
+            continue
+        if name not in command_names():
+            raise click.UsageError(f"{file}: [{name}] is not a command; there are {', '.join(command_names())}")
+        command = own if name == own.name else _command(name)
+        options = _named(command)
+        for key, value in values.items():
+            if _word(key) not in options:
+                raise click.UsageError(
+                    f"{file}: [{name}] {key}: is not an option; there are {', '.join(sorted(options))}"
+                )
+            yield command, options[_word(key)], f"[{name}] {key}", value
 
 
 def _table(file: Path) -> Mapping[str, Any]:
@@ -220,10 +242,14 @@ def _table(file: Path) -> Mapping[str, Any]:
         raise click.UsageError(f"{file}: not valid TOML ({error})") from error
 
 
-def _names(command: click.Command) -> dict[str, str]:
-    """Return a command's long options, without dashes, and their parameter names."""
+def _named(command: click.Command) -> dict[str, click.Option]:
+    """Return a command's options by their long names, without dashes."""
     options = (p for p in command.params if isinstance(p, click.Option) and p.expose_value)
-    return {word[2:]: p.name or "" for p in options for word in p.opts if word.startswith("--")}
+    return {word[2:]: p for p in options for word in p.opts if word.startswith("--")}
+
+
+def _word(key: str) -> str:
+    return key.replace("_", "-")
 
 
 @functools.cache
@@ -233,6 +259,6 @@ def command_names() -> dict[str, str]:
     return {name.replace("_", "-"): f"{commands.__name__}.{name}" for name in found if not name.startswith("_")}
 
 
-def _options_of_all() -> set[str]:
-    modules = map(importlib.import_module, command_names().values())
-    return {name for module in modules for name in _names(module.command)}
+def _command(name: str) -> click.Command:
+    command: click.Command = importlib.import_module(command_names()[name]).command
+    return command

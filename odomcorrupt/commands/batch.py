@@ -12,7 +12,7 @@ import click
 from odomcorrupt.commands._bag import bag_words, container_options, moving_options, threads_option
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import FILE, one_of, usage_errors
+from odomcorrupt.commands._options import FILE, one_of, setting, usage_errors
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 from odomcorrupt.errors import BatchOptionError
 
@@ -39,7 +39,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @output_option("DIRECTORY")
 @click.option("--runs", type=click.IntRange(1), required=True, metavar="N", help="Make runs 0 to N - 1.")
 @model_options
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: the batch's, or drawn]")
+@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: the batch's, or drawn]")
 @one_of(
     "--output", among=["full", "overlay", "trajectories"],
     text="Whole bags, only the changed topics, or only paths (TUM, npz).",

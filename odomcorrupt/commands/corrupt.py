@@ -11,6 +11,7 @@ import click
 from odomcorrupt.commands._bag import bag_words, container_options, moving_options, source_of, threads_option
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._options import setting
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 
@@ -37,7 +38,7 @@ def keep_freed_memory() -> None:
 @click.argument("output", metavar="OUTPUT", type=click.Path(allow_dash=True), required=False)
 @output_option()
 @model_options
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
+@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
 @click.option(
     "--run", type=click.IntRange(0), default=0, metavar="N", help="Number of the run under this seed. [default: 0]"
 )

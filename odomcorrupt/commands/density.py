@@ -9,7 +9,7 @@ import click
 
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_move, move_options
-from odomcorrupt.commands._options import PICTURE, POSE, one_of, save_picture, usage_errors
+from odomcorrupt.commands._options import PICTURE, POSE, one_of, save_picture, setting, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     "--at", "poses", type=POSE, multiple=True, help="Print the density at this end pose, as in 0.2,0.3,10deg."
 )
 @map_options
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of the samples. [default: drawn, and printed]")
+@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of the samples. [default: drawn, and printed]")
 @overwrite_option()
 @standard_options
 def command(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Decorator, Number, usage_errors
+from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Decorator, Number, setting, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError
 
@@ -29,7 +29,7 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
     "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization"]), required=True,
     help="Wheel multipliers, amcl's alphas, or covariances.",
 )  # fmt: skip
-@click.option(
+@setting(
     "--track", "track_m", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]"
 )
 @_number("--update-min-d", Number("metres", 0.0, 1e3, above=True, else_=_EVERY), 0.25, "M", "amcl's update distance.")

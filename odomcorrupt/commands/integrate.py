@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
-from odomcorrupt.commands._options import PICTURE, one_of, usage_errors
+from odomcorrupt.commands._options import PICTURE, one_of, setting, usage_errors
 from odomcorrupt.commands._standard import (
     Console,
     chosen_output,
@@ -33,13 +33,11 @@ _BAG = click.Path(path_type=Path)
     text="Integration rule: initial heading of an interval, middle heading, or arc.",
 )  # fmt: skip
 @one_of("--hold", among=["next", "previous"], text="A twist holds until the next stamp, or from the previous one.")
-@click.option(
-    "--twist-noise", nargs=2, type=float, metavar="V OMEGA", help="White noise on every twist: m/s and rad/s."
-)
+@setting("--twist-noise", nargs=2, type=float, metavar="V OMEGA", help="White noise on every twist: m/s and rad/s.")
 @click.option("--runs", type=click.IntRange(1, 100_000), default=1, help="How many noisy runs to draw. [default: 1]")
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of the noise. [default: drawn, and printed]")
-@click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry whose twists are taken.")
-@click.option("--truth", metavar="TOPIC", help="Poses to compare with. [default: a topic named like a truth]")
+@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of the noise. [default: drawn, and printed]")
+@setting(*ODOM_TOPIC, metavar="TOPIC", help="Odometry whose twists are taken.")
+@setting("--truth", metavar="TOPIC", help="Poses to compare with. [default: a topic named like a truth]")
 @click.option("--plot", type=PICTURE, help="Picture: .png, .svg or .pdf.")
 @overwrite_option("existing outputs", passed=True)
 @unpack_option

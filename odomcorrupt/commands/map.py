@@ -10,7 +10,7 @@ import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import FILE, PAGE, PICTURE, POSE, Number, one_of, usage_errors
+from odomcorrupt.commands._options import FILE, PAGE, PICTURE, POSE, Number, one_of, setting, usage_errors
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import MapError
@@ -25,15 +25,15 @@ _ASKED = ("seed", "run", "scan", "odom_topic", "truth", "laser_pose", "max_yaw_r
     "-o", "--output", type=FILE, help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml."
 )
 @model_options
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
+@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
 @click.option(
     "--run", type=click.IntRange(0), default=0, metavar="N", help="Number of the run under this seed. [default: 0]"
 )
-@click.option("--scan", metavar="TOPIC", help="Laser scans. [default: the only such topic]")
-@click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry that places the scans.")
-@click.option("--truth", metavar="TOPIC", help="Draw the map through these poses as well.")
-@click.option("--laser-pose", type=POSE, help="Pose of the laser on the robot, if TF does not contain it.")
-@click.option(
+@setting("--scan", metavar="TOPIC", help="Laser scans. [default: the only such topic]")
+@setting(*ODOM_TOPIC, metavar="TOPIC", help="Odometry that places the scans.")
+@setting("--truth", metavar="TOPIC", help="Draw the map through these poses as well.")
+@setting("--laser-pose", type=POSE, help="Pose of the laser on the robot, if TF does not contain it.")
+@setting(
     "--max-yaw-rate", type=Number("rad/s", 0.0, 1e3), metavar="W",
     help="Leave out rays shot while turning faster, rad/s; not with --method laser.",
 )  # fmt: skip

@@ -12,7 +12,7 @@ from odomcorrupt.commands import corrupt
 from odomcorrupt.commands._bag import bag_options, bag_words, report_losses, source_of
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import PICTURE
+from odomcorrupt.commands._options import PICTURE, setting
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.command("preview", cls=AlphaCommand, short_help="Forecast what a motion model will do to a bag.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @model_options
-@click.option("--seed", type=click.IntRange(0), default=0, metavar="N", help="Seed of all draws. [default: 0]")
+@setting("--seed", type=click.IntRange(0), default=0, metavar="N", help="Seed of all draws. [default: 0]")
 @click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="The first of the runs. [default: 0]")
 @click.option(
     "--runs", type=click.IntRange(2, 100_000), default=100, metavar="N", help="How many to draw. [default: 100]"

@@ -12,7 +12,7 @@ import click
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
-from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, usage_errors
+from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, setting, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
 from odomcorrupt.result_files import write_text
@@ -36,8 +36,8 @@ _RESULT = OutputFile(*PICTURES, "csv", "json")
     metavar="M",
     help="Along a bag: distance between clouds, metres.",
 )
-@click.option(*ODOM_TOPIC, metavar="TOPIC", help="Along a bag: odometry topic.")
-@click.option("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
+@setting(*ODOM_TOPIC, metavar="TOPIC", help="Along a bag: odometry topic.")
+@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
 @overwrite_option()
 @unpack_option
 @standard_options

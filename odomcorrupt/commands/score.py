@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, Number, one_of
+from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, Number, one_of, setting
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.input_files import read_input
@@ -22,12 +22,12 @@ _BASELINE_BYTES = 1 << 28
 @click.argument(
     "runs", metavar="RUNS...", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path)
 )
-@click.option("--estimate", metavar="TOPIC", help="Topic of the estimate, or an edge of TF as /tf:map.base_link.")
+@setting("--estimate", metavar="TOPIC", help="Topic of the estimate, or an edge of TF as /tf:map.base_link.")
 @click.option(
     "--outputs", type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Where the estimates are: bags, TUM or CSV files named after the runs. [default: beside the runs]",
 )  # fmt: skip
-@click.option("--truth", metavar="TOPIC", help="Topic or edge of TF. [default: the odometry before it was corrupted]")
+@setting("--truth", metavar="TOPIC", help="Topic or edge of TF. [default: the odometry before it was corrupted]")
 @click.option("--truth-bag", type=click.Path(exists=True, path_type=Path), help="Bag, TUM or CSV with the truth.")
 @one_of(
     "--align",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, Number, usage_errors
+from odomcorrupt.commands._options import FILE, Number, setting, usage_errors
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
@@ -78,7 +78,7 @@ def _size(text: str) -> float:
 @click.option(
     "--size", default="medium", show_default=True, help="Size of a drawn fault: weak, medium, strong, number."
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the drive and its noise.")
+@setting("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the drive and its noise.")
 @click.option("--robot", type=click.IntRange(0), help="Seed of the robot and its fault. [default: the drive's]")
 @click.option(
     "--route", type=click.Choice(["office", "loops", "shuttle", "slalom", "yard", "umbmark"]), default="office",

@@ -5,7 +5,8 @@ Other packages add effects through the entry point group `odomcorrupt.effects`, 
 
 from __future__ import annotations
 
-import importlib
+import importlib.machinery
+import importlib.util
 import pkgutil
 import sys
 import warnings
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 __all__ = ["GROUP", "Effect", "effect_at", "effect_from_values", "effect_named", "effect_of", "registry"]
+
+imported_from: dict[str, str] = {}
+"""Modules that `import_from` has imported, and their folders; workers of a batch import them again."""
 
 GROUP = "odomcorrupt.effects"
 """Entry point group in which other packages register effect classes."""
@@ -74,9 +78,10 @@ def effect_from_values(name: str, values: Mapping[str, float | str]) -> Effect:
 
 
 def effect_at(path: str) -> type[Effect]:
-    """Return the effect class at "module.Class", imported from Python's path or the working directory.
+    """Return the effect class at "module.Class", of an installed package or else of the working directory.
 
-    Only user input may name code to import; a model file may not.
+    Only user input may name code to import; a model or configuration file may not. The working directory is not put on
+    Python's path, where it could replace any module that is imported later.
 
     Raises
     ------
@@ -85,10 +90,10 @@ def effect_at(path: str) -> type[Effect]:
 
     """
     module_name, _, class_name = path.rpartition(".")
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)  # kept in sys.path: workers of a batch get this path and import the class again
+    top = module_name.partition(".")[0]
     try:
+        if importlib.util.find_spec(top) is None:
+            import_from(top, str(Path.cwd()))
         kind = getattr(importlib.import_module(module_name), class_name, None)
     except Exception as error:  # another package's code may raise anything
         raise EffectError(
@@ -100,6 +105,20 @@ def effect_at(path: str) -> type[Effect]:
             f"effect {path}: is not an effect class; name one made as docs/effects.md says, as in my_file.Wobble"
         )
     return kind
+
+
+def import_from(name: str, folder: str) -> None:
+    """Import a module or package of a folder that is not on Python's path; without effect if there is none."""
+    spec = importlib.machinery.PathFinder.find_spec(name, [folder])
+    if spec is None or spec.loader is None:
+        return
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    imported_from[name] = folder
 
 
 def effect_of(kind: type[Effect], values: Mapping[str, float | str]) -> Effect:

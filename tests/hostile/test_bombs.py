@@ -143,8 +143,8 @@ def test_every_command_that_reads_bags_takes_the_option_and_a_file_of_defaults_m
     ]  # fmt: skip
     assert "--max-unpacked 1GiB allows it" in said("info", "in.mcap")
     assert "no nav_msgs/Odometry" in said("info", "in.mcap", "--max-unpacked", "1GiB")
-    (tmp_path / "odomcorrupt.toml").write_text('max-unpacked = "200MB"\n')
-    assert "no nav_msgs/Odometry" in said("info", "in.mcap")
+    (tmp_path / "mine.toml").write_text('max-unpacked = "200MB"\n')
+    assert "no nav_msgs/Odometry" in said("info", "in.mcap", "--config", "mine.toml")
     assert "write one such as 4GiB" in said("info", "in.mcap", "--max-unpacked", "4")
     assert VARIABLE not in os.environ
 

@@ -7,6 +7,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
+import matplotlib.style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -46,8 +47,8 @@ _DPI = 150
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """Set the style while a figure is drawn."""
-    with mpl.rc_context(_STYLE):
+    """Set the style while a figure is drawn: matplotlib's own and ours, not that of a matplotlibrc in this folder."""
+    with mpl.style.context(["default", _STYLE]):
         yield
 
 

@@ -1,0 +1,146 @@
+"""A folder that one stands in, such as a download, runs no code, and sets noise, topics, frames and seeds only."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from odomcorrupt.cli import run
+from odomcorrupt.commands._options import Setting
+from odomcorrupt.commands._standard import command_names
+
+OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
+MARK = "open({!r}, 'w').close()\n"
+COMMANDS = {name: importlib.import_module(module).command for name, module in command_names().items()}
+SETTINGS = {
+    "alpha", "law", "twist-noise", "step", "preset", "effect", "track", "seed", "odom-topic", "odom", "odom-frame",
+    "base-frame", "map-pose", "robot-radius", "truth", "truth-shift", "scan", "laser-scale-accuracy", "imu",
+    "gyro-scale-accuracy", "joints", "drive-type", "laser-pose", "max-yaw-rate", "estimate",
+}  # fmt: skip
+
+
+def options():
+    """Yield (command, long name without dashes, option) of all options that a file could name."""
+    for name, command in COMMANDS.items():
+        for option in command.params:
+            if isinstance(option, click.Option) and option.expose_value:
+                yield from ((name, word[2:], option) for word in option.opts if word.startswith("--"))
+
+
+REFUSED = [(name, word) for name, word, option in options() if not isinstance(option, Setting)]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.py").write_text(MARK.format("RAN"))
+    return tmp_path
+
+
+def test_the_options_that_a_found_file_may_set_are_these():
+    assert {word for _, word, option in options() if isinstance(option, Setting)} == SETTINGS
+    for _, _, option in options():
+        assert not (isinstance(option, Setting) and (option.is_flag or isinstance(option.type, click.Path)))
+
+
+@pytest.mark.parametrize("table", ["", "[{}]\n"], ids=["top level", "own table"])
+def test_any_other_option_in_a_found_file_is_an_error_that_names_the_key_and_the_way_out(folder, capsys, table):
+    assert len(REFUSED) > 200
+    for name, word in REFUSED:
+        (folder / "odomcorrupt.toml").write_text(f"{table.format(name)}{word.replace('-', '_')} = 1\n")
+        # without its arguments, the command would fail later
+        assert run([name, "x"]) == 2
+        said = capsys.readouterr().err
+        assert word.replace("-", "_") in said
+        assert "--config odomcorrupt.toml" in said
+        assert said.count("\n") == 1
+
+
+def test_a_file_given_by_hand_sets_any_option(folder):
+    (folder / "mine.toml").write_text("force = true\nthreads = 1\n")
+    (folder / "old.mcap").write_bytes(b"old")
+    assert run([OFFICE, "old.mcap", "-q", "--seed", "1", "--config", "mine.toml"]) == 0
+    assert (folder / "old.mcap").read_bytes() != b"old"
+
+
+@pytest.mark.parametrize("given", [[], ["--config", "odomcorrupt.toml"]], ids=["found", "by hand"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        [OFFICE, "out.mcap"], ["preview", OFFICE], ["batch", OFFICE, "runs", "--runs", "2"],
+        ["correct", OFFICE, "out.mcap"], ["sample", OFFICE], ["density"], ["map", OFFICE],
+    ],
+    ids=lambda words: words[0].rpartition("/")[2],
+)  # fmt: skip
+def test_no_file_of_defaults_names_code(folder, capsys, words, given):
+    (folder / "odomcorrupt.toml").write_text('effect = ["wheel_scale:e=0.01", "evil.Wobble:k=1"]\n')
+    assert run([*words, *given]) == 2
+    assert "evil.Wobble:k=1: names code" in capsys.readouterr().err
+    assert sorted(path.name for path in folder.iterdir()) == ["evil.py", "odomcorrupt.toml"]
+
+
+def test_effects_of_the_library_may_be_set(folder, capsys):
+    (folder / "odomcorrupt.toml").write_text('effect = ["wheel_scale:e=0.01"]\n')
+    assert run([OFFICE, "out.mcap", "-q", "--seed", "1"]) == 0
+    # said although quiet: whoever stands in the folder may not know of the file
+    assert capsys.readouterr().err == "defaults from odomcorrupt.toml: effects\n"
+
+
+def replaced_modules(folder):
+    """Write a folder that replaces modules and announces a plug-in, each of which leaves a file when it runs."""
+    for name in ("click", "numpy", "typing", "signal", "rosbags", "multiprocessing", "concurrent", "lz4", "sitecustom"):
+        (folder / f"{name}.py").write_text(MARK.format(f"RAN {name}"))
+    info = folder / "evil-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: evil\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[odomcorrupt.effects]\nevil = evil:Wobble\n")
+
+
+@pytest.mark.parametrize("path", [None, ":/nowhere", "/nowhere:"], ids=["unset", "begins empty", "ends empty"])
+def test_modules_of_the_folder_replace_none_of_the_program(folder, path):
+    replaced_modules(folder)
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    environment |= {} if path is None else {"PYTHONPATH": path}
+    start = [sys.executable, "-m", "odomcorrupt"]
+    if path is not None:  # only what is imported after the start of Python is ours to protect
+        (folder / "typing.py").unlink()
+        (folder / "signal.py").unlink()
+    for words in (
+        ["effects"],
+        [
+            "batch",
+            OFFICE,
+            "runs",
+            "--runs",
+            "4",
+            "--jobs",
+            "2",
+            "--seed",
+            "1",
+            "--output",
+            "trajectories",
+            "--effect",
+            "wheel_scale",
+        ],
+    ):
+        done = subprocess.run(
+            [*start, *words], capture_output=True, text=True, check=False, env=environment, timeout=60
+        )
+        assert done.returncode == 0, done.stderr
+    assert list(folder.glob("RAN*")) == []
+
+
+def test_a_matplotlibrc_of_the_folder_changes_no_picture(folder):
+    words = ["preview", OFFICE, "--runs", "3", "--seed", "1", "-o", "fan.png", "--overwrite"]
+    pictures = []
+    for text in ("", "font.size: 30\ntext.usetex: True\nfigure.facecolor: red\n"):
+        (folder / "matplotlibrc").write_text(text)
+        subprocess.run([sys.executable, "-m", "odomcorrupt", *words], capture_output=True, check=True, timeout=60)
+        pictures.append((folder / "fan.png").read_bytes())
+    assert pictures[0] == pictures[1]
