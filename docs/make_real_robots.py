@@ -17,7 +17,7 @@ from independent_look import COMPARISON, VERDICT, table
 from scipy.stats import binom
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.effects.user import UserEffect
+from odomcorrupt.effects.expression import UserEffect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.geometry.trajectory import Trajectory

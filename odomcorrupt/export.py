@@ -15,9 +15,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from odomcorrupt.corruption.covariance import FLOOR
-from odomcorrupt.effects.unequal_wheels import UnequalWheels
-from odomcorrupt.effects.wheel_scale import WheelScale
-from odomcorrupt.effects.wheelbase import Wheelbase
+from odomcorrupt.effects.gains import UnequalWheels, Wheelbase, WheelScale
 from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.model.noise_laws import variances

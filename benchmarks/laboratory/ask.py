@@ -15,7 +15,7 @@ from laboratory.information import expected_information
 from laboratory.invariance import variants
 from laboratory.planted import planted
 from laboratory.sham import sham
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.simulation import OUTSIDE
 from odomcorrupt.study.select.stepwise import learn

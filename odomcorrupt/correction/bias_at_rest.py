@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.gyro_bias_walk import GyroBiasWalk
+from odomcorrupt.effects.random_processes import GyroBiasWalk
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

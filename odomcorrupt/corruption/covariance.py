@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import Motion
-from odomcorrupt.effects.random_state import autoregression
+from odomcorrupt.effects.random_processes import autoregression
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Registry of effects: one module per effect, discovered automatically.
+"""Registry of effects: one module per family, discovered automatically.
 
 Other packages add effects through the entry point group `odomcorrupt.effects`, one class per entry point.
 """

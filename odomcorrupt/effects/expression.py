@@ -1,47 +1,212 @@
-"""Parser of user expressions into numpy functions; no code is ever executed.
-
-    yaw += k * v * abs(omega); along += -c * where(a > 0, a, 0) * abs(v)
-
-A statement adds a rate to truth minus odometry, along (m/s), across (m/s, to the left) or yaw (rad/s), or to the rim
-speed (m/s) of the left wheel, the right one or both; expressions of a wheel use that wheel's own motion. Terms are
-numbers, the names of `VARIABLES` and of the parameters, + - * / **, comparisons and the functions of `FUNCTIONS`;
-attributes, items and other calls are refused. Size, depth and exponents are bounded.
-
-If an expression uses an acceleration, speeds are those in step with it. Discontinuous terms (a comparison, a sign,
-the condition of where) then use the previous interval: a law that toggles its own condition would have no solution.
-"""
+"""Expressions of motion as effects: parsed, checked for linearity and units, and made into classes."""
 
 from __future__ import annotations
 
 import ast
+import dataclasses
+import keyword
 import operator
-from typing import TYPE_CHECKING, NamedTuple
+import re
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.linearity import affine, vanishes
-from odomcorrupt.effects.units import amplitude_unit
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Motion,
+    State,
+    TwistError,
+    check_bounds,
+    choices,
+    parameter,
+    parameters,
+)
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, wheel_motions
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Set as AbstractSet
 
     from odomcorrupt.geometry.se2 import Array
 
     Term = Callable[[Mapping[str, Array]], Array]
 
+
+def affine(node: ast.expr, names: frozenset[str]) -> bool:  # noqa: PLR0911 - one for each kind of term
+    """Return whether a term is jointly affine in these parameters: no product of two of them, no function of any."""
+    if not _has(node, names) or isinstance(node, ast.Name):
+        return True
+    match node:
+        case ast.UnaryOp(operand=inner):
+            return affine(inner, names)
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+            return affine(left, names) and affine(right, names)
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            return affine(left, names) and affine(right, names) and not (_has(left, names) and _has(right, names))
+        case ast.BinOp(left=left, op=ast.Div(), right=right):
+            return affine(left, names) and not _has(right, names)
+        case ast.Call(func=ast.Name(id="where"), args=[condition, *either]):
+            return not _has(condition, names) and all(affine(term, names) for term in either)
+    return False
+
+
+def vanishes(node: ast.expr, names: frozenset[str]) -> bool:  # noqa: PLR0911 - one for each kind of term
+    """Return whether a term is zero if all these parameters are zero."""
+    match node:
+        case ast.Name(id=name):
+            return name in names
+        case ast.UnaryOp(operand=inner):
+            return vanishes(inner, names)
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+            return vanishes(left, names) and vanishes(right, names)
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            return vanishes(left, names) or vanishes(right, names)
+        case ast.BinOp(left=left, op=ast.Div()):
+            return vanishes(left, names)
+        case ast.Call(func=ast.Name(id="where"), args=[_, *either]):
+            return all(vanishes(term, names) for term in either)
+    return False
+
+
+def _has(node: ast.expr, names: AbstractSet[str]) -> bool:
+    return any(isinstance(part, ast.Name) and part.id in names for part in ast.walk(node))
+
+
+class _Dimension(NamedTuple):
+    """Powers of metres, radians and seconds."""
+
+    m: int = 0
+    rad: int = 0
+    s: int = 0
+
+    def times(self, other: _Dimension, power: int = 1) -> _Dimension:
+        return _Dimension(*(mine + power * its for mine, its in zip(self, other, strict=True)))
+
+
+_PURE = _Dimension()
+
+_SPEED, _TURN = _Dimension(m=1, s=-1), _Dimension(rad=1, s=-1)
+
+_OF = {
+    "v": _SPEED, "vy": _SPEED, "omega": _TURN, "a": _Dimension(m=1, s=-2), "alpha": _Dimension(rad=1, s=-2),
+    "t": _Dimension(s=1), "x": _Dimension(m=1), "y": _Dimension(m=1), "distance": _Dimension(m=1),
+    "theta": _Dimension(rad=1),
+}  # fmt: skip
+
+_UNIT_PRESERVING = ("abs", "min", "max", "hypot")
+
+"""Functions with a value in the unit of their arguments; the value of any other has no unit."""
+
+
+class _Unclear(Exception):  # noqa: N818 - private to this module
+    """The unit cannot be derived."""
+
+
+def amplitude_unit(statements: Sequence[ast.AugAssign], name: str) -> str:
+    """Return the unit of a parameter that statements are affine in, e.g. "s^2/m"; "" if none or unclear."""
+    for node in statements:
+        if _has(node.value, {name}):
+            target = _TURN if isinstance(node.target, ast.Name) and node.target.id == "yaw" else _SPEED
+            try:
+                return _written(target.times(_factor_of(node.value, name), -1))
+            except _Unclear:
+                return ""
+    return ""
+
+
+def _factor_of(node: ast.expr, name: str) -> _Dimension:
+    """Return the dimension of the parameter's factor."""
+    match node:
+        case ast.Name(id=own) if own == name:
+            return _PURE
+        case ast.UnaryOp(operand=inner):
+            return _factor_of(inner, name)
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+            return _factor_of(left if _has(left, {name}) else right, name)
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            with_it, other = (left, right) if _has(left, {name}) else (right, left)
+            return _factor_of(with_it, name).times(_dimension(other))
+        case ast.BinOp(left=left, op=ast.Div(), right=right) if not _has(right, {name}):
+            return _factor_of(left, name).times(_dimension(right), -1)
+        case ast.Call(func=ast.Name(id="where"), args=[_, yes, no]):
+            return _factor_of(yes if _has(yes, {name}) else no, name)
+    raise _Unclear
+
+
+def _dimension(node: ast.expr) -> _Dimension:  # noqa: PLR0911 - one for each kind of term
+    match node:
+        case ast.Name(id=own):
+            return _OF.get(own, _PURE)
+        case ast.UnaryOp(operand=inner):
+            return _dimension(inner)
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            return _dimension(left).times(_dimension(right))
+        case ast.BinOp(left=left, op=ast.Div(), right=right):
+            return _dimension(left).times(_dimension(right), -1)
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
+            return _PURE.times(_dimension(left), power)
+        case ast.BinOp(left=left, op=ast.Pow()) if _dimension(left) != _PURE:
+            raise _Unclear
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+            return _first(left, right)
+        case ast.Call(func=ast.Name(id=function), args=args):
+            return _called(function, args)
+    return _PURE
+
+
+def _called(function: str, args: Sequence[ast.expr]) -> _Dimension:
+    if function == "where":
+        return _first(*args[1:])
+    if function == "sqrt" and _dimension(args[0]) != _PURE:
+        raise _Unclear
+    return _first(*args) if function in _UNIT_PRESERVING else _PURE
+
+
+def _first(*nodes: ast.expr) -> _Dimension:
+    """Return the common dimension of several nodes: plain numbers take that of the others."""
+    return next((d for d in map(_dimension, nodes) if d != _PURE), _PURE)
+
+
+def _written(dimension: _Dimension) -> str:
+    powers = dimension._asdict()
+    above = [_power(unit, powers[unit]) for unit in ("rad", "m", "s") if powers[unit] > 0]
+    below = [_power(unit, -powers[unit]) for unit in ("rad", "m", "s") if powers[unit] < 0]
+    if not above and not below:
+        return ""
+    return " ".join(above or ["1"]) + "".join(f"/{unit}" for unit in below)
+
+
+def _power(unit: str, power: int) -> str:
+    return unit if power == 1 else f"{unit}^{power}"
+
+
 CHANNELS = ("along", "across", "yaw")
+
 SIDES = ("left", "right", "wheels")
+
 """Further targets of a statement: the rim speeds of single wheels, or of both."""
+
 TRUTH_VARIABLES = ("a", "alpha", "x", "y", "theta", "distance")
+
 """Variables of the true motion; the others are the odometry's."""
+
 PLACES = ("x", "y", "theta")
+
 ACCELERATIONS = ("a", "alpha")
+
 VARIABLES = ("v", "vy", "omega", "t", *TRUTH_VARIABLES)
+
 PAST = " before"
+
 """Suffix of a variable's name for its value in the previous interval, if that is supplied."""
+
 _ZERO_BELOW = 1e-9
+
 """Magnitude below which a number counts as zero in sign(), because its sign may be rounding."""
+
 CONSTANTS = {"pi": np.pi}
 
 
@@ -76,6 +241,7 @@ FUNCTIONS: Mapping[str, tuple[int, int, Callable[..., Array]]] = {
     "max": (2, 8, lambda *x: _folded(np.maximum, x)),
     "where": (3, 3, _chosen),
 }
+
 """Name: fewest arguments, most arguments, numpy function."""
 
 _BINARY: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
@@ -84,12 +250,14 @@ _BINARY: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
     ast.Mult: operator.mul,
     ast.Div: np.divide,
 }
+
 _COMPARE: Mapping[type[ast.cmpop], Callable[[Array, Array], Array]] = {
     ast.Lt: np.less,
     ast.LtE: np.less_equal,
     ast.Gt: np.greater,
     ast.GtE: np.greater_equal,
 }
+
 _MOST_CHARACTERS, _MOST_NODES, _MOST_DEPTH, _HIGHEST_POWER, _LARGEST_NUMBER = 1000, 200, 60, 8.0, 1e12
 
 
@@ -269,3 +437,152 @@ def _two(
     right: Term,
 ) -> Term:
     return lambda names: function(left(names), right(names))
+
+
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,59}")
+
+_TAKEN = {*VARIABLES, *CONSTANTS, *FUNCTIONS, *CHANNELS, *SIDES, "name", "expression", "heading"}
+
+LARGEST = 1e9
+
+"""Bound of a user's parameter, whose physical limits are unknown; it keeps the numbers finite."""
+
+
+class UserEffect(Effect):
+    """Base class of the classes made by `user_effect`."""
+
+    expression: ClassVar[Expression]
+
+    __slots__ = ()
+
+    @property
+    def acts(self) -> bool:
+        """Whether it does anything: an amplitude is off zero, or a term of the expression has no amplitude."""
+        return super().acts or not self.expression.vanishes
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f of the expression, with the errors of single wheels combined into a twist."""
+        own = {p.name: np.float64(getattr(self, p.name)) for p in parameters(self)}
+        body = self._variables(motion) | own
+        f = np.stack([self.expression.added_to((channel,), body) for channel in CHANNELS], axis=1)
+        if self.expression.by_wheel:
+            track_m = needed_track_m(self.name, motion.track_m)
+            right, left = (self._variables(wheel) | own for wheel in wheel_motions(motion, track_m))
+            rims = Rims(
+                self.expression.added_to(("right", "wheels"), right), self.expression.added_to(("left", "wheels"), left)
+            )
+            f += body_of(rims, track_m, getattr(self, "heading", "wheels"))
+        return TwistError(f, state)
+
+    def _variables(self, motion: Motion) -> dict[str, Any]:
+        """Return the values of the variables, and of the previous interval for discontinuous terms."""
+        if self.expression.names.isdisjoint(ACCELERATIONS):
+            return _values(motion)
+        past = {f"{name}{PAST}": value for name, value in _values(motion.just_before).items()}
+        return _values(motion.in_step) | past
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the pickling recipe: the class is created at run time and belongs to no module."""
+        own = parameters(self)
+        values = {p.name: getattr(self, p.name) for p in own}
+        words = {word: getattr(self, word) for word in choices(self)}
+        return user_effect, (self.name, self.expression.text, values, {p.name: p.unit for p in own}, words)
+
+
+def _values(motion: Motion) -> dict[str, Any]:
+    return {name: getattr(motion, "t_s" if name == "t" else name) for name in VARIABLES}
+
+
+def user_effect(
+    name: str,
+    text: str,
+    values: Mapping[str, float],
+    units: Mapping[str, str] | None = None,
+    words: Mapping[str, str] | None = None,
+) -> UserEffect:
+    """Return the effect of an expression with the given parameter values.
+
+    A parameter that f is affine in is an amplitude, with identity 0; any other is a shape, which a fit holds fixed.
+    An expression that adds to single wheels also has the word-valued parameter `heading`, as the library's do.
+
+    name : name of the effect
+    text : the expression, as in "yaw += k * v * abs(omega)"
+    values : parameters by name
+    units : units of parameters by name; by default those that follow from the expression
+    words : values of word-valued parameters, such as {"heading": "gyro"}
+
+    Raises
+    ------
+    EffectError
+        If the name or the expression is invalid.
+    """
+    for word in (name, *values):
+        if not _NAME.fullmatch(word) or keyword.iskeyword(word):
+            raise EffectError(f"effect {name}: {word!r} cannot be a name; write small letters, digits and _")
+    for word in values:
+        if word in _TAKEN:
+            raise EffectError(f"effect {name}: the parameter {word!r} has the name of something else; call it k")
+    units = units or {}
+    expression = parse_expression(text, tuple(values))
+    linear, words = expression.linear, words or {}
+    if words and not expression.by_wheel:
+        raise EffectError(
+            f"effect {name}: {next(iter(words))} applies to statements that add to {', '.join(SIDES)} only; leave it "
+            "out"
+        )
+    facts = tuple(
+        (
+            key,
+            units.get(key) or expression.units.get(key, ""),
+            key in linear,
+            0.0 if key in linear else float(value),
+            _magnitude(value),
+        )
+        for key, value in values.items()
+    )
+    effect = _class_of(name, text, facts)(**values, **words)
+    check_bounds(effect)
+    return effect
+
+
+def _magnitude(value: float) -> float:
+    return float(10.0 ** np.round(np.log10(abs(value)))) if value and np.isfinite(value) else 0.01
+
+
+@cache
+def _class_of(name: str, text: str, facts: tuple[tuple[str, str, bool, float, float], ...]) -> type[UserEffect]:
+    """Return the class of an expression; cached: the same facts give the same class, and equal effects are equal."""
+    expression = parse_expression(text, tuple(key for key, *_ in facts))
+    fields: list[tuple[str, type, Any]] = [
+        (
+            key,
+            float,
+            parameter(
+                unit,
+                "of the expression",
+                low=-LARGEST,
+                high=LARGEST,
+                typical=typical,
+                identity=identity,
+                amplitude=amplitude,
+            ),
+        )
+        for key, unit, amplitude, identity, typical in facts
+    ]
+    if expression.by_wheel:
+        fields.append(("heading", str, heading_choice()))
+    namespace = {
+        "name": name,
+        "kind": "effect",
+        "summary": "an effect of the user's own",
+        "about": About(text, "", "the model file", (), ""),
+        "reads_truth": not expression.names.isdisjoint(TRUTH_VARIABLES),
+        "rectifies": expression.rectifies,
+        "reads_places": not expression.names.isdisjoint(PLACES),
+        "needs_track": expression.by_wheel,
+        "expression": expression,
+        "__doc__": f"f: {text}",
+    }
+    return dataclasses.make_dataclass(
+        f"User_{name}", fields, bases=(UserEffect,), namespace=namespace, frozen=True, slots=True
+    )

@@ -1,28 +1,54 @@
-"""Geometry of steering effects: curvature of a path, the tangent of large steering angles, and a driven front wheel."""
+"""Cars and tricycles: the steering angle, and its offset, scale, lag and play."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from odomcorrupt.effects.effect import Effect, choice, choices, parameter, stacked
+from odomcorrupt.drive_types import STEERED
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Motion,
+    Recorded,
+    State,
+    TwistError,
+    choice,
+    choices,
+    parameter,
+    parameters,
+    stacked,
+)
+from odomcorrupt.effects.lags import lag_remainder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.geometry.motion import Motion
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
 
+
 CREEP_MPS = 0.05 - 1e-9
+
 """Speed below which a path does not show the steering angle, m/s; just below a round 0.05, which rounding may reach."""
+
 _STEEP = (0.3, 0.55)
+
 """Tangents of the largest steering angle that give trial distances between the axles: 17 and 29 degrees."""
+
 _STEEPER = (0.55, 2.0)
+
 """The same where the steered wheel is driven, which turns further: 29 and 63 degrees."""
+
 _TIGHTEST = 0.99
+
 _LOCK_RAD = 1.4
+
 """Steering angle beyond which its tangent is no path of a car."""
 
 E = TypeVar("E", bound=Effect)
@@ -84,3 +110,446 @@ def turned_front(v: Array, omega: Array, angle: Array | float, axles_m: float) -
     sideways = axles_m * omega
     less, sine = np.cos(axles_m * angle) - 1.0, np.sin(axles_m * angle)
     return stacked(less * v - sine * sideways, 0.0, (less * sideways + sine * v) / axles_m, v)
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringOffset(Effect):
+    """f = (0, 0, curvature v (1 + tan^2 delta)): the bicycle's yaw rate with an angle delta + d, curvature = d / L.
+
+    With L the distance between the axles, tan delta = L omega / v; without it delta is assumed small. With driven =
+    front the velocity (v, L omega) of the steered wheel, whose travel is measured, is turned by d.
+    Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle): omega = v tan(delta) / L.
+    """
+
+    name = "steering_offset"
+    summary = "the steering of a car or tricycle is not straight at zero, so that straight lines bend"
+    drives = STEERED
+    unsteered = "unequal_wheels"
+    about = About(
+        equation="f_yaw = curvature v; times 1 + (axles omega / v)^2 where the steering angles are large; "
+        "f_along = -curvature axles^2 omega if the steered wheel is driven",
+        typical="0.2 to 2 degrees: 0.01 to 0.1 rad/m on 0.3 m between the axles, 0.001 to 0.01 rad/m on 2.7 m",
+        source="Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",
+        confused_with=("gyro_bias", "turn_asymmetry", "mount_yaw"),
+        drive="long straights forwards and in reverse, at two speeds, with a stop of a minute",
+    )
+
+    curvature: float = parameter(
+        "rad/m", "true curvature of a path that odometry reports as straight", low=-1.0, high=1.0, typical=0.01
+    )
+    axles: float = axles_parameter()
+    driven: str = driven_choice()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the effect for small steering angles, and for large ones."""
+        return on_every_axle_distance(cls(), motions)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the yaw error is proportional to the distance, and changes sign in reverse."""
+        if self.driven == "front":
+            return TwistError(turned_front(motion.v, motion.omega, self.curvature, self.axles), state)
+        steep = 1.0 + steepness(motion.v, motion.omega, self.axles) ** 2 if self.axles else 1.0
+        return TwistError(stacked(0.0, 0.0, self.curvature * steep * motion.v, motion.v), state)
+
+
+_SMALL = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringScale(Effect):
+    """f = (0, 0, e omega delta (1 + tan^2 delta) / tan delta): the bicycle's yaw rate with an angle delta (1 + e).
+
+    With L the distance between the axles, tan delta = L omega / v; without it delta is assumed small, f = e omega.
+    With driven = front the velocity (v, L omega) of the steered wheel, whose travel is measured, is turned by e delta
+    instead. At small angles a relative error -e of L is equivalent. Rajamani, Vehicle Dynamics and Control, ch. 2
+    (kinematic bicycle).
+    """
+
+    name = "steering_scale"
+    summary = "the steering ratio of a car or tricycle is off, or the distance between its axles"
+    drives = STEERED
+    unsteered = "wheelbase"
+    about = About(
+        equation="f_yaw = e omega; more in tight curves where the angles are large (axles); "
+        "f_along = -e delta axles omega if the steered wheel is driven",
+        typical="1 to 10 %: a nominal steering ratio, a servo's gain, an axle distance taken from a drawing",
+        source="Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",
+        confused_with=("turn_asymmetry", "side_slip", "speed_scale"),
+        drive="curves of several radii to both sides, at two speeds",
+    )
+
+    e: float = parameter(
+        "", "true over nominal steering angle, minus one; as well nominal over true axle distance, minus one",
+        low=-0.8, high=4.0, typical=0.03,
+    )  # fmt: skip
+    axles: float = axles_parameter()
+    driven: str = driven_choice()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the effect for small steering angles, and for large ones."""
+        return on_every_axle_distance(cls(), motions)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: every turn has the same scale error."""
+        if self.driven == "front" and self.axles:
+            sideways = self.axles * motion.omega
+            delta = np.arctan2(sideways * np.sign(motion.v), np.abs(motion.v))
+            return TwistError(turned_front(motion.v, motion.omega, self.e * delta / self.axles, self.axles), state)
+        return TwistError(stacked(0.0, 0.0, self.e * self._steep(motion) * motion.omega, motion.v), state)
+
+    def _steep(self, motion: Motion) -> Array:
+        """Return the factor (n,) delta (1 + tan^2 delta) / tan delta; 1 at small angles."""
+        tangent = np.maximum(steepness(motion.v, motion.omega, self.axles), _SMALL)
+        return np.arctan(tangent) * (1.0 + tangent**2) / tangent
+
+
+_BEYOND = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85)
+
+"""Parts of all lag, summed over time, that are due to lags larger than a trial limit."""
+
+_OF_CURVATURE = (1.0, 0.85)
+
+"""Trial limits of large angles, as parts of those of the curvature: angles change less than their tangents."""
+
+_ROLLS_MPS = 0.01 - 1e-9
+
+"""Speed from which a path shows the wheels' angle, m/s; just below a round one, which rounding may reach. Wheels turn
+quickest at the low speeds of starts and reversals, where odometry from a steering angle has the exact ratio."""
+
+_ONE_WAY = 0.5
+
+"""Least part of the recent travel that is in one direction where a path rolls; noise of a robot at rest has none."""
+
+_SHARE_S = 2.0
+
+"""Time over which the share of noise in the changes of the turn rate is averaged."""
+
+_STEADY, _SMOOTH_S = 0.1, 1.0
+
+"""Share that steering itself may have, when it turns back, and time constant (s) per share beyond it: 0.3 s for poses
+with so much noise that it is all that their turn rate shows."""
+
+
+class _Steering(NamedTuple):
+    """State of the wheels, and of a path from which their angle is taken.
+
+    angle : of the wheels when they last rolled, per distance between the axles, rad/m; None before
+    ago_s, last_s : time since then, and last stamp
+    sums : way (m), turn (rad), travel (m) and time (s), with weights that decay with age
+    turn_rate, change : last turn rate of a path and its last change, rad/s
+    shaken, moved : mean change that the next one takes back, and mean change, rad/s
+    """
+
+    angle: float | None = None
+    ago_s: float = 0.0
+    last_s: float = 0.0
+    sums: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    turn_rate: float = 0.0
+    change: float = 0.0
+    shaken: float = 0.0
+    moved: float = 0.0
+
+    def seen(self, way: float, turn: float, dt_s: float) -> _Steering:
+        """Return the state after an increment of a path: the more of its turn is noise, the longer it is averaged."""
+        change = turn / dt_s - self.turn_rate
+        back = min(abs(change), abs(self.change)) if change * self.change < 0.0 else 0.0
+        gain = min(dt_s / _SHARE_S, 1.0)
+        shaken, moved = self.shaken + gain * (back - self.shaken), self.moved + gain * (abs(change) - self.moved)
+        smooth_s = _SMOOTH_S * max(shaken / moved - _STEADY, 0.0) if moved > 0.0 else 0.0
+        kept = smooth_s / (smooth_s + dt_s)
+        way_m, turn_rad, travel_m, time_s = (kept * one for one in self.sums)
+        sums = (way_m + way, turn_rad + turn, travel_m + abs(way), time_s + dt_s)
+        return self._replace(sums=sums, turn_rate=turn / dt_s, change=change, shaken=shaken, moved=moved)
+
+    @property
+    def rolls(self) -> bool:
+        """Whether the path shows the curvature: it is neither at rest, with or without noise, nor creeping."""
+        way, _, travel, time_s = self.sums
+        return abs(way) >= max(_ROLLS_MPS * time_s, _ONE_WAY * travel)
+
+
+class _Followed(NamedTuple):
+    """Where the car rolls (n,), there the angles (k,) of its wheels and of its odometry, rad/m, and the state after."""
+
+    rolls: NDArray[np.bool_]
+    wheels: Array
+    shown: Array
+    after: _Steering
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringLag(Effect):
+    """f = (0, 0, v tan(L delta) / L - omega): the wheels' angle L delta follows the odometry's with a first-order lag.
+
+    With L the distance between the axles; without it angles are assumed small. The wheels turn no faster than a servo's
+    largest `rate`, and lag no further than the `stop` of a soft linkage. A delay by tau has the same f for steering
+    slow against tau. A change of speed in a curve of constant radius is no steering and causes no error. While the
+    robot is at rest its wheels continue to the steering angle.
+
+    Corruption inverts the lag. How far the angle of the odometry is ahead of wheels that turn at their largest rate is
+    not in their path: corruption takes the smallest lead that they show, that of the lag at this rate. As noise
+    of the path would dominate changes of its curvature, this is averaged the longer, the noisier the turn rate is.
+    """
+
+    name = "steering_lag"
+    layer = "record"
+    summary = "a car's or tricycle's wheels follow the steering angle of its odometry late"
+    drives = STEERED
+    about = About(
+        equation="f_yaw = v tan(L d) / L - omega, tau dd / dt + d = e: the wheels' angle d lags behind the odometry's "
+        "e = atan(L omega / v) / L, |dd / dt| <= rate, |d - e| <= stop",
+        typical="50 to 300 ms by a steering servo whose command is used as its angle; wheels that turn by 1 to 5 "
+        "rad/s at most have a rate of 3 to 15 rad/(m s) on 0.3 m between the axles (an estimate)",
+        source="first-order lag; Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model); largest "
+        "steering rate: Althoff, Koschi & Manzinger 2017, CommonRoad",
+        confused_with=("channel_lag", "time_offset", "accel_slip"),
+        drive="steer briskly to both sides at a constant speed, and speed up and brake on straights and in curves",
+    )
+
+    tau: float = parameter("s", "time constant, or the delay", low=0.0, high=1.0, typical=0.1, step=0.02)
+    rate: float = parameter(
+        "rad/(m s)", "largest rate of the wheels' angle, per distance between the axles; 0: no limit",
+        low=0.0, high=1000.0, typical=5.0, amplitude=False, optional=True,
+    )  # fmt: skip
+    stop: float = parameter(
+        "rad/m", "largest lag of the wheels' angle, per distance between the axles; 0: no limit",
+        low=0.0, high=100.0, typical=0.5, amplitude=False, optional=True,
+    )  # fmt: skip
+    axles: float = axles_parameter()
+
+    @property
+    def acts(self) -> bool:
+        """Whether the effect does anything: wheels with a largest rate are late without any lag."""
+        return self.tau != 0.0 or self.rate != 0.0
+
+    def limited(self, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the lag with trial limits that a part of its steering on these motions exceeds.
+
+        With a limit, those for large steering angles; without one, these differ from small ones in second order only.
+        """
+        if self.rate or self.stop:
+            steep = () if self.axles else on_every_axle_distance(self, motions)[1:]
+            return tuple(replace(one, rate=p * one.rate, stop=p * one.stop) for one in steep for p in _OF_CURVATURE)
+        if not self.tau > 0.0:
+            return ()
+        followed = [self._followed(m, _Steering()) for m in motions]
+        lags = np.sort(np.abs(np.concatenate([one.wheels - one.shown for one in followed])))[::-1]
+        total = np.cumsum(lags)
+        if not total.size or total[-1] == 0.0:
+            return ()
+        stops = lags[np.searchsorted(total, np.array(_BEYOND) * total[-1])].tolist()
+        limits = [*(("stop", stop) for stop in stops), *(("rate", stop / self.tau) for stop in stops)]
+        high = {p.name: p.high for p in parameters(type(self))}
+        return tuple(replace(self, **{name: value}) for name, value in limits if value < high[name])
+
+    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
+        """Return the state of wheels that have not rolled yet."""
+        return _Steering()
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f, from the lag of the wheels' curvature; for tau < 0, needed for slopes, the opposite."""
+        if self.tau < 0.0:  # the opposite of what the lag adds to a largest rate alone
+            late, after = replace(self, tau=-self.tau).twist_error(motion, state)
+            return TwistError(2.0 * replace(self, tau=0.0).twist_error(motion, state).f - late, after)
+        rolls, wheels, shown, after = self._followed(motion, state)
+        f = np.zeros(len(motion))
+        f[rolls] = motion.v[rolls] * (curvature_at(wheels, self.axles) - curvature_at(shown, self.axles))
+        return TwistError(stacked(0.0, 0.0, f, f), after)
+
+    def _followed(self, motion: Motion, state: _Steering) -> _Followed:
+        """Return the angles of the wheels and of the odometry wherever the car rolls."""
+        rolls = (np.abs(motion.v) >= _ROLLS_MPS) & (motion.dt_s > 0.0)
+        shown = steered(motion.omega[rolls] / motion.v[rolls], self.axles)
+        time_s = np.concatenate(([-state.ago_s], np.cumsum(motion.dt_s)[rolls]))
+        wheels, angle = np.empty_like(shown), state.angle
+        for i, (ahead, ago_s) in enumerate(zip(shown.tolist(), np.diff(time_s).tolist(), strict=True)):
+            if angle is None:
+                angle = ahead
+            else:
+                followed = ahead + lag_remainder(self.tau, ago_s) * (angle - ahead)
+                angle = _within(_within(followed, angle, self.rate * ago_s), ahead, self.stop)
+            wheels[i] = angle
+        rest_s = float(motion.dt_s.sum() - time_s[-1])
+        return _Followed(rolls, wheels, shown, state._replace(angle=angle, ago_s=rest_s))
+
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
+        """Return the increments (n, 3) computed from the steering angle whose lagging wheels cause these."""
+        reported = steps.copy()
+        for i, (ds, turn, now_s) in enumerate(
+            zip(steps[:, 0].tolist(), steps[:, 2].tolist(), t_s.tolist(), strict=True)
+        ):
+            dt_s = now_s - state.last_s
+            if dt_s < 0.0:  # time was reset
+                state = _Steering(last_s=now_s)
+            if not dt_s > 0.0:
+                continue
+            state = state.seen(ds, turn, dt_s)._replace(last_s=now_s, ago_s=state.ago_s + dt_s)
+            if not state.rolls:
+                continue
+            (true,) = steered(np.array([state.sums[1] / state.sums[0]]), self.axles).tolist()
+            if state.angle is not None:
+                moved = _within(true - state.angle, 0.0, self.rate * state.ago_s)
+                ahead = true + _within(self.tau / state.ago_s * moved, 0.0, self.stop)
+                before, after = curvature_at(np.array([true, ahead]), self.axles).tolist()
+                reported[i, 2] += ds * (after - before)
+            state = state._replace(angle=true, ago_s=0.0)
+        return Recorded(reported, state)
+
+
+def _within(value: float, middle: float, reach: float) -> float:
+    """Return the value clipped to `reach` on both sides of the middle; a reach of 0 is no limit."""
+    return min(max(value, middle - reach), middle + reach) if reach else value
+
+
+_ELASTIC = 0.05
+
+"""Elastic range before the play opens, as a fraction of the play, so that jitter of the steering does not cross it."""
+
+_AVERAGED_S = 2.0
+
+"""Time over which the noise of the steering angle is averaged."""
+
+_RANGE = 4.0
+
+"""Range of a noise over its mean second difference: 8 standard deviations, and the mean is 1.95 of them."""
+
+_STEERED = 4.0
+
+"""Second difference over the mean beyond which it is no noise: steering begins or ends, or play is crossed."""
+
+
+class _Linkage(NamedTuple):
+    """State of the linkage.
+
+    angle : last steering angle per distance between the axles, rad/m; None before the wheels rolled
+    place : position of the linkage in its play, rad/m from the middle; for a true motion, in its elastic range
+    side : 1 if the linkage pushes the wheels to the left, -1 to the right, 0 before it has moved
+    last_s : end of the last increment, s
+    reported : last angle that the odometry reported, rad/m
+    change : of that angle, rad/m
+    unseen : travel back from that side of which the samples show nothing, rad/m, by noise or between them
+    noise : mean second difference of that angle times the root of the way: a noise of the heading, as of the ground
+    """
+
+    angle: float | None = None
+    place: float = 0.0
+    side: float = 0.0
+    last_s: float = 0.0
+    reported: float | None = None
+    change: float = 0.0
+    unseen: float = 0.0
+    noise: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringPlay(Effect):
+    """f = (0, 0, v tan(L delta) / L - omega): the wheels' angle L delta follows the odometry's through the play.
+
+    With L the distance between the axles; without it angles are assumed small. The wheels keep their angle until the
+    linkage, which begins in the middle of the play, has crossed it. Corruption crosses the play at once when the clean
+    robot begins to steer back by more than the noise of its path.
+    """
+
+    name = "steering_play"
+    odd = True
+    layer = "record"
+    summary = "the steering linkage of a car or tricycle has play: its wheels follow only when it is crossed"
+    drives = STEERED
+    about = About(
+        equation="f_yaw = v k - omega; the steering angle of the true curvature k held within +- play / 2 of the "
+        "odometry's; play as the curvature of small angles",
+        typical="0.5 to 3 degrees at the wheels: 0.03 to 0.2 rad/m on 0.3 m between the axles (an estimate)",
+        source="the play operator, as in Visintin 1994, Differential Models of Hysteresis; Rajamani, Vehicle Dynamics "
+        "and Control, chapter 2 (kinematic bicycle model)",
+        confused_with=("steering_lag", "steering_offset", "turn_asymmetry"),
+        drive="curves to both sides in turns, fast and slowly, and straights that begin from either side",
+    )
+
+    play: float = parameter(
+        "rad/m",
+        "range of the odometry's steering angle that moves nothing, per distance between the axles",
+        low=0.0,
+        high=1.0,
+        typical=0.05,
+        step=0.02,
+    )
+    axles: float = axles_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the effect for small steering angles, and for large ones."""
+        return on_every_axle_distance(cls(), motions)
+
+    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
+        """Return a linkage in the middle of its play."""
+        return _Linkage()
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the turn lost in the play; for play < 0, needed for slopes, the opposite."""
+        f, sign, half = np.zeros(len(motion)), float(np.sign(self.play)), 0.5 * abs(self.play)
+        rolls = np.abs(motion.v) >= CREEP_MPS
+        if not rolls.any():
+            return TwistError(stacked(0.0, 0.0, f, f), state)
+        v, dt_s = motion.v[rolls], motion.dt_s[rolls]
+        angle, root = steered(motion.omega[rolls] / v, self.axles), np.sqrt(np.abs(v * dt_s))
+        changes = np.diff(angle, prepend=angle[0] if state.angle is None else state.angle)
+        second = np.abs(np.diff(changes, prepend=state.change)) * root
+        gains = np.minimum(dt_s / _AVERAGED_S, 1.0)
+        place, side, noise, unseen = state.place, state.side, state.noise, state.unseen
+        before, places, elastic = state.change, [], _ELASTIC * abs(self.play)
+        rows = zip(*(column.tolist() for column in (changes, second, root, gains)), strict=True)
+        for change, rough, per_way, gain in rows:
+            reach = max(elastic, _RANGE * noise / per_way if per_way else 0.0)
+            top = half + reach
+            place = min(max(place + change, -top), top)
+            if abs(place) == top:
+                side, unseen = float(np.sign(place)), max(reach, abs(change), abs(before))
+            before = change
+            noise = _averaged(noise, rough, elastic * per_way, gain)
+            places.append(_linkage(place, side, half, unseen))
+        followed = angle - np.array(places)
+        f[rolls] = sign * v * (curvature_at(followed, self.axles) - curvature_at(angle, self.axles))
+        last = float(angle[-1])
+        after = state._replace(
+            angle=last, place=place, side=side, unseen=unseen, reported=last, change=float(changes[-1]), noise=noise
+        )
+        return TwistError(stacked(0.0, 0.0, f, f), after)
+
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
+        """Return the increments (n, 3) computed from the linkage that steers the wheels through these."""
+        ds = steps[:, 0]
+        true = steered(np.divide(steps[:, 2], ds, out=np.zeros_like(ds), where=ds != 0.0), self.axles)
+        moved, elastic = true.copy(), _ELASTIC * self.play
+        before, place, side, last_s, reported, change, _, noise = state
+        for i, (way, angle, now_s) in enumerate(zip(ds.tolist(), true.tolist(), t_s.tolist(), strict=True)):
+            dt_s, last_s = now_s - last_s, now_s
+            if dt_s < 0.0:  # time was reset
+                before, place, side = None, 0.0, 0.0
+            if not dt_s > 0.0 or abs(way) < CREEP_MPS * dt_s:
+                continue
+            root = sqrt(abs(way))
+            top = max(elastic, _RANGE / root * noise)
+            place = min(max(place + angle - (angle if before is None else before), -top), top)
+            side, before = float(np.sign(place)) or side, angle
+            # the noise is that of the reported angle, which correction knows
+            earlier, moved[i] = reported, angle + 0.5 * self.play * side
+            reported, last = float(moved[i]), change
+            change = 0.0 if earlier is None else reported - earlier
+            noise = _averaged(noise, abs(change - last) * root, elastic * root, min(dt_s / _AVERAGED_S, 1.0))
+        turned = steps.copy()
+        turned[:, 2] += (curvature_at(moved, self.axles) - curvature_at(true, self.axles)) * ds
+        return Recorded(turned, _Linkage(before, place, side, last_s, reported, change, 0.0, noise))
+
+
+def _averaged(noise: float, rough: float, least: float, gain: float) -> float:
+    """Return the mean noise after a second difference, without those of steering; `least` ones always count."""
+    return noise + gain * (min(rough, max(_STEERED * noise, least)) - noise)
+
+
+def _linkage(place: float, side: float, half: float, unseen: float) -> float:
+    """Return the linkage's place in its play on the way back from a side, of which `unseen` is not in its place."""
+    if side and half:
+        place = side * half + (place - side * half) / (1.0 - 0.5 * min(unseen / half, 1.0))
+    return min(max(place, -half), half)

@@ -124,7 +124,7 @@ def _effect(item: Mapping[str, Any], errors: dict[str, float]) -> Effect:
 
 
 def _user_effect(name: str, item: Mapping[str, Any], errors: dict[str, float]) -> Effect:
-    from odomcorrupt.effects.user import user_effect  # noqa: PLC0415 - corruption by noise alone needs no effect
+    from odomcorrupt.effects.expression import user_effect  # noqa: PLC0415 - corruption by noise alone needs no effect
 
     text = item["expression"]
     if name in registry():
@@ -291,7 +291,7 @@ def _setup_lines(setup: Setup, errors: Mapping[str, float]) -> list[str]:
 
 
 def _effect_lines(effect: Effect, errors: Mapping[str, float]) -> list[str]:
-    from odomcorrupt.effects.user import UserEffect  # noqa: PLC0415 - as above
+    from odomcorrupt.effects.expression import UserEffect  # noqa: PLC0415 - as above
 
     lines = [f"name = {_text(effect.name)}  # {effect.summary}"]
     if isinstance(effect, UserEffect):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from odomcorrupt.correction.undo import undo_effects
-from odomcorrupt.effects.gyro_bias import GyroBias
-from odomcorrupt.effects.gyro_bias_walk import GyroBiasWalk
-from odomcorrupt.effects.wheel_scale import WheelScale
+from odomcorrupt.effects.gains import WheelScale
+from odomcorrupt.effects.heading_sensors import GyroBias
+from odomcorrupt.effects.random_processes import GyroBiasWalk
 from odomcorrupt.geometry.increments import Increments, accumulate
 
 HZ = 50.0

@@ -13,7 +13,7 @@ from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import BagError
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import compose, inverse

@@ -14,7 +14,7 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.effect import Effect, TwistError, parameter, stacked
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import motion_of

@@ -8,7 +8,7 @@ import sys
 from dataclasses import fields
 from pathlib import Path
 
-from odomcorrupt.effects import region_slip, registry, steering
+from odomcorrupt.effects import ground, registry, steering
 from odomcorrupt.effects.wheels import TRACKS_M
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -69,8 +69,5 @@ def test_the_table_of_scans_has_the_values_of_the_code():
     row = rows["`steering_scale`, `steering_offset`, `steering_play`"]
     assert f"takes {degrees[0]} or {degrees[1]} degrees" in row
     assert f"{degrees[2]} or {degrees[3]} degrees" in row
-    assert (
-        f"{100 * region_slip._LEAST_SHARE:g} to {100 * region_slip._MOST_SHARE:g} % of the path"
-        in rows["`region_slip`"]
-    )
-    assert f"{region_slip._MOST_DISCS} at most" in rows["`region_slip`"]
+    assert f"{100 * ground._LEAST_SHARE:g} to {100 * ground._MOST_SHARE:g} % of the path" in rows["`region_slip`"]
+    assert f"{ground._MOST_DISCS} at most" in rows["`region_slip`"]

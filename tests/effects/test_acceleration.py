@@ -8,7 +8,7 @@ import pytest
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.compensation import corrected_increments
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import TRAIL_S, accelerations, motion_of

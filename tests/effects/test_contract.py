@@ -12,7 +12,7 @@ import pytest
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import ByRows, Effect, Moments, TwistError, parameter, stacked
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.testing import ContractError, check_effect
 
 

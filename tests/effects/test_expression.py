@@ -11,8 +11,7 @@ from manoeuvres import motion
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, parameters
-from odomcorrupt.effects.expression import parse_expression
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import parse_expression, user_effect
 from odomcorrupt.errors import EffectError, ModelError
 from odomcorrupt.model.model_file import format_model, parse_model
 

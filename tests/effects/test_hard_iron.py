@@ -8,7 +8,7 @@ from manoeuvres import motion
 from scipy.integrate import solve_ivp
 
 from odomcorrupt.effects.compensation import error_of
-from odomcorrupt.effects.hard_iron import HardIron
+from odomcorrupt.effects.heading_sensors import HardIron
 
 K, M, RATE_HZ = 0.1, -0.06, 50.0
 

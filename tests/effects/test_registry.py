@@ -36,7 +36,7 @@ def test_another_packages_effect_is_found(plugged):
     [
         ("test_contract:Missing", "cannot be loaded"),
         ("json:dumps", "not an effect class"),
-        ("odomcorrupt.effects.wheelbase:Wheelbase", "taken"),
+        ("odomcorrupt.effects.gains:Wheelbase", "taken"),
     ],
 )
 def test_a_broken_one_is_reported_and_stops_nothing(plugged, value, complaint):

@@ -9,7 +9,7 @@ import pytest
 from manoeuvres import CIRCLE, RATE_HZ, REVERSE, SPIN, STOP, STRAIGHT, error, motion, total
 
 from odomcorrupt.effects.compensation import error_of
-from odomcorrupt.effects.slope import Slope
+from odomcorrupt.effects.ground import Slope
 from odomcorrupt.errors import EffectError
 
 CASES = [

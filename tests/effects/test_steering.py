@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from manoeuvres import motion
 
-from odomcorrupt.effects.steering_lag import SteeringLag
-from odomcorrupt.effects.steering_play import SteeringPlay
+from odomcorrupt.effects.steering import SteeringLag, SteeringPlay
 
 RATE_HZ, SECONDS, SPEED_MPS = 50.0, 60.0, 2.0
 PLAY, AXLES_M = 0.02, 1.65

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.html.comparison import report_html
 from odomcorrupt.report.json.comparison import comparison_json

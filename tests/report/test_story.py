@@ -14,7 +14,7 @@ from test_report import parsed_page
 
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.report.findings import dependences_found, effects_found, foremost
 from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 from odomcorrupt.report.json.diagnosis import learned_json

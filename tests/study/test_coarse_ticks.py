@@ -9,7 +9,7 @@ import pytest
 from wandering import recording, wander
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.lost_increments import losses, wheel_losses
+from odomcorrupt.effects.counts import losses, wheel_losses
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.trajectory import Trajectory

@@ -10,7 +10,7 @@ from hidden import as_recording, ten_second_error
 from wandering import RATE_HZ, recording, wander
 
 from odomcorrupt.effects.compensation import error_of
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.simulation.faults import SIZES

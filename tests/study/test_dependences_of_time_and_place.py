@@ -9,7 +9,7 @@ import pytest
 from hidden import as_recording, ten_second_error
 
 from odomcorrupt.effects.compensation import error_of
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.trajectory import Trajectory

@@ -12,7 +12,7 @@ from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, forklift, h
 
 from odomcorrupt.api.recordings import Recordings
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.steering_lag import SteeringLag
+from odomcorrupt.effects.steering import SteeringLag
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_held_out import drive, learned_with, with_truth
 
-from odomcorrupt.effects.slope import Slope
+from odomcorrupt.effects.ground import Slope
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model

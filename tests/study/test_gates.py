@@ -11,7 +11,7 @@ from test_held_out import QUIET, drive, with_truth
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients

@@ -12,7 +12,7 @@ from wandering import RATE_HZ, recording
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import choices
-from odomcorrupt.effects.region_slip import RegionSlip
+from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach

@@ -11,7 +11,7 @@ from hidden import as_recording
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from hidden import as_recording
 
-from odomcorrupt.effects.region_slip import RegionSlip
+from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit

@@ -12,7 +12,7 @@ from wandering import recording, wander
 from odomcorrupt.correction import undo
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import accumulate
 from odomcorrupt.geometry.trajectory import Trajectory

@@ -9,7 +9,7 @@ import pytest
 from wandering import recording, wander
 
 from odomcorrupt.effects.compensation import error_of
-from odomcorrupt.effects.user import user_effect
+from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit

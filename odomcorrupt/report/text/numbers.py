@@ -6,7 +6,7 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
-from odomcorrupt.effects.region_slip import RegionSlip
+from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.report.findings import ClockFound, clocks_found
 
 if TYPE_CHECKING:

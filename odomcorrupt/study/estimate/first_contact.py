@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.backlash import Backlash
+from odomcorrupt.effects.gears import Backlash
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.study.estimate.outliers import single_events, usual_residual
 

@@ -28,8 +28,8 @@ import numpy as np
 
 from odomcorrupt.correction.pose_corrections import pose_corrections
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.backlash import AT_REST, crossed
 from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.gears import AT_REST, crossed
 from odomcorrupt.effects.wheels import TRACKS_M, rims_of
 from odomcorrupt.geometry.se2 import between, rotate, wrap
 

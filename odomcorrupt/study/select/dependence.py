@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.expression import CHANNELS
-from odomcorrupt.effects.user import LARGEST
+from odomcorrupt.effects.expression import CHANNELS, LARGEST
 from odomcorrupt.study.estimate.drive_type import is_holonomic
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.region_slip import RegionSlip
+from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
     Candidate,

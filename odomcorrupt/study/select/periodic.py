@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.expression import CHANNELS
-from odomcorrupt.effects.flat_spot import FlatSpot
+from odomcorrupt.effects.gears import FlatSpot
 from odomcorrupt.effects.wheels import TRACKS_M
 from odomcorrupt.study.estimate.drive_type import drive_type_of
 from odomcorrupt.study.select.score import project_out

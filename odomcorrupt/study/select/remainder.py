@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.quantization import Quantization
+from odomcorrupt.effects.counts import Quantization
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes, choices, shapes
-from odomcorrupt.effects.user import UserEffect, user_effect
+from odomcorrupt.effects.expression import UserEffect, user_effect
 from odomcorrupt.rng import stream
 from odomcorrupt.study.terms.basis import COEFFICIENTS, VALUES, BasisFunction
 from odomcorrupt.study.terms.channels import MOVES, Action, every_action, views

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import choices
-from odomcorrupt.effects.user import UserEffect, user_effect
+from odomcorrupt.effects.expression import UserEffect, user_effect
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error, with_truths_corrected

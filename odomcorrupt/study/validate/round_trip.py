@@ -17,7 +17,7 @@ from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.effects.user import UserEffect, user_effect
+from odomcorrupt.effects.expression import UserEffect, user_effect
 from odomcorrupt.errors import EffectError, ModelError, OdomCorruptError
 from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.geometry.trajectory import Trajectory

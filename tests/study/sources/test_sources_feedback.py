@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from sourcebags import topic, write
 from sourcedrive import Rows, path
 
-from odomcorrupt.effects.backlash import AT_REST, crossed
+from odomcorrupt.effects.gears import AT_REST, crossed
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.report.json.diagnosis import recordings_json
 from odomcorrupt.study.io import Source, read_runs

@@ -1,9 +1,9 @@
-"""Random loss of single odometry increments."""
+"""Readings of encoders and drivers: steps, truncated speeds, increments and counts that are lost."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
@@ -20,41 +20,277 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
-from odomcorrupt.effects.random_state import copied
-from odomcorrupt.effects.wheels import Rims, body_of, needed_track_m, rims_of, track_parameter
+from odomcorrupt.effects.random_processes import copied
+from odomcorrupt.effects.wheels import (
+    Rims,
+    body_of,
+    driven_speeds,
+    error_of_each_wheel,
+    needed_track_m,
+    on_every_track,
+    rims_of,
+    track_parameter,
+)
+from odomcorrupt.geometry.speed_steps import lost_parts, speed_steps
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.random import Generator
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
 
-_STILL = 1e-9
+
+class _Count(NamedTuple):
+    """Travel of each wheel so far, metres, from a random phase between two ticks."""
+
+    right: float
+    left: float
+
+
+@dataclass(frozen=True, slots=True)
+class Quantization(Effect):
+    """Each wheel reports whole ticks: its total travel rounded down to a multiple of `step`, from a random phase.
+
+    The remainder of one increment appears in a later one, so the error is bounded. It is not a function of the reported
+    motion and cannot be undone: f = 0 for correction and study, where it counts as noise.
+    """
+
+    name = "quantization"
+    kind = "noise"
+    layer = "record"
+    needs_track = True
+    summary = "wheels report whole ticks"
+    about = About(
+        equation="reported travel of a wheel = step floor(travel / step + phase)",
+        typical="0.1 to 2 mm of wheel travel a tick",
+        source="uniform quantization, as in any text on signal processing (Widrow & Kollar 2008)",
+        confused_with=("heavy_tails",),
+        drive="drive very slowly: increments then come in a lattice, in the odometry alone",
+    )
+
+    step: float = parameter("m", "wheel travel of one tick", low=0.0, high=0.1, typical=0.0005)
+
+    def start(self, rng: Generator) -> State:
+        """Return a random phase between two ticks for each wheel."""
+        right, left = copied(rng).uniform(size=2)
+        return _Count(float(self.step * right), float(self.step * left))
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f = 0: the rounding is not a function of the reported motion."""
+        return TwistError(np.zeros((len(motion), 3)), state)
+
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
+        """Return increments of whole ticks; the sideways travel of holonomic robots is unchanged."""
+        track = needed_track_m(self.name, track_m)
+        if self.step == 0.0:
+            return Recorded(steps, state)
+        ends, counted = [], []
+        for travel, before in zip(rims_of(steps[:, 0], steps[:, 2], track), state, strict=True):
+            so_far = np.cumsum(np.concatenate(([before], travel)))
+            ends.append(float(so_far[-1]))
+            counted.append(self.step * np.diff(np.floor(so_far / self.step)))
+        reported = body_of(Rims(*counted), track)
+        reported[:, 1] = steps[:, 1]
+        return Recorded(reported, _Count(*ends))
+
+    def moments(self, motion: Motion) -> Moments:
+        """Return zero mean, and the variance of a tick count with uniformly random phase."""
+        track = needed_track_m(self.name, motion.track_m)
+        ticks = [np.abs(u) * motion.dt_s / self.step for u in rims_of(motion.v, motion.omega, track)]
+        over = [t - np.floor(t) for t in ticks]
+        single = self.step**2 * sum(p * (1.0 - p) for p in over)
+        rate = np.divide(1.0, motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0) ** 2
+        variance = stacked(single * rate / 4.0, 0.0, single * rate / track**2, motion.v)
+        return Moments(np.zeros((len(motion), 3)), variance)
+
+
+_LONG_S = 3600.0
+
+_STILL = 0.02
+
+"""Speed, m/s and rad/s, over which the sign of a speed fades: a standing robot sways by about as much. With a tenth of
+it, noise of the odometry biased the fitted steps of clean drives by two standard errors."""
+
+_STILL_MEAN = 0.002
+
+"""The same for mean speeds, which have less noise: below the steps of serial protocols."""
+
+_NEAR_S = 0.5
+
+"""Window of the mean speed that a correction reads, seconds: slow turns are reported as single steps among zeros."""
+
+_TICKS = (0.15, 1.0, 0.01)
+
+"""Trial ticks: least and largest, as multiples of the ticks that equal a step, and their relative spacing, by which the
+beats of two neighbours hardly differ within the tens of steps of usual speeds."""
+
+
+@dataclass(frozen=True, slots=True)
+class TruncatedVelocity(Effect):
+    """f = (step sign(v) / 2, 0, turn sign(omega) / 2): on average half a step is truncated towards zero.
+
+    With rounding = down, it is lost upwards in both directions. Corruption truncates speeds to whole steps. The report
+    does not show the remainder, so correction adds its mean, which it reads from the mean speed around each moment.
+    Towards rest the sign fades as u / sqrt(u^2 + 0.02^2).
+
+    If speeds are counts of encoder ticks in a loop, they come in steps before the truncation already, and each reported
+    step loses another part (`tick`). The steps themselves are then those that the odometry shows.
+    """
+
+    name = "truncated_velocity"
+    odd = True
+    layer = "record"
+    summary = "velocities are truncated to whole steps before they are integrated"
+    about = About(
+        equation="reported v = step trunc(v / step); on average f = (step sign(v) / 2, 0, turn sign(omega) / 2)",
+        typical="steps of 1 to 50 mm/s and 0.01 to 0.1 rad/s, of integers in a serial protocol (an estimate)",
+        source="rounding towards zero, as an integer cast in C does (ISO/IEC 9899, 6.3.1.4); down, as // in Python",
+        confused_with=("dead_band", "wheel_scale", "counts_lost"),
+        drive="the same straight, and turns on the spot, very slowly and fast",
+    )
+
+    step: float = parameter("m/s", "step of the forward speed", low=0.0, high=0.5, typical=0.02)
+    turn: float = parameter("rad/s", "step of the yaw rate", low=0.0, high=1.0, typical=0.05)
+    tick: float = parameter(
+        "m/s", "rim speed of one encoder tick per loop, if ticks are counted before", low=0.0, high=0.5, typical=0.01,
+        amplitude=False, optional=True,
+    )  # fmt: skip
+    rounding: str = choice("to which side speeds are rounded: towards zero, or down", "zero", "down")
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the mean over all speeds and, if the odometry shows its steps, the beats of each trial tick."""
+        steps, track_m = (motions[0].steps, motions[0].track_m) if len(motions) else (None, None)
+        if steps is None or track_m is None:
+            return (cls(),)
+        ends = np.array((2.0 * steps[0], steps[1] * track_m))
+        ticks = np.exp(np.arange(np.log(_TICKS[0] * ends.min()), np.log(_TICKS[1] * ends.max()), _TICKS[2]))
+        return (cls(), *(cls(tick=float(tick)) for tick in ticks if tick < 0.5))
+
+    @property
+    def lost_m(self) -> float:
+        """Bound on the uncorrectable error: the odometry does not show the truncated part, between zero and a step."""
+        return sum(self.remainder) * _LONG_S
+
+    @property
+    def remainder(self) -> tuple[float, float]:
+        """Half a step, the largest difference between the truncated part and its mean."""
+        return 0.5 * self.step, 0.5 * self.turn
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: half a step in the direction of the motion, or upwards while a speed is reported."""
+        return TwistError(self._lost(motion, _STILL), state)
+
+    def _lost(self, motion: Motion, still: float) -> Array:
+        """Return the mean (n, 3) of what is truncated; its sign fades over the speed `still`."""
+        track_m, steps = motion.track_m, motion.steps
+        fades = [u / np.hypot(u, still) for u in (motion.v, motion.omega)]
+        if self.rounding == "down":
+            lost = [0.5 * fade**2 for fade in fades]
+        elif self.tick and track_m is not None and steps is not None:
+            lost = [
+                part * np.abs(fade)
+                for part, fade in zip(lost_parts(motion.v, motion.omega, self.tick, steps, track_m), fades, strict=True)
+            ]
+        else:
+            lost = [0.5 * fade for fade in fades]
+        return stacked(self.step * lost[0], 0.0, self.turn * lost[1], motion.v)
+
+    def restored(self, motion: Motion) -> Motion:
+        """Return the motion plus f of the mean speeds around each moment, unless the odometry reports rest."""
+        moving = (motion.v != 0.0) | (motion.omega != 0.0)
+        v, omega = (_mean_around(speed, motion.dt_s) for speed in (motion.v, motion.omega))
+        steps = speed_steps(motion.v, motion.omega, motion.dt_s, motion.track_m) if self.tick else None
+        mean = replace(motion, v=v, omega=omega, steps=steps)
+        f = self._lost(mean, _STILL_MEAN) * moving[:, None]
+        return replace(motion, v=motion.v + f[:, 0], omega=motion.omega + f[:, 2])
+
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:
+        """Return increments with speeds truncated to whole steps, of whole ticks if these are counted before."""
+        before_s, *phases = state or (0.0, 0.0, 0.0)
+        dt = np.diff(t_s, prepend=before_s)
+        moves = dt > 0.0
+        cut = steps.copy()
+        if self.tick > 0.0 and track_m is not None:
+            rims = []
+            for i, travel in enumerate(rims_of(steps[:, 0], steps[:, 2], track_m)):
+                one_m = np.where(moves, self.tick * dt, np.inf)
+                so_far = np.cumsum(np.concatenate((phases[i : i + 1], travel / one_m)))
+                rims.append(np.where(moves, np.diff(np.floor(so_far)) * self.tick * dt, travel))
+                phases[i] = float(so_far[-1])
+            cut[:, [0, 2]] = body_of(Rims(*rims), track_m)[:, [0, 2]]
+        cut_to = np.trunc if self.rounding == "zero" else np.floor
+        for column, size in ((0, self.step), (2, self.turn)):
+            if size > 0.0:
+                whole = size * dt
+                counted = np.divide(cut[:, column], whole, out=np.zeros_like(dt), where=moves)
+                cut[:, column] = np.where(moves, whole * cut_to(counted), cut[:, column])
+        return Recorded(cut, (float(t_s[-1]), *phases) if len(t_s) else state)
+
+
+def _mean_around(speed: Array, dt_s: Array) -> Array:
+    """Return the mean (n,) of a speed in windows of `_NEAR_S` around the middle of each interval."""
+    ends_s = np.concatenate(([0.0], np.cumsum(dt_s)))
+    travel = np.concatenate(([0.0], np.cumsum(speed * dt_s)))
+    middle_s = (ends_s[:-1] + ends_s[1:]) / 2.0
+    first, last = (np.clip(middle_s + side * _NEAR_S / 2.0, 0.0, ends_s[-1]) for side in (-1.0, 1.0))
+    return (np.interp(last, ends_s, travel) - np.interp(first, ends_s, travel)) / np.maximum(last - first, 1e-9)
+
+
+_ROUNDING = 1e-9
+
 """Largest increment that counts as zero (rounding), metres or radians."""
+
 _MOVING_MPS = 0.05
+
 _ARM_M = 0.2
+
 """Assumed distance of the wheels from the middle if the track is unknown, metres: a turn on the spot moves them."""
+
 _MOST_IN_A_ROW = 3
+
 _LONGEST_S = 0.25
+
 """Longest gap that counts as a loss, seconds; a longer rest may be a real stop."""
+
 _CAUGHT_UP = 1.35
+
 _FAST_SHARE = 0.125
+
 """Least share of losses at speeds above the median: half is expected, and none of a driver that cuts off low speeds."""
+
 _FREQUENT = 0.005
+
 """Rate of single losses above which losses of several increments in a row are plausible."""
+
 _NEIGHBOURS = 2
+
 """Number of increments on each side whose mean is the expected size of a pair of neighbours."""
+
 _LEAST_TICKS, LEAST_WHEEL_TICKS = 1.5, 2.5
+
 """Smallest neighbour of a lost increment, in ticks: two whole ones; three in evidence that a single wheel loses any."""
+
 _USUAL_QUANTILE, _ROUNDING_M = 0.8, 1e-7
+
 """Quantile of the changes between increments taken as the usual change; change that counts as zero, metres."""
+
 _ALIKE = 1e-3
+
 """Relative difference of increments of equal length: a chord is shorter than its arc by a 24th of the turn squared."""
+
 _TRACKS_M, _TRACK_RANGE = (0.03, 3.0), (0.7, 1.4)
+
 """Tracks that a driver may compute the odometry with: of any robot, and as a multiple of a robot's known track."""
+
 _FEWEST = 5
+
 """Fewest lost increments of a wheel that show the track: their ratios of travel to turn are the same."""
+
 _STEADY = 0.25
+
 """Largest relative change of the other wheel's speed at such a loss."""
 
 
@@ -198,7 +434,7 @@ def losses(motion: Motion) -> Losses:
     """
     arm_m = _ARM_M if motion.track_m is None else motion.track_m / 2.0
     travel = (np.hypot(motion.v, motion.vy) + arm_m * np.abs(motion.omega)) * motion.dt_s
-    moves = (np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s >= _STILL
+    moves = (np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s >= _ROUNDING
     return _losses_of(motion, travel, moves, _LEAST_TICKS)
 
 
@@ -215,7 +451,7 @@ def wheel_losses(motion: Motion, track_m: float | None, ticks: float = _LEAST_TI
     if own_m is None:
         return None
     rims = rims_of(motion.v * motion.dt_s, motion.omega * motion.dt_s, own_m)
-    exact = _STILL + (_ALIKE + (motion.omega * motion.dt_s) ** 2 / 24.0) * np.maximum(*np.abs(rims))
+    exact = _ROUNDING + (_ALIKE + (motion.omega * motion.dt_s) ** 2 / 24.0) * np.maximum(*np.abs(rims))
     moves = [np.abs(travel) > exact for travel in rims]
     right, left = (_losses_of(motion, u, m, ticks) for u, m in zip(rims, moves, strict=True))
     alone = int(np.sum(right.lost & moves[1])), int(np.sum(left.lost & moves[0]))
@@ -304,3 +540,59 @@ def _around(way: Array) -> Array:
     padded = np.concatenate((np.full(_NEIGHBOURS, way[0]), way, np.full(_NEIGHBOURS, way[-1])))
     total = np.convolve(padded, np.ones(2 * _NEIGHBOURS + 2), "valid")
     return (total[: len(way) - 1] - way[:-1] - way[1:]) / (2.0 * _NEIGHBOURS)
+
+
+_SPEEDS = (0.4, 0.6, 0.75, 0.88)
+
+"""Trial values of the speed limit, as fractions of a drive's highest rim speed."""
+
+
+@dataclass(frozen=True, slots=True)
+class CountsLost(Effect):
+    """f of a wheel = part (abs(u) - speed) sign(u) where the reported rim speed u is above `speed`.
+
+    Beyond that speed, 1 / (1 + part) of a wheel's rotation is counted. Without a track, f applies to the body.
+    """
+
+    name = "counts_lost"
+    odd = True
+    summary = "encoder counts are lost above a speed: fast wheels go farther than is counted"
+    about = About(
+        equation="f_wheel = part (abs(u) - speed) sign(u) where abs(u) > speed",
+        typical="from half of full speed on where interrupts of a microcontroller count a fast encoder (an estimate)",
+        source="engineering judgement; no published figures known to us",
+        confused_with=("speed_scale", "wheel_scale", "dead_band"),
+        drive="the same straight at several speeds up to the highest, and fast turns on the spot",
+    )
+
+    part: float = parameter(
+        "", "travel lost above the speed, over travel counted there", low=0.0, high=20.0, typical=0.3
+    )
+    speed: float = parameter(
+        "m/s",
+        "rim speed above which they are lost",
+        low=0.02,
+        high=10.0,
+        typical=0.3,
+        identity=0.3,
+        amplitude=False,
+    )
+    track: float = track_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return a candidate for each trial speed limit."""
+        moving = driven_speeds(motions)
+        if not len(moving):
+            return ()
+        most = float(np.quantile(moving, 0.99))
+        limits = [cls(speed=float(np.clip(part * most, 0.02, 10.0))) for part in _SPEEDS]
+        return on_every_track(limits, motions)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the speed that was not counted."""
+        return TwistError(error_of_each_wheel(self._missed, motion, self.track or motion.track_m), state)
+
+    def _missed(self, u: Array) -> Array:
+        """Return the uncounted speed (n,) at reported speeds."""
+        return self.part * np.sign(u) * np.maximum(np.abs(u) - self.speed, 0.0)

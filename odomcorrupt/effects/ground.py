@@ -1,28 +1,39 @@
-"""Wheel slip on one patch of the floor."""
+"""Effects of places and of the floor: slippery regions, slopes, castors."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from odomcorrupt.drive_types import PIVOTING
 from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.gears import AT_REST, crossed
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, turning, wheel_motions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
 
+
 _MOST_DISCS = 400
+
 _ANGLES = (1e-3, np.pi / 6.0, np.pi / 3.0)
+
 """Of the first rectangles, rad; not exactly 0, at which an optional parameter is held."""
+
 _RESTS_M = 1e-12
+
 """Ways shorter than this are at one place, m."""
+
 _LEAST_SHARE, _MOST_SHARE = 0.01, 0.8
+
 """Fractions of the path inside a disc below and above which its slip cannot be estimated."""
 
 
@@ -209,3 +220,95 @@ def _free_edges(along: Array, beside: NDArray[np.bool_], half: float) -> tuple[f
     top = 0.5 * (inside.max() + above.min()) if len(above) else 2.0 * half
     bottom = 0.5 * (inside.min() + below.max()) if len(below) else -2.0 * half
     return float(bottom), float(top)
+
+
+_DIRECTIONS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Slope(Effect):
+    """f = creep abs(v) in a fixed direction of the truth frame, rotated into the body frame.
+
+    Two of them at right angles span all directions linearly; a negative creep is the opposite direction.
+    """
+
+    name = "slope"
+    odd = True
+    summary = "the robot creeps in one direction of the world as it drives"
+    reads_truth = True
+    reads_places = True
+    about = About(
+        equation="f = creep abs(v) (cos(direction - theta), sin(direction - theta), 0)",
+        typical="0.3 to 3 % of the way on ramps of 2 to 5 degrees (an estimate)",
+        source="slip under a constant force, with a linear tyre (Rajamani, Vehicle Dynamics and Control)",
+        confused_with=("mount_yaw", "wheel_scale", "region_slip"),
+        drive="drive the same place in all four headings",
+    )
+
+    creep: float = parameter("", "creep per metre driven", low=-0.2, high=0.2, typical=0.01)
+    direction: float = parameter(
+        "rad", "heading it creeps towards, in the truth frame", low=-6.29, high=6.29, typical=1.0, amplitude=False
+    )
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - directions do not depend on the drive
+        """Return directions over half a turn, 15 degrees apart; the sign of the creep covers the other half."""
+        return tuple(cls(direction=math.pi * i / _DIRECTIONS) for i in range(_DIRECTIONS))
+
+    def plain(self) -> Self:
+        """Return the equivalent effect with positive creep."""
+        turned = self.direction + (math.pi if self.creep < 0.0 else 0.0)
+        return replace(self, creep=abs(self.creep), direction=math.remainder(turned, 2.0 * math.pi))
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the downhill creep in the body frame."""
+        speed = self.creep * np.abs(motion.v)
+        away = self.direction - motion.theta
+        return TwistError(stacked(speed * np.cos(away), speed * np.sin(away), 0.0, motion.v), state)
+
+
+_SWING_TRAVELS_M = (0.05, 0.1, 0.2)
+
+"""Trial travels of the swing, metres: castors trail by 10 to 50 mm and swing round within two to four times that."""
+
+
+@dataclass(frozen=True, slots=True)
+class CastorKick(Effect):
+    """f = (0, 0, angle v / way) while the castors swing round, 0 once they trail.
+
+    The castors' state is the play operator on the robot's travel: after a reversal they swing round within `way`.
+    The next reversal undoes the turn, so driving forth and back leaves none.
+    """
+
+    name = "castor_kick"
+    odd = True
+    summary = "castors swing round after each reversal and turn the robot"
+    drives = PIVOTING
+    about = About(
+        equation="f_yaw = angle v / way within `way` after each reversal of the travel, 0 elsewhere",
+        typical="0.5 to 3 degrees within 5 to 20 cm (an estimate: off-centre castors, a load on one side)",
+        source="engineering judgement; the play operator, as in Visintin 1994, Differential Models of Hysteresis",
+        confused_with=("backlash", "unequal_wheels"),
+        drive="drive a metre forth and back, many times, with long straights between",
+    )
+
+    angle: float = parameter("rad", "turn left after a reversal to forwards", low=-0.3, high=0.3, typical=0.02)
+    way: float = parameter(
+        "m", "travel within which the castors swing round", low=0.01, high=0.5, typical=0.1, identity=0.1,
+        amplitude=False,
+    )  # fmt: skip
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - castor sizes do not depend on the drive
+        """Return a candidate for each trial travel of the swing."""
+        return tuple(replace(cls(), way=way) for way in _SWING_TRAVELS_M)
+
+    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
+        """Return the state of trailing castors."""
+        return AT_REST
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a turn in proportion to the travel during which the castors swing."""
+        swing, after = crossed(motion.v * motion.dt_s, state, self.way)
+        rate = np.divide(self.angle / self.way, motion.dt_s, out=np.zeros_like(swing), where=motion.dt_s > 0.0)
+        return TwistError(stacked(0.0, 0.0, rate * swing, motion.v), after)

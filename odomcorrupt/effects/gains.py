@@ -1,0 +1,347 @@
+"""Wrong gains of the motion: sizes of wheels and track, constant or changing with speed, time, side or acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from odomcorrupt.drive_types import PIVOTING
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.wheels import (
+    Rims,
+    body_of,
+    heading_choice,
+    needed_track_m,
+    on_every_track,
+    rims_of,
+    track_parameter,
+    turning,
+    wheel_motions,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+
+
+@dataclass(frozen=True, slots=True)
+class WheelScale(Effect):
+    """f = (e v, e vy, e omega): distance and turn are wrong by the same factor.
+
+    Borenstein & Feng 1996, IEEE T-RA 12(6), E_s.
+    """
+
+    name = "wheel_scale"
+    odd = True
+    summary = "the wheels' true radius differs from the nominal one"
+    about = About(
+        equation="f = e (v, vy, omega); e (v, vy, 0) with a gyro",
+        typical="0.2 to 2 %; inflatable tyres up to 3 %",
+        source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_s",
+        confused_with=("speed_scale", "scale_drift", "lost_increments", "lever_arm"),
+        drive="straights and turns, at two speeds",
+    )
+
+    e: float = parameter("", "true over nominal wheel radius, minus one", low=-0.8, high=4.0, typical=0.01)
+    heading: str = heading_choice()
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f, proportional to the whole twist."""
+        yaw = turning(self.heading, self.e * motion.omega)
+        return TwistError(stacked(self.e * motion.v, self.e * motion.vy, yaw, motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
+class Wheelbase(Effect):
+    """f = (0, 0, -e / (1 + e) omega).
+
+    Borenstein & Feng 1996, IEEE T-RA 12(6), E_b = 1 + e; skid-steered robots: Mandow & Martinez 2007, 1.3 to 2.
+    """
+
+    name = "wheelbase"
+    summary = "the true distance between the wheels differs from the nominal track"
+    drives = PIVOTING
+    about = About(
+        equation="f_yaw = -e / (1 + e) omega",
+        typical="0.5 to 5 % with wide tyres; factors of 1.3 to 2 when skid-steering",
+        source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_b",
+        confused_with=("gyro_scale", "turn_asymmetry", "speed_scale"),
+        drive="turn on the spot both ways; only the source of the heading separates the two",
+    )
+
+    e: float = parameter("", "true over nominal track, minus one", low=-0.8, high=4.0, typical=0.015)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: every turn has the same scale error."""
+        return TwistError(stacked(0.0, 0.0, -self.e / (1.0 + self.e) * motion.omega, motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
+class UnequalWheels(Effect):
+    """f = (curvature b^2 omega / 4, 0, curvature v); the first term only if the track b is known.
+
+    With radii r_right / r_left = 1 + e, curvature = e / b. Borenstein & Feng 1996, IEEE T-RA 12(6), E_d.
+    """
+
+    name = "unequal_wheels"
+    summary = "one wheel is larger than the other, so that straight lines bend"
+    drives = PIVOTING
+    about = About(
+        equation="f_yaw = curvature v; with the track b also f_along = curvature b^2 omega / 4",
+        typical="wheels that differ by 0.05 to 1 %: 0.001 to 0.03 rad/m on a track of 0.4 m",
+        source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_d",
+        confused_with=("gyro_bias", "turn_asymmetry"),
+        drive="long straights, forwards and in reverse, at two speeds, with a stop of a minute",
+    )
+
+    curvature: float = parameter(
+        "rad/m", "true curvature of a path that odometry reports as straight", low=-1.0, high=1.0, typical=0.005
+    )
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the yaw error is proportional to the distance, and changes sign in reverse."""
+        track = motion.track_m or 0.0
+        return TwistError(
+            stacked(self.curvature * track**2 / 4.0 * motion.omega, 0.0, self.curvature * motion.v, motion.v),
+            state,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TurnAsymmetry(Effect):
+    """f = (0, 0, k abs(omega)): the true turn is 1 + k of the odometry's to the left and 1 - k to the right."""
+
+    name = "turn_asymmetry"
+    odd = True
+    summary = "left turns come out larger than right turns, or the other way round"
+    about = About(
+        equation="f_yaw = k abs(omega)",
+        typical="0.3 to 3 % (an estimate: an off-centre load, a tyre that scrubs on one side)",
+        source="engineering judgement; no published figures known to us",
+        confused_with=("unequal_wheels", "gyro_bias", "wheelbase"),
+        drive="turn on the spot, as often to the left as to the right, with straights between",
+    )
+
+    k: float = parameter("", "half the difference of the gains, left minus right", low=-0.2, high=0.2, typical=0.01)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: an extra turn to the left in every turn."""
+        return TwistError(stacked(0.0, 0.0, self.k * np.abs(motion.omega), motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedScale(Effect):
+    """f_wheel = k abs(u)^n u at rim speed u, n = 1 or 2; without a track, the limit k abs(v)^n (v, 0, (n + 1) omega).
+
+    With a track, both radii change alike in a turn on the spot, and the turn changes with them.
+    """
+
+    name = "speed_scale"
+    odd = True
+    summary = "the wheels' radius changes with their speed"
+    about = About(
+        equation="f_wheel = k abs(u) u for each wheel's rim speed u (power = square: k u^3); no yaw with a gyro",
+        typical="0.1 to 3 % per m/s; square: by centrifugal force or drag, -3 % at full speed (an estimate)",
+        source="tyre growth and slip, as in any text on tyres; sizes are engineering judgement",
+        confused_with=("wheel_scale", "accel_slip", "wheelbase"),
+        drive="the same straight slowly and fast",
+    )
+
+    k: float = parameter(
+        "s/m", "growth of the radius per rim speed; square: at 1 m/s", low=-0.1, high=0.1, typical=0.01
+    )
+    heading: str = heading_choice()
+    power: str = choice("how the growth depends on the rim speed", "linear", "square")
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a scale error that grows with the speed, per wheel."""
+        if motion.track_m is None:
+            scale = self._scale(motion.v)
+            yaw = turning(self.heading, (2.0 if self.power == "linear" else 3.0) * scale * motion.omega)
+            return TwistError(stacked(scale * motion.v, 0.0, yaw, motion.v), state)
+        grown = Rims(*(self._scale(u) * u for u in rims_of(motion.v, motion.omega, motion.track_m)))
+        return TwistError(body_of(grown, motion.track_m, self.heading), state)
+
+    def _scale(self, u: Array) -> Array:
+        """Return the relative change (n,) of the radius at rim speeds u (n,)."""
+        return self.k * (np.abs(u) if self.power == "linear" else u**2)
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleDrift(Effect):
+    """f = rate t (v, vy, omega), t since the first odometry stamp."""
+
+    name = "scale_drift"
+    odd = True
+    summary = "the scale of distance and turn changes with time"
+    about = About(
+        equation="f = rate t (v, vy, omega); rate t (v, vy, 0) with a gyro",
+        typical="1 to 2 % over a long drive with a leaking tyre; 0.3 % per 10 K of tyre temperature (an estimate)",
+        source="the idea: time-varying radii in Kuemmerle, Grisetti & Burgard 2011; sizes are engineering judgement",
+        confused_with=("wheel_scale", "region_slip", "clock_skew"),
+        drive="repeat one loop for half an hour and more",
+    )
+
+    rate: float = parameter("1/s", "growth of the true radius per second", low=-1e-3, high=1e-3, typical=1e-5)
+    heading: str = heading_choice()
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a scale error that grows with time."""
+        scale = self.rate * motion.t_s
+        yaw = turning(self.heading, scale * motion.omega)
+        return TwistError(stacked(scale * motion.v, scale * motion.vy, yaw, motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
+class BatterySag(Effect):
+    """f = rate t (v, vy, omega), rate < 0, t since the first odometry stamp: motor speed is proportional to voltage."""
+
+    name = "battery_sag"
+    summary = "commanded speeds are reached less and less, as the battery's voltage falls"
+    aliased_with = "scale_drift"
+    about = About(
+        equation="f = rate t (v, vy, omega), rate < 0, of the velocities that were commanded",
+        typical="10 to 25 % from a full battery to an empty one: 5e-5 to 4e-4 per second (an estimate)",
+        source="Hughes & Drury 2019, Electric Motors and Drives (a DC motor's speed is in proportion to its voltage)",
+        confused_with=("scale_drift", "wheel_scale", "dead_band"),
+        drive="repeat one loop for ten minutes and more; a full battery put in at half time separates it from a tyre",
+    )
+
+    rate: float = parameter(
+        "1/s", "change of the reached fraction of the commanded speed, per second", low=-1e-3, high=0.0, typical=-1e-4,
+        step=1e-7,
+    )  # fmt: skip
+    heading: str = heading_choice()
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a scale error that grows with time."""
+        scale = self.rate * motion.t_s
+        yaw = turning(self.heading, scale * motion.omega)
+        return TwistError(stacked(scale * motion.v, scale * motion.vy, yaw, motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
+class AccelSlip(Effect):
+    """f = (-k abs(v) a, 0, 0): slip ratio proportional to acceleration, of the body or of each wheel.
+
+    With contact = axle both wheels slip by the same ratio: the faster one loses more, and the robot turns less than
+    it reports. The acceleration that each wheel feels in a turn depends on the robot's inertia (contact = wheels).
+
+    f is a total derivative, -k/2 d(v abs(v)), and cancels from stop to stop. Therefore v is the speed whose rate is a,
+    that of the body. The effect can be applied and inverted at any strength.
+    """
+
+    name = "accel_slip"
+    odd = True
+    summary = "wheels slip when the robot speeds up, and skid when it brakes"
+    reads_truth = True
+    about = About(
+        equation="f_along = -k abs(v) a; of each rim u, contact = axle: f_wheel = -k abs(u) a, wheels: -k abs(u) du/dt",
+        typical="a slip of 0.5 to 6 % at 1 m/s^2 (an estimate)",
+        source="Rajamani, Vehicle Dynamics and Control (slip ratio and longitudinal tyre force)",
+        confused_with=("time_offset", "backlash", "speed_scale"),
+        drive="speed up and brake hard, at two speeds, with turns on the spot between: a late clock delays these too",
+    )
+
+    k: float = parameter("s^2/m", "slip ratio per acceleration", low=0.0, high=0.2, typical=0.02)
+    heading: str = heading_choice()
+    contact: str = choice(
+        "what slips, and at whose acceleration: the robot as a whole, each wheel at the robot's, or each at its own",
+        "body", "axle", "wheels",
+    )  # fmt: skip
+    track: float = track_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return candidates for the body and for single wheels, the latter on each trial track if it is unknown."""
+        wheels = on_every_track((cls(contact="axle"), cls(contact="wheels")), motions)
+        return (cls(), *(effect for effect in wheels if effect.track))
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the robot lags its odometry while speeding up and leads it while braking."""
+        if self.contact == "body":
+            return TwistError(stacked(self._gained(motion, motion.a), 0.0, 0.0, motion.v), state)
+        track_m = needed_track_m(self.name, self.track or motion.track_m)
+        wheels = wheel_motions(motion, track_m)
+        rims = Rims(*(self._gained(wheel, motion.a if self.contact == "axle" else wheel.a) for wheel in wheels))
+        return TwistError(body_of(rims, track_m, self.heading), state)
+
+    def _gained(self, motion: Motion, faster: Array) -> Array:
+        """Return the true minus reported speed (n,) of the body or a wheel, negative while speeding up."""
+        return -self.k * np.abs(motion.steady_v) * faster
+
+
+@dataclass(frozen=True, slots=True)
+class SideSlip(Effect):
+    """f = (0, -k v omega, 0): a slip angle proportional to the lateral force m v omega.
+
+    Rajamani, Vehicle Dynamics and Control, ch. 2 (linear tyre).
+    """
+
+    name = "side_slip"
+    odd = True
+    summary = "the robot slips outwards in turns, in proportion to speed times yaw rate"
+    about = About(
+        equation="f_across = -k v omega",
+        typical="0.01 to 0.1 s (an estimate)",
+        source="Rajamani, Vehicle Dynamics and Control (linear tyre)",
+        confused_with=("icr_shift", "lever_arm", "mount_yaw"),
+        drive="the same turn slowly and fast",
+    )
+
+    k: float = parameter("s", "sideways speed per speed and yaw rate", low=0.0, high=0.5, typical=0.03)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a sideways error in turns."""
+        return TwistError(stacked(0.0, -self.k * motion.v * motion.omega, 0.0, motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
+class SidewaysScale(Effect):
+    """f = (0, e vy, 0): only sideways travel is affected."""
+
+    name = "sideways_scale"
+    summary = "sideways the robot goes farther or less far than its wheels show"
+    needs_sideways = True
+    about = About(
+        equation="f = (0, e vy, 0)",
+        typical="-1 to -10 %: rollers of mecanum wheels slip and have play when the robot goes sideways (an estimate)",
+        source="Tlale & de Villiers 2008, Kinematics and dynamics modelling of a mecanum wheeled mobile platform",
+        confused_with=("wheel_scale", "mount_yaw", "side_slip"),
+        drive="sideways to and fro, at two headings, and straights as long",
+    )
+
+    e: float = parameter("", "true over nominal sideways travel, minus one", low=-0.8, high=4.0, typical=0.03)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f, proportional to the sideways speed."""
+        return TwistError(stacked(0.0, self.e * motion.vy, 0.0, motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
+class SidewaysTurn(Effect):
+    """f = (0, 0, k vy): a wheel of another radius turns the robot in proportion to its sideways travel.
+
+    By the kinematics of omnidirectional wheels (Siegwart, Nourbakhsh & Scaramuzza, Introduction to Autonomous Mobile
+    Robots, section 3.2.5); the part that turns it in proportion to its forward travel is `unequal_wheels`.
+    """
+
+    name = "sideways_turn"
+    summary = "the robot turns as it drives sideways, because its wheels differ in radius or grip"
+    needs_sideways = True
+    about = About(
+        equation="f_yaw = k vy",
+        typical="0.01 to 0.1 rad/m: a wheel 1 % larger, 0.2 m from the centre (by the kinematics)",
+        source="Siegwart, Nourbakhsh & Scaramuzza, Introduction to Autonomous Mobile Robots, section 3.2.5",
+        confused_with=("unequal_wheels", "gyro_bias"),
+        drive="sideways to and fro, and straights as long",
+    )
+
+    k: float = parameter("rad/m", "true minus nominal turn per metre to the left", low=-1.0, high=1.0, typical=0.03)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f, a turn in proportion to the sideways speed."""
+        return TwistError(stacked(0.0, 0.0, self.k * motion.vy, motion.v), state)
