@@ -196,10 +196,6 @@ class Effect:
         """
         return (cls(),)
 
-    def limited(self, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG002 - for effects with limits
-        """Return the effect at its fitted size with trial values of limits, which are optional shapes that it lacks."""
-        return ()
-
     def related(self) -> tuple[Self, ...]:
         """Return other forms of the effect near this shape, which a search tries only if its gain is large."""
         return ()

@@ -19,7 +19,6 @@ from odomcorrupt.effects.effect import (
     choice,
     choices,
     parameter,
-    parameters,
     stacked,
 )
 from odomcorrupt.effects.lags import lag_remainder
@@ -205,14 +204,6 @@ class SteeringScale(Effect):
         return np.arctan(tangent) * (1.0 + tangent**2) / tangent
 
 
-_BEYOND = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85)
-
-"""Parts of all lag, summed over time, that are due to lags larger than a trial limit."""
-
-_OF_CURVATURE = (1.0, 0.85)
-
-"""Trial limits of large angles, as parts of those of the curvature: angles change less than their tangents."""
-
 _ROLLS_MPS = 0.01 - 1e-9
 
 """Speed from which a path shows the wheels' angle, m/s; just below a round one, which rounding may reach. Wheels turn
@@ -323,26 +314,6 @@ class SteeringLag(Effect):
     def acts(self) -> bool:
         """Whether the effect does anything: wheels with a largest rate are late without any lag."""
         return self.tau != 0.0 or self.rate != 0.0
-
-    def limited(self, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return the lag with trial limits that a part of its steering on these motions exceeds.
-
-        With a limit, those for large steering angles; without one, these differ from small ones in second order only.
-        """
-        if self.rate or self.stop:
-            steep = () if self.axles else on_every_axle_distance(self, motions)[1:]
-            return tuple(replace(one, rate=p * one.rate, stop=p * one.stop) for one in steep for p in _OF_CURVATURE)
-        if not self.tau > 0.0:
-            return ()
-        followed = [self._followed(m, _Steering()) for m in motions]
-        lags = np.sort(np.abs(np.concatenate([one.wheels - one.shown for one in followed])))[::-1]
-        total = np.cumsum(lags)
-        if not total.size or total[-1] == 0.0:
-            return ()
-        stops = lags[np.searchsorted(total, np.array(_BEYOND) * total[-1])].tolist()
-        limits = [*(("stop", stop) for stop in stops), *(("rate", stop / self.tau) for stop in stops)]
-        high = {p.name: p.high for p in parameters(type(self))}
-        return tuple(replace(self, **{name: value}) for name, value in limits if value < high[name])
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
         """Return the state of wheels that have not rolled yet."""

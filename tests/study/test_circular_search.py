@@ -48,14 +48,10 @@ def search(monkeypatch, following, decisions=DECISIONS):
     monkeypatch.setattr(stepwise, "library_candidates", candidates)
     monkeypatch.setattr(stepwise, "with_shape_refined", lambda fit, score, _: (fit, score))
     monkeypatch.setattr(stepwise, "without_redundant", lambda fit, *_: fit)
-    monkeypatch.setattr(stepwise.clock_rivals, "cancelled_lag", lambda *_: None)
     for name, does in {
         "_correlated": lambda *_: None,
         "_propose": lambda *_, **__: None,
         "_finish": lambda _: None,
-        "_add_clock": lambda _: False,
-        "_swap_clock": lambda _: False,
-        "_replace_clock_by_lag": lambda *_, **__: False,
     }.items():
         monkeypatch.setattr(stepwise._Selection, name, does)
     return stepwise._Selection(NOTHING, [], set(), NO_CLOCK, decisions).run()
@@ -83,7 +79,6 @@ def test_a_law_that_physics_contradicts_does_not_come_again_for_ever(monkeypatch
     for name, does in {
         "library_candidates": lambda *_: [],
         "CoarseDesign": lambda *_: None,
-        "least_thresholds": lambda _: {},
         "basis_scores": lambda *_: [],
         "dependences": lambda *_: [],
         "channels_of": lambda *_: [],
@@ -93,8 +88,7 @@ def test_a_law_that_physics_contradicts_does_not_come_again_for_ever(monkeypatch
         "without_redundant": lambda fit, *_: fit,
     }.items():
         monkeypatch.setattr(stepwise, name, does)
-    monkeypatch.setattr(stepwise.clock_rivals, "cancelled_lag", lambda *_: None)
-    for name in ("_add_clock", "_correlated", "_finish", "_compare", "_swap_clock", "_replace_clock_by_lag"):
+    for name in ("_correlated", "_finish", "_compare"):
         monkeypatch.setattr(stepwise._Selection, name, lambda *_, **__: None)
     bare.problem = law.problem = None
     found = stepwise._Selection(bare, [], set(), NO_CLOCK, DECISIONS).run()

@@ -11,21 +11,13 @@ from wandering import noisy_path, recording, wander
 from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, forklift, hobby, lagged
 
 from odomcorrupt.api.recordings import Recordings
-from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.steering import SteeringLag
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.model_file import format_model, parse_model
-from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
-from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.io import Source
-from odomcorrupt.study.select.clock_rivals import clock_beside_lag
-from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.fitted_size import with_limit
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.library import library_families
 
@@ -120,50 +112,6 @@ def test_a_forklift_with_nothing_wrong_has_no_name():
     learned = learn([replace(forklift(1), drive_type="tricycle")])
     assert not learned.fit.effects
     assert not learned.unknown
-
-
-@pytest.mark.parametrize(
-    ("flaw", "limit", "size"),
-    [
-        (Flaw(lag_s=0.15, rate=0.25), "rate", 0.25 / AXLES_M),
-        (Flaw(rate=0.25), "rate", 0.25 / AXLES_M),
-        (Flaw(lag_s=0.15, stop=0.03), "stop", 0.03 / AXLES_M),
-        (Flaw(lag_s=0.15), None, 0.0),
-    ],
-)
-def test_a_lag_has_the_limit_of_its_servo_or_its_linkage_and_no_other(flaw, limit, size):
-    runs = [car(1, flaw, 120.0)]
-    start = fit(runs, [SteeringLag(tau=0.1)], approach=choose_approach(runs, "diffusion"))
-    found = with_limit(start, "steering_lag", DECISIONS)
-    (effect,) = found.effects
-    assert effect.tau == pytest.approx(flaw.lag_s, abs=max(SURE * found.standard_errors[0], 0.01))
-    assert [name for name in ("rate", "stop") if getattr(effect, name)] == ([limit] if limit else [])
-    if limit:
-        # limits are of the angle, and a curvature grows with its tangent: 6 % more at 0.25 rad
-        assert getattr(effect, limit) == pytest.approx(size, rel=0.06)
-
-
-def test_a_lag_of_the_steering_and_a_late_clock_are_no_lags_of_both_speeds():
-    """The clock was a delay of the travel, sure, and was missing in the lag: other drives kept four times the floor."""
-    run = car(1, Flaw(lag_s=0.2), 120.0)
-    run = replace(run, odometry=replace(run.odometry, stamps_ns=run.odometry.stamps_ns + 60_000_000))
-    travel = effect_from_values("channel_lag", {"tau": 0.06, "channel": "along", "by": "delay"})
-    both = fit([run], [travel, SteeringLag(tau=0.14)], approach=choose_approach([run]))
-    found = clock_beside_lag(both, (), DECISIONS)
-    assert found.more_nats > DECISIONS.replacement_nats
-    assert found.fit.problem.clocks[0].offset_s == pytest.approx(0.06, abs=0.003)
-    (lag,) = found.fit.effects
-    assert lag.tau == pytest.approx(0.2, abs=0.01)
-
-
-@pytest.mark.slow
-def test_a_servo_with_a_largest_rate_is_a_lag_with_one():
-    (effect,) = learn([car(1, Flaw(lag_s=0.15, rate=0.25))]).fit.effects
-    assert effect.name == "steering_lag"
-    assert effect.rate == pytest.approx(0.25 / AXLES_M, rel=0.06)
-    again = parse_model(format_model(MotionModel(Noise("diffusion", QUIET), (effect,)))).effects
-    assert again[0].rate == pytest.approx(effect.rate, rel=1e-3)
-    assert not again[0].stop
 
 
 @pytest.mark.slow

@@ -12,14 +12,9 @@ from wandering import RATE_HZ, recording
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import choices
-from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.heading_source import turns_at_rest
-from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.elimination import one_heading
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.testing import contract_drive
 
@@ -75,16 +70,6 @@ def laps(noise_rad=0.0, lag_s=0.0):
 @pytest.mark.parametrize(("noise_rad", "lag_s", "gyro"), [(1.4e-5, 0.0, True), (0.0, 0.0, False), (0.0, 0.1, False)])
 def test_a_heading_that_goes_on_changing_at_rest_is_measured_by_a_gyro(noise_rad, lag_s, gyro):
     assert turns_at_rest(laps(noise_rad, lag_s)) is gyro
-
-
-@pytest.mark.parametrize(("noise_rad", "word"), [(1.4e-5, "gyro"), (0.0, "wheels")])
-def test_where_no_turn_tells_the_source_of_the_heading_its_rests_do(noise_rad, word):
-    # breaks where wheels are the rule: a patch learned from straights turned another drive by a slip that it had not
-    run = laps(noise_rad)
-    found = fit([run], [RegionSlip(slip=0.07, x=3.0, radius=1.5)], approach=choose_approach([run]))
-    (patch,) = one_heading(found, (), DECISIONS).effects
-    assert patch.heading == word
-    assert patch.slip == pytest.approx(0.07, rel=0.1)
 
 
 @pytest.mark.slow

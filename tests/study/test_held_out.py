@@ -26,7 +26,6 @@ from odomcorrupt.study.estimate.drift_error import Drift
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.random_process import part_name
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.clock_rivals import beside_lags
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.contribution import Contribution, Span
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
@@ -240,17 +239,6 @@ def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
     pulled = replace(learned.fit.problem, recordings=(replace(run, pulled_per_s=0.2),))
     assert confidence(evidence_of(step, learned)) > 0.9
     assert confidence(evidence_of(step, replace(learned, fit=replace(learned.fit, problem=pulled)))) < 0.6
-
-
-def test_what_a_lag_may_leave_is_no_sure_clock():
-    clocks = Clocks((Clock(-0.019),), ((True, False),), ((0.0005, 0.0),))
-    for tau, sure in ((0.29, False), (0.05, True)):
-        lag = effect_from_values("motor_lag", {"tau": tau})
-        fitted = SimpleNamespace(
-            problem=SimpleNamespace(clocks=clocks.clocks), clock_errors=np.array([[0.0005, 0.0]]), effects=(lag,)
-        )
-        (found,) = clocks_found(beside_lags(clocks, fitted))
-        assert (found.confidence > 0.9) == sure
 
 
 def test_a_clock_beside_which_errors_depend_on_the_acceleration_is_the_less_sure():

@@ -15,10 +15,8 @@ from odomcorrupt.study.select.model_comparison import (
     ModelComparison,
     margins,
     rivals,
-    with_final_rivals,
 )
 from odomcorrupt.study.select.proposals import best_dependence, best_replacement
-from odomcorrupt.study.select.result import Step
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,7 @@ def test_dependences_are_compared_by_refits_with_the_same_outliers(monkeypatch):
         form = SimpleNamespace(term=SimpleNamespace(name=name), estimated=name, penalty=10.0)
         return SimpleNamespace(best=SimpleNamespace(score=form, others=()), name=name, nats=nats)
 
-    def refitted(_, with_it, score, __, *, gain, least):
+    def refitted(_, with_it, score, *, gain, least):
         return Candidate(score=score, fit=with_it, gain=gain, refused="" if gain > least else "gains less")
 
     monkeypatch.setattr(proposals, "tried", refitted)
@@ -131,22 +129,3 @@ class Fitted:
 
     def refit(self, effects, **_):
         return Fitted(*effects)
-
-
-def test_rivals_are_those_of_the_final_model_and_an_effect_of_the_model_is_none():
-    unequal, scale, speed = (effect_from_values(name, {}) for name in Fitted.GAINS)
-
-    def candidate(effect, gain):
-        term = SimpleNamespace(name=effect.name)
-        return Candidate(score=SimpleNamespace(term=term, estimated=effect, penalty=5.0), gain=gain)
-
-    first = Step(
-        before=Fitted(), added="unequal_wheels",
-        candidates=(candidate(unequal, 75.0), candidate(scale, 74.5), candidate(speed, 74.0)),
-    )  # fmt: skip
-    last = Step(
-        before=Fitted(unequal), added="wheel_scale", candidates=(candidate(scale, 74.0), candidate(speed, 73.5))
-    )
-    again, unchanged = with_final_rivals([first, last], Fitted(unequal, scale), DECISIONS)
-    assert [(one.gain, bool(one.refused)) for one in again.candidates] == [(75.0, False), (74.5, True), (25.0, False)]
-    assert unchanged is last

@@ -14,7 +14,6 @@ from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import driving_motion
-from odomcorrupt.study.select.closed_loop import least_thresholds
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dependence import basis_scores, dependences
 from odomcorrupt.study.select.screening import CoarseDesign
@@ -89,15 +88,3 @@ def test_every_function_of_the_sideways_speed_says_in_its_expression_what_it_com
             assert differs.mean() < 0.01, term.name
             assert np.allclose(error_of(user_effect("written", term.expression([0.3]), {}), motion), f, atol=1e-9)
     assert checked > 200
-
-
-def test_no_threshold_of_the_sideways_speed_is_within_the_noise():
-    problem = (bare := fitted(sideways_drive(0.0, 60.0))).problem
-    least = least_thresholds(bare)["sideways_speed"]
-    assert 0.0 < least < 0.05
-
-    def lowest(least):
-        steps = CoarseDesign(problem, {"sideways_speed": least}).functions
-        return min(f.shape[0] for f in steps if f.form == "step" and f.regressor == "sideways_speed")
-
-    assert lowest(0.0) < 0.1 <= lowest(0.1)

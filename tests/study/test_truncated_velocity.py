@@ -17,10 +17,8 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
-from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.select.candidates import with_shape_refined
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.remainder import are_its_steps
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.term import LibraryTerm
@@ -99,22 +97,6 @@ def test_what_a_truncation_leaves_at_different_speeds_is_no_noise_with_heavy_tai
     made = recording(steps, truncated(steps, **sizes), seed=4)
     effect = effect_from_values("truncated_velocity", sizes)
     assert heavy_tails(fit([made], [effect], approach=choose_approach([made]))) is None
-
-
-def test_steps_of_truncated_speeds_are_no_ticks_of_wheels():
-    sizes = {"step": 0.06, "turn": 0.15}
-    steps = wander(4, 120.0)
-    made = recording(steps, truncated(steps, **sizes, tick=TICK_MPS), seed=4)
-    (ticks,) = encoder_effects(made)
-    assert ticks.name == "quantization"  # the track shows that these steps are in no ratio of ticks
-    assert encoder_effects(replace(made, track_m=TRACK_M)) == []
-    approach = choose_approach([made])
-    without, beside = (
-        fit([made], effects, approach=approach) for effects in ((), (effect_from_values("truncated_velocity", sizes),))
-    )
-    assert are_its_steps(beside, ticks)
-    assert not are_its_steps(without, ticks)
-    assert not are_its_steps(beside, replace(ticks, step=0.6 * ticks.step))
 
 
 def test_a_fit_converges_although_a_truncation_is_not_undone_exactly():

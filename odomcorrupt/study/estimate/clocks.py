@@ -56,8 +56,7 @@ class Clocks:
     noise, beside : noise and nuisance effects of the last fit: starting values for later fits, not results
     ambiguous_nats : log-likelihood gain of a clock offset that was left at zero, because it is significant only without
         its rivals and one of them explains more; the effect of these rivals may be the clock's
-    margins_nats : log-likelihood gain of a clock over each rival: an effect beside which it is not significant,
-        an effect that was tried in its place, or a lag whose imperfect model it may absorb
+    margins_nats : log-likelihood gain of a clock over each effect beside which it is not significant
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
     ranges_s : least and largest offset within two standard errors, with the usual systematic effects and rivals free;

@@ -61,18 +61,6 @@ class Drift(NamedTuple):
         return bool(np.mean([np.mean(d) for d in more]) > errors * deviation)
 
 
-def drift(fitted: Fit, *, truths_corrected: bool = False) -> Drift:
-    """Return the drift after 10 s of odometry corrected by a fit's effects, on the fitted recordings themselves.
-
-    truths_corrected : whether to correct the truths by the errors that the fit estimates for them: scales of lasers and
-        biases of gyros, which would be compared with an effect that they resemble
-    """
-    left = [with_recomputed_headings(recording) for recording in fitted.problem.left]
-    if truths_corrected:
-        left = with_truths_corrected(left, fitted)
-    return Drift(tuple(phased_misses(left)))
-
-
 def with_truths_corrected(recordings: Sequence[Recording], fitted: Fit) -> list[Recording]:
     """Return recordings without the errors of their truths that a fit estimates: scales of lasers, biases of gyros."""
     if not has_bias(fitted.problem):
@@ -113,4 +101,5 @@ def _scaled(recording: Recording, factor: float) -> Recording:
 
 def ten_second_error(fitted: Fit) -> float:
     """Return the root mean square position error (m) after 10 s on the fitted recordings themselves."""
-    return drift(fitted).rmse
+    left = [with_recomputed_headings(recording) for recording in fitted.problem.left]
+    return Drift(tuple(phased_misses(left))).rmse

@@ -35,8 +35,6 @@ _OTHERWISE, _MOST_SLIP = 2.0, 0.75
 """Ratio of lost distances beyond which the duration or slip of bursts is adjusted; and the largest slip."""
 _ODD = 2e-4
 """Probability that an ordinary step is flagged as an outlier."""
-_HARDLY = 100.0
-"""Factor on the covariance of intervals that are excluded from a fit."""
 _PLAINLY_ODD, _MOST_SINGLE = 12.0, 5
 """Minimum size of a single event, see `Event.plain`, and maximum number of single events in a study."""
 _SAME_EVENT = 4
@@ -207,13 +205,6 @@ def odd_steps(fit: Fit) -> list[Event]:
     """
     flagged = _standing_out(fit)
     return _events_of(fit, flagged[~during(fit, single_events(fit))[flagged]])
-
-
-def set_apart(fit: Fit) -> Fit:
-    """Return the fit with weights by which outlier intervals have almost no influence in a refit."""
-    weights = np.ones(len(fit.problem.intervals))
-    weights[_standing_out(fit)] = _HARDLY
-    return replace(fit, noise=replace(fit.noise, weights=weights))
 
 
 def _standing_out(fit: Fit) -> NDArray[np.int64]:

@@ -121,11 +121,6 @@ class Problem:
         """Return the part (K, 3) of the residuals that an effect at its present values explains, to first order."""
         return self.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
 
-    def replacement(self, effect: Effect, other: Effect) -> Array:
-        """Return the change (K, 3, 1) of the residuals, to first order, if another effect replaces one of the model."""
-        changes = [error_of(other, m) - error_of(effect, m) for m in self.motions]
-        return self._column(effect, changes)[:, :, None]
-
     def _column(self, effect: Effect, changes: Sequence[Array]) -> Array:
         """Return the change (K, 3) of the residuals by changes (n, 3) of an effect's f on each motion."""
         after = [e for e in self.effects if _follows(e) and not (_follows(effect) and e.name <= effect.name)]

@@ -1,10 +1,7 @@
 """Candidates for the next inclusion: terms that are tested, refitted with the model, and admitted or refused.
 
 A candidate is admitted only if it passes both score tests, gains on held-out blocks, has a physically possible size
-with a small enough standard error, and gains in a joint refit. The 10 s drift of the fitted data must also hardly grow,
-because a likelihood alone may prefer a cause that improves single steps at the expense of the path. There is one
-exception: two causes may compensate each other on the path. A candidate that increases the drift is therefore admitted
-if the drift falls again with the next candidate.
+with a small enough standard error, and gains in a joint refit.
 """
 
 from __future__ import annotations
@@ -18,24 +15,12 @@ from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, choices, on_bound
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.errors import EffectError, FitError
-from odomcorrupt.study.estimate.drift_error import drift
+from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.heading_source import sees_travel
-from odomcorrupt.study.estimate.truth_bias import has_bias
-from odomcorrupt.study.estimate.windows import WINDOW_S
-from odomcorrupt.study.select.closed_loop import (
-    acts_in_curves_only,
-    hardly_turns,
-    is_gain_of_turns,
-    may_be_of_filter,
-    may_be_steering,
-)
 from odomcorrupt.study.select.decisions import error_shares
-from odomcorrupt.study.select.elimination import drift_grows, drop_term
-from odomcorrupt.study.select.fitted_size import with_limit, with_shape_at_size, without_optional_shape
-from odomcorrupt.study.select.integration import euler_clause
+from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
-from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.terms.term import LibraryTerm
@@ -44,7 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Sequence
 
     from odomcorrupt.effects.effect import Effect, Parameter
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
@@ -52,9 +36,6 @@ if TYPE_CHECKING:
 
 _IMPOSSIBLE_SIGN = "of a physically impossible sign"
 """Refusal of an effect whose estimate has a physically impossible sign."""
-_DRIFT = f"makes the {WINDOW_S:g} s error larger"
-_STILL, _CREEP = 0.02, 0.1
-"""Rates below which a robot is at rest: in m/s and rad/s, and for slow robots as a fraction of the 90 % quantile."""
 _WITHDRAWN = "gains nothing once outlier segments are weighted again, or leads back to an earlier model"
 
 
@@ -113,18 +94,7 @@ def library_candidates(fit: Fit, decisions: Decisions, withdrawn: Container[str]
         replace(c, refused=_WITHDRAWN) if c.name in withdrawn and not c.refused else c
         for c in _candidates(fit, decisions)
     ]
-    best = max((c.gain for c in candidates if not c.refused), default=0.0)
-    excused = [_compensated(c, decisions) if c.refused == _DRIFT and c.gain > best else c for c in candidates]
-    return sorted(excused, key=_rank, reverse=True)
-
-
-def _compensated(candidate: Candidate, decisions: Decisions) -> Candidate:
-    """Return the candidate admitted if a following candidate would undo the growth of the drift; else unchanged."""
-    if candidate.fit is None:
-        return candidate
-    following = (c for c in _candidates(candidate.fit, decisions) if not c.refused)
-    made_good = any(c.rmse[1] <= candidate.rmse[0] for c in following)
-    return replace(candidate, refused="") if made_good else candidate
+    return sorted(candidates, key=_rank, reverse=True)
 
 
 def _rank(candidate: Candidate) -> tuple[bool, float, float]:
@@ -137,7 +107,6 @@ def _candidates(fit: Fit, decisions: Decisions) -> Iterator[Candidate]:
     A shape is refined with exact columns only if its effect may still reach the shortlist.
     """
     search = LibrarySearch(fit, library(fit), decisions)
-    still = hardly_turns(fit)
     refits, leader = 0, -np.inf
     while (best := search.likeliest()) is not None:
         unlikely = refits == decisions.shortlist or best.robust_nats < decisions.shortlist_share * leader
@@ -146,12 +115,12 @@ def _candidates(fit: Fit, decisions: Decisions) -> Iterator[Candidate]:
             continue
         score = search.decide(best)
         level = levels_of(search.scores, decisions)[score.term.name]
-        refused = objection(fit, score, decisions, level=level, still=still)
+        refused = objection(fit, score, decisions, level=level)
         if refused or unlikely or not best.exact:
             yield Candidate(score=score, refused=refused or "others explain it better")
             continue
         refits += 1
-        candidate = _refitted(fit, score, decisions)
+        candidate = _refitted(fit, score)
         if not candidate.refused:
             # a refused candidate does not raise the threshold for the others
             leader = max(leader, score.robust_nats)
@@ -169,10 +138,10 @@ def levels_of(scores: Sequence[Score], decisions: Decisions) -> dict[str, float]
     return {score.term.name: levels.get(score.term.name, decisions.level) for score in scores}
 
 
-def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, still: bool) -> str:
+def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float) -> str:
     """Return the reason to refuse an effect of the library before any refit; "" if there is none.
 
-    level : significance level of the effect; still : whether the robot hardly turns
+    level : significance level of the effect
     """
     if not score.separable:
         return "not separable from what is in the model"
@@ -188,49 +157,8 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
         room = p.high if value > 0.0 else -p.low
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
             why = "beyond what is physically possible" if room > 0.0 else _IMPOSSIBLE_SIGN
-            return f"{p.name} would be {f'{value:.3g} {p.unit}'.rstrip()}, {why}{euler_clause(fit, score)}"
-    if score.effect.name != "channel_lag" and may_be_of_filter(fit, score):
-        return "no larger than the artefact of a filter with a delay or with pose updates"
-    return _imitated_by_noise(fit, score, still=still)
-
-
-def _imitated_by_noise(fit: Fit, score: Score, *, still: bool) -> str:
-    """Return the kind of noise that may imitate a significant effect, as a reason for refusal; "" if there is none."""
-    columns = score.term.columns(fit.problem)
-    if _shows_at_rest_only(fit, score, columns):
-        return "shows only while the robot stands, where this effect alone causes no motion"
-    corrections = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
-    steered = corrections or (still and acts_in_curves_only(fit, score.effect))
-    return "turns no larger than the noise: a driver's steering corrections may cause them" if steered else ""
-
-
-def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:
-    """Return whether an effect of the motion gains only on intervals in which the odometry rests or creeps.
-
-    A noise law that grows with the motion allows for hardly any noise there. A creep of 1 mm/s is then significant, and
-    any effect that reduces slow motion fits it. Effects that act at rest, such as a gyro bias, are exempt.
-    """
-    intervals = fit.problem.intervals
-    rates = np.stack((intervals.distance_m, np.abs(intervals.odometry_step[:, 2]))) / (
-        intervals.end_s - intervals.start_s
-    )
-    still = np.minimum(_STILL, _CREEP * np.quantile(rates, 0.9, axis=1, keepdims=True))
-    moving = np.repeat((rates > still).any(axis=0), 3)
-    if moving.all():
-        return False
-    rest = project_out(fit)
-    column, residual = rest.of(fit.noise.whitener.whiten(columns))[moving], rest.residual[moving]
-    explained = 0.5 * float((column @ np.linalg.lstsq(column, residual, rcond=None)[0]) @ residual)
-    return explained < score.penalty and not _acts_at_rest(fit, score.estimated)
-
-
-def _acts_at_rest(fit: Fit, effect: Effect) -> bool:
-    """Return whether an effect moves the odometry of a robot at rest."""
-    for m in fit.problem.motions:
-        none = np.zeros(len(m))
-        if error_of(effect, replace(m, v=none, vy=none, omega=none, acceleration=0.0 * m.acceleration)).any():
-            return True
-    return False
+            return f"{p.name} would be {f'{value:.3g} {p.unit}'.rstrip()}, {why}"
+    return ""
 
 
 def _first_order_room(fit: Fit, effect: Effect, p: Parameter, bound: float) -> float:
@@ -248,24 +176,22 @@ def _first_order_room(fit: Fit, effect: Effect, p: Parameter, bound: float) -> f
     return size(bound) / slope if slope > 0.0 else 0.0
 
 
-def _refitted(fit: Fit, score: Score, decisions: Decisions) -> Candidate:
+def _refitted(fit: Fit, score: Score) -> Candidate:
     """Return a candidate fitted jointly with the model; robust weights stay fixed, so that likelihoods compare."""
     effects = (*fit.effects, score.estimated)
     # an effect that scales turns also scales their noise, a scale error of a gyro does not: the two are comparable
     # only to first order, with the same noise
     alike = None if sees_travel(fit.problem.recordings) else score.nats
-    candidate = tried(fit, fit.refit(effects, weights_of=fit), score, decisions, gain=alike)
+    candidate = tried(fit, fit.refit(effects, weights_of=fit), score, gain=alike)
     if candidate.gain > 0.0 or not np.any(fit.free_clocks) or candidate.fit is None:
         return candidate
     # interpolated odometry is smoother between stamps: if the clock had drifted there, its return looks like a loss
     held = fit.refit(effects, weights_of=fit, free_clocks=[(False, False)] * len(fit.free_clocks))
-    return tried(fit, candidate.fit, score, decisions, gain=held.log_likelihood - fit.log_likelihood - score.penalty)
+    return tried(fit, candidate.fit, score, gain=held.log_likelihood - fit.log_likelihood - score.penalty)
 
 
-def tried(
-    fit: Fit, with_it: Fit, score: Score, decisions: Decisions, *, gain: float | None = None, least: float = 0.0
-) -> Candidate:
-    """Return a term as a candidate, admitted if the fit with it gains and its drift hardly exceeds that without it.
+def tried(fit: Fit, with_it: Fit, score: Score, *, gain: float | None = None, least: float = 0.0) -> Candidate:
+    """Return a term as a candidate, admitted if the fit with it gains.
 
     gain : default the gain in log likelihood minus the penalty, nats; least : gain required, nats
     """
@@ -275,13 +201,8 @@ def tried(
     beyond = _on_bounds(with_it, score)
     if beyond:
         return replace(refit, refused=beyond)
-    before, after = drift(fit), drift(with_it)
-    worse = drift_grows(after, before, decisions)
-    if worse and has_bias(fit.problem):
-        # compare without the truth's own scale errors: a move from one wrong scale to another is no deterioration
-        worse = drift_grows(drift(with_it, truths_corrected=True), drift(fit, truths_corrected=True), decisions)
-    refused = "gains nothing when everything is fitted together" if gain <= least else _DRIFT if worse else ""
-    return replace(refit, rmse=(before.rmse, after.rmse), refused=refused)
+    refused = "gains nothing when everything is fitted together" if gain <= least else ""
+    return replace(refit, rmse=(ten_second_error(fit), ten_second_error(with_it)), refused=refused)
 
 
 def channels_of(fit: Fit, effect: Effect) -> list[str]:
@@ -308,10 +229,10 @@ def with_shape_refined(
     score : the term in its present shape; fit and score are returned unchanged if another shape gains too little
     weights_of : fit whose robust weights are kept for comparison with other fits; default: re-estimated
     """
-    fit, score = without_optional_shape(*_with_words_refined(fit, score, decisions))
+    fit, score = _with_words_refined(fit, score, decisions)
     if len(score.term.shape) or (isinstance(score.term, LibraryTerm) and score.term.trials > 1):
-        fit, score = with_shape_at_size(*_with_shape_moved(fit, score, decisions, weights_of), decisions)
-    return with_limit(fit, score.term.name, decisions), score
+        return _with_shape_moved(fit, score, decisions, weights_of)
+    return fit, score
 
 
 def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions, weights_of: Fit | None) -> tuple[Fit, Score]:
@@ -336,8 +257,7 @@ def _with_shape_moved(fit: Fit, score: Score, decisions: Decisions, weights_of: 
 def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
     """Return the fit with the word-valued parameters of a term chosen by refits, except the source of the heading.
 
-    Robust weights stay fixed, so that likelihoods can be compared. A word that the data hardly separate from another
-    one is not chosen if it increases the drift.
+    Robust weights stay fixed, so that likelihoods can be compared.
     """
     if not isinstance(score.term, LibraryTerm):
         return fit, score
@@ -350,10 +270,7 @@ def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[F
                 tried_fit = fit.refit([said if e is effect else e for e in fit.effects], weights_of=fit)
             except EffectError:  # the effect acts on single wheels, and the track is unknown
                 continue
-            more = tried_fit.log_likelihood - best.log_likelihood
-            if more > decisions.alternative_nats or (
-                more > decisions.reshape_nats and not drift_grows(drift(tried_fit), drift(best), decisions)
-            ):
+            if tried_fit.log_likelihood - best.log_likelihood > decisions.reshape_nats:
                 best, chosen = tried_fit, other
         if best is not fit:
             fit, score = best.refit(), replace(score, term=chosen)

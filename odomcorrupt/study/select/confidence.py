@@ -29,7 +29,6 @@ from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.io.encoders import speeds_in_steps
 from odomcorrupt.study.select.decisions import DECISIONS, equal_candidates
-from odomcorrupt.study.select.remainder import within_remainder
 
 if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import PriorOdds
@@ -223,9 +222,9 @@ def _may_be_remainder(name: str, learned: Learned) -> bool:
     effect = learned.fit.by_name.get(name)
     if effect is None or max(effect.remainder) > 0.0:
         return False
-    return within_remainder(
-        learned.fit, np.concatenate([error_of(effect, m)[:, [0, 2]] for m in learned.fit.problem.motions])
-    )
+    error = np.concatenate([error_of(effect, m)[:, [0, 2]] for m in learned.fit.problem.motions])
+    most = np.sum([e.remainder for e in learned.fit.effects], axis=0)
+    return bool(np.any(most > 0.0) and np.all(np.sqrt(np.mean(error**2, axis=0)) <= most))
 
 
 def _may_be_misfit(step: Step, learned: Learned) -> bool:

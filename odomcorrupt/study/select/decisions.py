@@ -74,10 +74,6 @@ class Decisions:
     testable_errors : an effect is testable if half of its physical range exceeds this many standard errors; the
         benchmark detects effects from about 4 to 5 standard errors on
     max_share : largest fraction of the robot's own motion that a basis function may explain as odometry error
-    drift_factor, drift_plain, drift_errors : an inclusion is refused if the 10 s position error of the fitted data
-        grows by more than a factor of `drift_factor`, unless paired windows show less than `drift_errors` standard
-        errors of growth; above `drift_plain` always. An effect with little influence on the drift changes it by ~1 %.
-        The same limit decides between shapes and sources of the heading that the likelihood does not separate
 
     alternative_nats : effects within this gain of the best one are alternatives that the data do not separate; 3 nats
         are odds of 20 to 1. Correlated noise needs this much more than the best effect and dependence
@@ -97,7 +93,6 @@ class Decisions:
         additional prior penalty (6 nats are 400 to 1): most odometry comes from encoders
     unusual_nats : additional gain required of a gyro as the source of the heading, for a model or a basis function
     unusual_shape_nats : the same for any word-valued parameter in the shape search of one effect, before its refit
-    known_gyro_nats : in place of `unusual_nats` if a gyro bias is in the model, which shows that there is a gyro
     related_nats, related_share : rectangles are tried if a disc has this gain and this fraction of the largest gain
 
     drop_nats : an effect whose Wald statistic is less than twice this is dropped: the 1 % level for one parameter
@@ -131,9 +126,6 @@ class Decisions:
     shortlist_share: float = 0.25
     testable_errors: float = 4.2
     max_share: float = 0.5
-    drift_factor: float = 1.02
-    drift_plain: float = 1.15
-    drift_errors: float = 2.0
     alternative_nats: float = 3.0
     rival_nats: float = 7.0
     replacement_nats: float = 8.0
@@ -154,7 +146,6 @@ class Decisions:
     commanded_nats: float = 6.0
     unusual_nats: float = 4.0
     unusual_shape_nats: float = 2.0
-    known_gyro_nats: float = -1.0
     related_nats: float = 30.0
     related_share: float = 0.5
     drop_nats: float = 3.3

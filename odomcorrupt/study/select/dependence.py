@@ -8,8 +8,7 @@ be included in the model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from itertools import groupby, islice
 from typing import TYPE_CHECKING
 
@@ -19,7 +18,6 @@ from odomcorrupt.effects.expression import CHANNELS, LARGEST
 from odomcorrupt.study.estimate.drive_type import is_holonomic
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
-from odomcorrupt.study.select.closed_loop import hardly_turns, may_be_steering, score_of_corrections
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.periodic import waves
 from odomcorrupt.study.select.score import score_columns, score_terms
@@ -32,8 +30,6 @@ from odomcorrupt.study.terms.term import BasisTerm
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -43,9 +39,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.screening import CoarseDesign, Screened
 
 _OF_TURNS = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "heading")
-"""Regressors of turning: on a drive with hardly any turns they show only the heading control."""
-_CORRECTED = ("yaw_acceleration", "yaw")
-"""Regressor and channel of a dependence that a controller causes, see `score_of_corrections`."""
+"""Regressors of turning, which a tight heading control moves by the noise."""
 _MOST_STARTS = 40
 """Largest number of terms of one regressor and channel from which shape searches may start."""
 
@@ -162,11 +156,8 @@ def basis_scores(
         near = [(nats, s) for _, nats, _, s in islice(group, _MOST_STARTS) if nats > decisions.exact_nats]
         terms += search.forms([s for _, s in near]) if near and near[0][0] >= least else []
     found: dict[tuple[str, str], list[Score]] = {}
-    imitated = [_imitated(fit, term) for term in terms]
-    scores = score_terms(fit, terms, decisions, family=1, imitated=imitated) if terms else []
+    scores = score_terms(fit, terms, decisions, family=1) if terms else []
     for term, score in zip(terms, scores, strict=True):
-        if term.action.move == "omega" and may_be_steering(fit, term.columns(fit.problem), score.estimate):
-            continue
         possible = np.abs(score.estimate).max() < LARGEST  # else the function is zero but for rounding
         if possible and term.share(score.estimate.tolist(), fit.problem.motions) < decisions.max_share:
             found.setdefault((term.function.regressor, term.action.channel), []).append(score)
@@ -178,15 +169,12 @@ def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) ->
 
     scores : scores of basis functions, see `basis_scores`
     """
-    still = hardly_turns(fit)
     plain = [one for one in scores if one.score.robust_nats > 0.0 and one.score.significant(decisions.level)]
     by_kind = {one.kind: one for one in plain}
     found = []
     for kind, where, score in _curves(fit):
         regressor, channel, per = kind
         of_turns = channel == "yaw" and (per == "rad" or regressor in _OF_TURNS)
-        if of_turns and still:
-            continue
         best = by_kind.get((regressor, channel))
         nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(len(fit.problem.intervals)))
         least = decisions.curve_of_turns_nats if of_turns else decisions.curve_nats
@@ -210,13 +198,6 @@ def basis_term(score: Score) -> BasisTerm:
     return score.term
 
 
-def _imitated(fit: Fit, term: BasisTerm) -> Array | None:
-    """Return the score of a term that corrections of the heading cause, see `score_of_corrections`; None if none."""
-    if (term.function.regressor, term.action.channel) != _CORRECTED:
-        return None
-    return score_of_corrections(fit, lambda seen: term.columns(replace(fit.problem, motions=tuple(seen))))
-
-
 def _kind(screened: Screened) -> tuple[str, str]:
     return screened.term.function.regressor, screened.term.action.channel
 
@@ -235,7 +216,6 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
     turn = np.concatenate([MOVES["omega"](m) * m.dt_s for m in motions])
     amounts = {"m": travel, "rad": turn, "s": np.concatenate([m.dt_s for m in motions])}
     names, groups, centres = [], [], []
-    imitated: list[Array | None] = []
     recordings = fit.problem.recordings
     regressors = curve_regressors(
         motions, placed=shared_frame(recordings) is not None, sideways=is_holonomic(recordings, motions)
@@ -248,27 +228,18 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
             if used.sum() < 2:
                 continue
             for channel in channels:
-                columns = partial(_columns_of, intervals, regressor, used, -amounts[per], channel)
                 names.append((name, channel, per))
-                groups.append(columns(motions))
+                groups.append(_columns_of(intervals, hats[used], -amounts[per], channel))
                 centres.append(regressor(motions[0])[1][used])
-                imitated.append(score_of_corrections(fit, columns) if (name, channel) == _CORRECTED else None)
-    return list(zip(names, centres, score_columns(fit, groups, imitated=imitated), strict=True))
+    return list(zip(names, centres, score_columns(fit, groups), strict=True))
 
 
-def _columns_of(
-    intervals: Intervals,
-    regressor: Callable[[Motion], tuple[Array, Array]],
-    used: NDArray[np.bool_],
-    amount: Array,
-    channel: str,
-    motions: Sequence[Motion],
-) -> Array:
-    """Return columns (K, 3, m) of errors of a channel: the used hats of a regressor times an amount of motion (n,)."""
-    hats, columns = _hats(regressor, motions), []
+def _columns_of(intervals: Intervals, hats: Array, amount: Array, channel: str) -> Array:
+    """Return columns (K, 3, m) of errors of a channel: hats (m, n) of a regressor times an amount of motion (n,)."""
+    columns = []
     errors = np.zeros((len(amount), 3))
-    for i in np.flatnonzero(used):
-        errors[:, CHANNELS.index(channel)] = hats[i] * amount
+    for hat in hats:
+        errors[:, CHANNELS.index(channel)] = hat * amount
         columns.append(intervals.column(errors))
     return by_column(np.stack(columns))
 

@@ -23,7 +23,6 @@ from odomcorrupt.study.select.candidates import (
     tried,
     with_shape_refined,
 )
-from odomcorrupt.study.select.closed_loop import hardly_turns
 from odomcorrupt.study.select.decisions import equal_candidates, penalty
 from odomcorrupt.study.select.dependence import BasisScore, basis_scores, dependences
 from odomcorrupt.study.select.elimination import drop_term
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.result import Step
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.select.screening import CoarseDesign
 
@@ -244,7 +242,6 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     if effect is None or law.best is None:
         return None
     bare, others = drop_term(fit, effect), [e for e in fit.effects if e is not effect]
-    still = hardly_turns(bare)
     own = law.best.term.columns(bare.problem)
     column_score, own_penalty = score_columns(bare, [own])[0], law.best.score.penalty
     own_nats = 0.5 * column_score.statistic
@@ -265,7 +262,7 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     near = sorted((s for s in likely if s.nats + spared(s) > max(least, 0.0)), key=lambda s: -s.nats - spared(s))
     levels = levels_of(search.scores, decisions)
     for score in near[: decisions.shortlist]:
-        refused = objection(bare, score, decisions, level=levels[score.term.name], still=still)
+        refused = objection(bare, score, decisions, level=levels[score.term.name])
         if refused:
             candidate = Candidate(score=score, gain=score.nats, refused=refused)
             if candidate.contradicts_physics(decisions):
@@ -273,7 +270,7 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
             continue
         with_it = fit.refit((*others, score.estimated), weights_of=fit)
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + own_penalty + spared(score)
-        found = tried(fit, with_it, score, decisions, gain=gain, least=-decisions.replacement_nats)
+        found = tried(fit, with_it, score, gain=gain, least=-decisions.replacement_nats)
         if not found.refused:
             return replace(found, fit=with_it.refit(), gain=score.nats)
     return None
@@ -297,36 +294,6 @@ def _with_place(
         (*family, LibraryTerm(patch, family[0].trials)) if family[0].name == RegionSlip.name else family
         for family in families
     ]
-
-
-def with_final_rivals(steps: Sequence[Step], fit: Fit, decisions: Decisions) -> list[Step]:
-    """Return the steps, with gains of close rivals of each included effect measured in the final model.
-
-    In an early, small model two real effects may explain nearly the same. A rival that is also in the final model is
-    refused as a rival; any other one is refitted in the final model in place of the effect.
-    """
-    return [_with_final_rivals(step, fit, decisions) for step in steps]
-
-
-def _with_final_rivals(step: Step, fit: Fit, decisions: Decisions) -> Step:
-    own = fit.by_name.get(step.added or "")
-    have = {effect.name for effect in fit.effects}
-    if own is None or have <= {own.name, *(effect.name for effect in step.before.effects)}:
-        return step
-    others, heading = [effect for effect in fit.effects if effect is not own], getattr(own, "heading", "")
-    added, *rest = step.candidates
-    for i, rival in enumerate(rest):
-        if rival.refused or rival.gain < added.gain - decisions.replacement_nats:
-            continue
-        effect = rival.score.estimated
-        if heading and hasattr(effect, "heading"):
-            effect = replace(effect, heading=heading)  # type: ignore[type-var]  # a dataclass
-        if rival.name in have:
-            rest[i] = replace(rival, refused="in the model beside it")
-        elif instead := with_effects(fit, (*others, effect), fit):
-            more = instead.log_likelihood - fit.log_likelihood - rival.score.penalty + added.score.penalty
-            rest[i] = replace(rival, gain=added.gain + more)
-    return replace(step, candidates=(added, *rest))
 
 
 def with_effects(fit: Fit, effects: Sequence[Effect], weights_of: Fit | None = None) -> Fit | None:

@@ -78,7 +78,7 @@ def best_dependence(
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + spared
         # what the data do not separate stays in the order of the robust score tests
         more = best.candidate.gain + decisions.alternative_nats if best else least
-        candidate = tried(fit, with_it, score, decisions, gain=gain, least=more)
+        candidate = tried(fit, with_it, score, gain=gain, least=more)
         if not candidate.refused:
             best, largest = Proposal(_reshaped(one, score), candidate), max(largest, one.nats)
     final = best and best.candidate.fit

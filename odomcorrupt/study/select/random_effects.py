@@ -19,9 +19,8 @@ from odomcorrupt.study.estimate.config import INTERVAL_S
 from odomcorrupt.study.estimate.drive_type import drive_type_of
 from odomcorrupt.study.estimate.gauss_newton import orthonormal
 from odomcorrupt.study.estimate.heading_source import sees_travel, stands_still
-from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
+from odomcorrupt.study.estimate.outliers import slip_bursts
 from odomcorrupt.study.estimate.random_process import (
-    CORRELATED_NOISE,
     FINELY,
     bias_of,
     processes,
@@ -32,7 +31,6 @@ from odomcorrupt.study.estimate.random_process import (
     without_random,
 )
 from odomcorrupt.study.estimate.tails import heavy_tails
-from odomcorrupt.study.select.remainder import within_remainder
 from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:
@@ -112,7 +110,7 @@ def random_coefficients(
         del found[_BIAS]  # its odometry would turn at rest, too
     named = []
     for key, (one, least) in found.items():
-        if key in have or is_remainder(fit, one.effect):
+        if key in have:
             continue
         needed = max(least, least_nats)
         beside, measured = _measured(fit, one, needed, last=last)
@@ -160,14 +158,6 @@ def _beside(fit: Fit, effect: Effect) -> Fit:
     others, design = tuple(e for e in fit.random if e is not effect), fit.design_matrix
     noise = with_random(without_random(fit.noise, fit.problem, design), fit.problem, design, others)
     return replace(fit, noise=noise, random=others)
-
-
-def is_remainder(fit: Fit, effect: Effect) -> bool:
-    """Return whether a random coefficient may be the remainder of an effect in the model, see `Effect.remainder`."""
-    (process,) = processes_like(effect)
-    spread = getattr(effect, process.scale) * np.sqrt(process.variance)
-    usual = np.concatenate([process.unit(m) for m in fit.problem.motions])[:, [0, 2]]
-    return within_remainder(fit, spread * usual)
 
 
 def _in_both_halves(fit: Fit, effect: Effect, decisions: Decisions) -> bool:
@@ -254,26 +244,6 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Dete
     corrected = any(r.in_map for r in fit.problem.recordings)  # in steps, which make tails
     heavy = heavy_tails(fit) if tails and not corrected and not _matched(fit) else None
     return [DetectedRandomEffect(*heavy)] if heavy is not None else []
-
-
-def beside_bursts(
-    named: list[DetectedRandomEffect], fit: Fit, decisions: Decisions
-) -> tuple[list[DetectedRandomEffect], Fit]:
-    """Return the random coefficients still detected once all outliers are set apart, and the fit in which they are.
-
-    The others were the bursts.
-
-    named : random coefficients detected with the outliers
-    """
-    correlated = {one.effect.name for one in named} & set(CORRELATED_NOISE)
-    if not correlated:
-        return named, fit
-    calm = fit.refit(random=(), weights_of=set_apart(fit))
-    there = {one.effect.name for one in random_coefficients(calm, decisions)}
-    if correlated <= there:
-        return named, fit
-    stay = [one for one in named if one.effect.name not in correlated - there]
-    return stay, fit.refit(random=[effect for effect in fit.random if effect.name in there])
 
 
 class _Evidence:

@@ -8,7 +8,6 @@ cluster-robust F test is valid without it: sums over blocks of the run show the 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -141,7 +140,6 @@ def score_terms(
     *,
     family: int | None = None,
     columns: Sequence[Array] | None = None,
-    imitated: Sequence[Array | None] = (),
 ) -> list[Score]:
     """Return the score tests of terms, each beside the model of a fit.
 
@@ -150,11 +148,10 @@ def score_terms(
     fit, terms, decisions : the model, the tested terms, and the thresholds that define penalties
     family : number of kinds of terms for the Bonferroni correction, beside the trials of each; default: those tested
     columns : (K, 3, p) columns of each term, if already computed
-    imitated : as in `score_columns`
     """
     count = len(fit.problem.intervals)
     groups = [term.columns(fit.problem) for term in terms] if columns is None else columns
-    scores = score_columns(fit, groups, family=family, imitated=imitated)
+    scores = score_columns(fit, groups, family=family)
     return [
         Score(
             **asdict(replace(score, p=min(1.0, score.p * term.trials))),
@@ -165,35 +162,23 @@ def score_terms(
     ]
 
 
-def score_columns(
-    fit: Fit, groups: Sequence[Array], *, family: int | None = None, imitated: Sequence[Array | None] = ()
-) -> list[ColumnScore]:
+def score_columns(fit: Fit, groups: Sequence[Array], *, family: int | None = None) -> list[ColumnScore]:
     """Return the score tests of groups of columns (K, 3, p), each beside the model of a fit.
 
     family : as in `score_terms`
-    imitated : (p,) score of each group that feedback of the noise may cause, any fraction of it; None if none
     """
     rest = project_out(fit)
     block = np.repeat(block_of(fit.problem), 3)
     tests = []
-    for group, most in zip_longest(groups, imitated):
+    for group in groups:
         raw = fit.noise.whitener.whiten(group)
-        column = rest.of(raw)
-        tests.append(_test(_without_feedback(rest.residual, column, most), column, raw, block))
+        tests.append(_test(rest.residual, rest.of(raw), raw, block))
     usable = [t for t in tests if t.separable]
     shared = shared_variance(np.array([t.variance for t in usable]), np.array([t.dof for t in usable]))
     chosen = [t.unit for t in usable[:: max(1, len(usable) // _OTHERS)]]
     others = np.stack(chosen, axis=1) if chosen else np.zeros((len(block), 0))
     count = len(usable) if family is None else family
     return [_tested(t, _shared_beside(t, others, rest.residual, block, shared, count), count) for t in tests]
-
-
-def _without_feedback(r: Array, column: Array, most: Array | None) -> Array:
-    """Return a residual without the fraction of the score `most` with which the columns explain least."""
-    if most is None or not most.any():
-        return r
-    along = column @ (np.linalg.pinv(column.T @ column, hermitian=True) @ most)
-    return r - float(np.clip(along @ r / max(float(along @ along), 1e-300), 0.0, 1.0)) * along
 
 
 def _shared_beside(test: _Test, others: Array, r: Array, block: NDArray[np.int64], shared: float, family: int) -> float:

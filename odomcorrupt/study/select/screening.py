@@ -24,7 +24,7 @@ from odomcorrupt.study.terms.channels import MOVES, actions_on, views
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -63,12 +63,9 @@ class CoarseDesign:
     """Approximate columns of terms on the K intervals of a problem, from the mean of each term over every interval.
 
     The design does not depend on the model, and remains valid for an unchanged problem.
-
-    least : least threshold of regressors by name, see `least_thresholds`
     """
 
-    def __init__(self, problem: Problem, least: Mapping[str, float] | None = None) -> None:
-        self._least = least
+    def __init__(self, problem: Problem) -> None:
         self._intervals, self._motions = problem.intervals, problem.motions
         self._placed = shared_frame(problem.recordings) is not None
         self._sideways = is_holonomic(problem.recordings, problem.motions)
@@ -79,7 +76,7 @@ class CoarseDesign:
     @cached_property
     def functions(self) -> list[BasisFunction]:
         """All basis functions that are tried on this drive."""
-        return basis_functions(self._motions, placed=self._placed, sideways=self._sideways, least=self._least)
+        return basis_functions(self._motions, placed=self._placed, sideways=self._sideways)
 
     @property
     def actions(self) -> list[Action]:

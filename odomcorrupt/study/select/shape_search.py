@@ -15,7 +15,6 @@ from scipy.optimize import minimize
 
 from odomcorrupt.effects.effect import choices
 from odomcorrupt.errors import EffectError
-from odomcorrupt.study.select.closed_loop import least_thresholds
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_gains, least_screened, promising_terms
@@ -71,7 +70,7 @@ class ShapeSearch:
 
     def __init__(self, fit: Fit, decisions: Decisions, design: CoarseDesign | None = None) -> None:
         self._fit, self._decisions, self._rest = fit, decisions, project_out(fit)
-        self._design = CoarseDesign(fit.problem, least_thresholds(fit)) if design is None else design
+        self._design = CoarseDesign(fit.problem) if design is None else design
         self._gains: dict[Effect, float] = {}
         self._coarse_gains: dict[Effect, float] = {}
 

@@ -23,17 +23,13 @@ from odomcorrupt.study.estimate.gyro_walk import with_bias_walks
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
-from odomcorrupt.study.select import clock_rivals
 from odomcorrupt.study.select.candidates import Candidate, channels_of, library_candidates, terms_of, with_shape_refined
-from odomcorrupt.study.select.closed_loop import is_pulled, least_thresholds, may_be_of_filter
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
     continued,
     eliminate_random,
-    eliminate_untested,
     iterate,
-    one_heading,
     without_redundant,
 )
 from odomcorrupt.study.select.heterogeneity import disagreements
@@ -43,18 +39,15 @@ from odomcorrupt.study.select.model_comparison import (
     margins,
     name_for,
     rivals,
-    with_final_rivals,
 )
 from odomcorrupt.study.select.proposals import Proposal, best_dependence, best_replacement
 from odomcorrupt.study.select.random_effects import (
     DetectedRandomEffect,
-    beside_bursts,
     explained_by,
     gain_in_refit,
     outlier_effects,
     random_coefficients,
 )
-from odomcorrupt.study.select.remainder import are_its_steps
 from odomcorrupt.study.select.result import Learned, Step
 from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.work import Work
@@ -113,10 +106,10 @@ def learn(
     final = with_robust_errors(found.fit, kept - given)
     errors = with_rounding(final.clock_errors.tolist(), found.clocks.free, recordings)
     return Learned(
-        clocks=replace(clock_rivals.beside_lags(found.clocks, final), errors=errors, left_nats=late_nats),
+        clocks=replace(found.clocks, clocks=final.problem.clocks, errors=errors, left_nats=late_nats),
         first_clocks=clocks if same_data else None,
-        rounds=tuple(with_final_rivals(found.steps, found.fit, decisions)),
-        noise=tuple(one for one in found.noise if not are_its_steps(final, one.effect)),
+        rounds=tuple(found.steps),
+        noise=tuple(found.noise),
         unknown=(*included, *found.open, *rivals(found.compared, decisions)),
         laws=included,
         margins=margins(found.compared),
@@ -142,8 +135,6 @@ class _Selection:
     withdrawn : names of effects that were admitted to the current model and removed again
     compared, compared_at : comparisons of library effects with basis functions, and the fit in which they were made
     seen : terms of all models so far, with their largest log likelihood
-    lags_tested : terms of the models in which a clock was tested beside a lag
-    over_lag : gain of the clock over a lag in its place, prior odds included, nats; None if not tested
     """
 
     fit: Fit
@@ -160,18 +151,12 @@ class _Selection:
     compared: list[ModelComparison] = field(default_factory=list)
     compared_at: Fit | None = None
     seen: dict[frozenset[str], float] = field(default_factory=dict)
-    lags_tested: set[frozenset[str]] = field(default_factory=set)
-    over_lag: float | None = None
 
     def run(self) -> _Selection:
         """Take steps until the model no longer changes, then finish; return self."""
-        self._replace_clock_by_lag(first=True)
-        clocks = (self._swap_clock, self._drop_clock, self._replace_clock_by_lag)
-        while any(change() for change in (self._add_clock, self._step, self._name_laws, *clocks)):
+        while self._step() or self._name_laws():
             pass
         self._finish()
-        if self.over_lag is not None:
-            self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, self.over_lag))
         return self
 
     def _include(self, proposal: Proposal, candidates: Sequence[Candidate]) -> None:
@@ -202,7 +187,7 @@ class _Selection:
         return {channel for one in self.contradictions for channel in channels_of(self.fit, one.score.effect)}
 
     def _continue_from(self, fit: Fit) -> None:
-        """Continue from a model with another term or other clocks, without terms that this makes redundant."""
+        """Continue from a model with another term, without terms that this makes redundant."""
         self._accept(without_redundant(fit, self.given, self.decisions))
 
     def _accept(self, fit: Fit) -> None:
@@ -217,9 +202,6 @@ class _Selection:
         self.work.begin_step()
         candidates = library_candidates(self.fit, decisions, self.withdrawn)
         best = candidates[0] if candidates and not candidates[0].refused else None
-        found = clock_rivals.cancelled_lag(self.fit, best.gain if best is not None else 0.0, decisions)
-        if found is not None and not self._already_seen(found.fit):
-            return self._include_lag(found)
         correlated = self._correlated(best)
         proposal = None
         if best is None or correlated is not None:
@@ -256,7 +238,7 @@ class _Selection:
 
     def _correlated(self, best: Candidate | None) -> DetectedRandomEffect | None:
         """Return the random coefficient with a clearly larger gain than the best effect, if another one is allowed."""
-        if len(self.fit.random) >= self.decisions.max_correlated or is_pulled(self.fit):
+        if len(self.fit.random) >= self.decisions.max_correlated or _is_pulled(self.fit):
             return None
         least = (best.gain if best is not None else 0.0) + self.decisions.alternative_nats
         found = random_coefficients(self.fit, self.decisions, last=best is None, least_nats=least)
@@ -264,9 +246,8 @@ class _Selection:
 
     def _propose(self, *, alone: bool) -> Proposal | None:
         """Return the dependence to include next; if no effect is admitted (`alone`), preferably as a replacement."""
-        decisions, design = self.decisions, CoarseDesign(self.fit.problem, least_thresholds(self.fit))
+        decisions, design = self.decisions, CoarseDesign(self.fit.problem)
         found = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
-        found = [one for one in found if one.best is None or not may_be_of_filter(self.fit, one.best.score)]
         self.open = [one for one in found if one.channel not in self._contradicted()]
         if alone:
             self._compare(design)
@@ -314,85 +295,16 @@ class _Selection:
         least = decisions.replacement_nats if self.fit.random else 0.0  # as in `best_dependence`
         self.open = [one for one in self.open if one.nats > least and one.channel not in self._contradicted()]
         tails = not (self.noise or self.open or self.included)
-        outliers = [] if is_pulled(self.fit) else outlier_effects(self.fit, decisions, tails=tails)
-        if outliers:
-            self.noise, self.fit = beside_bursts(self.noise, self.fit, decisions)
+        outliers = [] if _is_pulled(self.fit) else outlier_effects(self.fit, decisions, tails=tails)
         self.noise += outliers
-        self.fit = continued(eliminate_untested(one_heading(self.fit, self.given, decisions), self.given, decisions))
+        self.fit = continued(self.fit)
         if bursts := [one.effect for one in outliers if one.effect.name == "slip_burst"]:
             # their error is an effect and not noise of every step
             self.fit = self.fit.refit((*self.fit.effects, *bursts))
         if self.compared_at is not self.fit:
-            self._compare(CoarseDesign(self.fit.problem, least_thresholds(self.fit)), again=True)
+            self._compare(CoarseDesign(self.fit.problem), again=True)
 
-    def _replace_clock_by_lag(self, *, first: bool = False) -> bool:
-        """Include a lag in place of the odometry's clock offset, or beside it; return whether it was included."""
-        self.over_lag = None
-        found = clock_rivals.lag_in_place(self.fit, self.decisions, first=first)
-        if found is None:
-            return False
-        if found.more_nats <= self.decisions.replacement_nats or self._already_seen(found.fit):
-            self.over_lag = self.decisions.alternative_nats - found.more_nats
-            return False
-        return self._include_lag(found)
 
-    def _include_lag(self, found: clock_rivals.ClockRival) -> bool:
-        """Include the lag of a model with other clocks; return True."""
-        (lag,) = found.candidates
-        self._record([lag], added=lag.name)
-        self._continue_with_clocks_of(found.fit, max(lag.gain - found.more_nats, 0.0))
-        return True
-
-    def _add_clock(self) -> bool:
-        """Add a clock offset beside a lag, or in its place beside another one; return whether it was added.
-
-        It is tested before each step: later terms would explain what its absence leaves.
-        """
-        if (terms := terms_of(self.fit)) in self.lags_tested:
-            return False
-        self.lags_tested.add(terms)
-        found = clock_rivals.clock_beside_lag(self.fit, self.given, self.decisions)
-        if found is None or found.more_nats <= self.decisions.alternative_nats or self._already_seen(found.fit):
-            return False
-        self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, found.more_nats))
-        self._continue_with_clocks_of(found.fit, 0.0)
-        return True
-
-    def _drop_clock(self) -> bool:
-        """Drop a clock offset that gains nothing beside a selected wheel effect; return whether it was dropped."""
-        other = clock_rivals.without_clock(self.fit, self.given)
-        if other is None or self._already_seen(other):
-            return False
-        self._continue_with_clocks_of(other, self.clocks.ambiguous_nats)
-        return True
-
-    def _continue_with_clocks_of(self, fit: Fit, ambiguous_nats: float) -> None:
-        """Continue from a model with other clocks; see `Clocks` for the gain of a clock that was left out."""
-        clocks, free = fit.problem.clocks, fit.free_clocks
-        self.clocks = replace(self.clocks, clocks=clocks, free=free, ambiguous_nats=ambiguous_nats)
-        self._continue_from(fit)
-
-    def _swap_clock(self) -> bool:
-        """Replace a clock offset by a wheel effect at changes of speed, or conversely, if that gains more.
-
-        A small offset, estimated first, has nearly the errors of slip or backlash. If these are real, a dependence on
-        the acceleration remains beside it; without a free clock they may be an offset of rounded stamps. The hypothesis
-        that is left out remains a rival.
-        """
-        late = {one.name for one in (*self.included, *self.open) if one.follows_acceleration}
-        found = clock_rivals.swapped(self.fit, late, self.included, self.given, self.decisions)
-        if found is None:
-            return False
-        better = found.more_nats > 0.0 and not self._already_seen(found.fit)
-        if better:
-            if found.candidates:
-                self._record(found.candidates, added=found.candidates[0].name)
-            self.included = [one for one in self.included if one.name not in late]
-            self._continue_with_clocks_of(found.fit, 0.0)
-        if np.any(self.fit.free_clocks):
-            self.clocks = replace(self.clocks, margins_nats=(*self.clocks.margins_nats, abs(found.more_nats)))
-        else:
-            gains = (step.candidates[0].gain for step in self.steps if step.added in clock_rivals.CLOCK_LIKE_EFFECTS)
-            nats = max(gains, default=0.0) - abs(found.more_nats)
-            self.clocks = replace(self.clocks, ambiguous_nats=max(nats, self.clocks.ambiguous_nats, 0.0))
-        return better
+def _is_pulled(fit: Fit) -> bool:
+    """Return whether a filter pulls the odometry of any recording towards external poses, so that its noise decays."""
+    return any(recording.pulled_per_s > 0.0 for recording in fit.problem.recordings)

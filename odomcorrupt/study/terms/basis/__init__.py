@@ -16,7 +16,7 @@ from odomcorrupt.study.terms.basis.place import functions_of_place
 from odomcorrupt.study.terms.basis.time import functions_of_time
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Motion
 
@@ -28,16 +28,14 @@ def basis_functions(
     *,
     placed: bool = True,
     sideways: bool = False,
-    least: Mapping[str, float] | None = None,
 ) -> list[BasisFunction]:
     """Return every basis function to be tried on these motions.
 
     placed : whether the motions are in one frame, so that functions of heading and place are possible
     sideways : whether the robot drives sideways, so that functions of that speed are possible
-    least : least threshold of regressors by name, in their units; others have none
     """
     return [
         *((*functions_of_heading(), *functions_of_place(motions)) if placed else ()),
         *functions_of_time(motions),
-        *functions_of_motion(motions, least or {}, sideways=sideways),
+        *functions_of_motion(motions, sideways=sideways),
     ]

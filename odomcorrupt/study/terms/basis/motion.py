@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import product
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,7 @@ from odomcorrupt.effects.wheels import wheel_motions
 from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
@@ -47,32 +46,27 @@ the first of these: above a cruising speed is only odometry noise, which is also
 _HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration", _SIDEWAYS)  # regressors with hinges
 _STILL = 0.02
 """Rates below which a robot is at rest, m/s and rad/s."""
-_ANY: Mapping[str, float] = MappingProxyType({})
-"""No least threshold of any regressor."""
 _CUTS, _TAIL = np.linspace(0.05, 0.95, 19), 0.05 * 2.0 ** (-0.5 * np.arange(1.0, 9.0))
 """Quantiles at which thresholds are tried, and further ones as fractions of the data beyond: hard braking is rare."""
 
 
-def functions_of_motion(
-    motions: Sequence[Motion], least: Mapping[str, float] = _ANY, *, sideways: bool = False
-) -> Iterator[BasisFunction]:
+def functions_of_motion(motions: Sequence[Motion], *, sideways: bool = False) -> Iterator[BasisFunction]:
     """Yield every function of the motion to be tried on these motions; see `basis_functions`."""
     for regressor, (text, value) in VALUES.items():
         if regressor == _SIDEWAYS and not sideways:
             continue
         yield BasisFunction(regressor, f"k * {text}", (value,), reaches=_reaches(regressor, "one"))
         if regressor != "distance":  # nearly the same as a threshold of time
-            yield from _thresholds(regressor, motions, least.get(regressor, 0.0))
+            yield from _thresholds(regressor, motions)
         if regressor in _HINGED:
             yield from _hinges(regressor, motions)
     yield from _either_signs(motions)
     yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # g-sensitive gyro
     yield from _saturations(motions)
-    turning = max(_STILL, least.get("yaw_rate", 0.0))
-    yield from _one_way(motions, turning, sideways=sideways)
+    yield from _one_way(motions, sideways=sideways)
     if sideways:
         yield BasisFunction(_SIDEWAYS, "k", (lambda m: np.ones(len(m)),), reaches=("sideways gain",))
-    yield from _at_rest(turning)
+    yield from _at_rest()
 
 
 def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
@@ -87,10 +81,10 @@ def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
     )
 
 
-def _thresholds(regressor: str, motions: Sequence[Motion], least: float) -> Iterator[BasisFunction]:
+def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield steps at thresholds of a regressor, at quantiles of its values while the robot moved."""
     ways = (True, False) if regressor in _SIGNED else (True,)
-    within = (-_latest(regressor, motions, -1.0) if len(ways) > 1 else least, _latest(regressor, motions))
+    within = (-_latest(regressor, motions, -1.0) if len(ways) > 1 else 0.0, _latest(regressor, motions))
     cuts = _cuts(regressor, motions)
     cuts = cuts[(cuts >= within[0]) & (cuts <= within[1])]
     for above, (i, cut) in product(ways, enumerate(cuts)):
@@ -238,37 +232,33 @@ def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...],
     )
 
 
-def _one_way(motions: Sequence[Motion], turning: float, *, sideways: bool) -> Iterator[BasisFunction]:
+def _one_way(motions: Sequence[Motion], *, sideways: bool) -> Iterator[BasisFunction]:
     """Yield errors in reverse only, to the right only, and of one wheel that scrubs in turns to one side.
 
     Reverse is tested only if the robot drove in reverse: a wheel also runs backwards in turns on the spot.
-
-    turning : yaw rate from which on a robot turns, rad/s
     """
-    tested: list[tuple[str, str, float, Of]] = [("speed", "v", _STILL, lambda m: m.v)]
+    tested: list[tuple[str, str, Of]] = [("speed", "v", lambda m: m.v)]
     if sideways:
-        tested.append((_SIDEWAYS, "vy", _STILL, lambda m: m.vy))
-    kinds: list[tuple[str, str, float, Of]] = [("yaw_rate", "omega", turning, lambda m: m.omega)]
+        tested.append((_SIDEWAYS, "vy", lambda m: m.vy))
+    kinds: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega)]
     least = _least_part(motions)
-    kinds += [one for one in tested if np.concatenate([one[3](m) < -one[2] for m in motions]).mean() > least]
-    for regressor, name, rate, value in kinds:
-        text = f"k * where({name} < {-rate:.4g}, 1, 0)"
-        yield BasisFunction(regressor, text, (_below(value, -rate),), reaches=_reaches(regressor, "one", "both"))
+    kinds += [one for one in tested if np.concatenate([one[2](m) < -_STILL for m in motions]).mean() > least]
+    for regressor, name, value in kinds:
+        text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
+        yield BasisFunction(regressor, text, (_below(value, -_STILL),), reaches=_reaches(regressor, "one", "both"))
     yield BasisFunction("yaw_rate", "k * max(omega, 0)", (lambda m: np.maximum(m.omega, 0.0),), 2, reaches=("one",))
     yield BasisFunction("yaw_rate", "k * max(-omega, 0)", (lambda m: np.maximum(-m.omega, 0.0),), 2, reaches=("one",))
 
 
-def _at_rest(turning: float) -> Iterator[BasisFunction]:
-    """Yield errors only while the robot is at rest, does not drive, or does not turn (below the rate `turning`)."""
-    for regressor, rate in (("speed", _STILL), ("yaw_rate", turning)):
-        text, value = VALUES[regressor]
-        yield BasisFunction(
-            regressor, f"k * where({text} < {rate:.4g}, 1, 0)", (_below(value, rate),), reaches=("bias",)
-        )
-    still = _below(lambda m: np.maximum(np.abs(m.v), np.abs(m.omega)), _STILL)
-    yield BasisFunction(
-        "speed", f"k * where(max(abs(v), abs(omega)) < {_STILL:.4g}, 1, 0)", (still,), reaches=("bias",)
-    )
+def _at_rest() -> Iterator[BasisFunction]:
+    """Yield errors only while the robot is at rest, does not drive, or does not turn."""
+    for regressor, (text, value) in (
+        ("speed", VALUES["speed"]),
+        ("yaw_rate", VALUES["yaw_rate"]),
+        ("speed", ("max(abs(v), abs(omega))", lambda m: np.maximum(np.abs(m.v), np.abs(m.omega)))),
+    ):
+        form = f"k * where({text} < {_STILL:.4g}, 1, 0)"
+        yield BasisFunction(regressor, form, (_below(value, _STILL),), reaches=("bias",))
 
 
 def _above(value: Of, cut: float) -> Of:
