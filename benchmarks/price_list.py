@@ -33,6 +33,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -59,7 +60,48 @@ SURE = 0.9
 """Confidence from which a name counts as certain."""
 SAME = 0.005
 """Relative difference of two errors that counts as none."""
-RULES: dict[str, str] = {}
+ENOUGH = 3
+"""Number of changed rows after which a rule or number is known to be worth something, and is not priced further."""
+RULES = {
+    "study.estimate.clocks:_harmless": "True",
+    "study.estimate.clocks:_of_stamps": "False",
+    "study.estimate.clocks:_preferred": "nothing",
+    "study.estimate.correlation_length:with_correlation_lengths": "list(recordings)",
+    "study.estimate.gyro_walk:with_bias_walks": "list(recordings)",
+    "study.estimate.outliers:_comes_back": "False",
+    "study.estimate.outliers:single_events": "[]",
+    "study.estimate.outliers:slip_bursts": "None",
+    "study.estimate.robust_errors:with_robust_errors": "fitted",
+    "study.estimate.tails:_beside_effects": "np.ones(len(fit.problem.intervals), dtype=bool)",
+    "study.estimate.tails:heavy_tails": "None",
+    "study.io.encoders:restore_lost": "recording",
+    "study.select.candidates:_first_order_room": "0.0",
+    "study.select.candidates:_with_shape_moved": "(fit, score)",
+    "study.select.candidates:_with_words_refined": "(fit, score)",
+    "study.select.confidence:_loses_slow_turns": "False",
+    "study.select.confidence:_may_be_dead_band": "False",
+    "study.select.confidence:_may_be_filter": "False",
+    "study.select.confidence:_may_be_misfit": "False",
+    "study.select.confidence:_may_be_of_wheels": "False",
+    "study.select.confidence:_may_be_remainder": "False",
+    "study.select.confidence:may_be_scale_of_truth": "False",
+    "study.select.elimination:absorb": "fit",
+    "study.select.elimination:backward_eliminate": "fit",
+    "study.select.elimination:continued": "fit",
+    "study.select.elimination:iterate": "(fit, effect)",
+    "study.select.model_comparison:_for_further": "0.0",
+    "study.select.model_comparison:_with_place": "list(families)",
+    "study.select.model_comparison:name_for": "None",
+    "study.select.model_comparison:rivals": "[]",
+    "study.select.periodic:flat_spots": "[]",
+    "study.select.periodic:waves": "[]",
+    "study.select.proposals:_where_known": "score",
+    "study.select.random_effects:_in_both_halves": "True",
+    "study.select.random_effects:_measured": "(fit, one)",
+    "study.select.score:_shared_beside": "shared",
+    "study.select.shape_search:ShapeSearch._more_charged": "0.0",
+    "study.select.stepwise:_is_pulled": "False",
+}
 """Rules of single kinds of drives, each `module:function` with the expression that it returns if it is switched off."""
 
 
@@ -315,6 +357,7 @@ def row_of(one: Drive) -> dict[str, Any]:
         "dependences": ["/".join(pair) for pair in answer["laws"]],
         "open": "/".join(answer["unknown"][0][:2]) if answer["unknown"] else "",
         "causes": sorted(causes),
+        "sure": [name for name in added if name in sure],
         "sure_wrong": [name for name in added if name in sure and same_class(name) not in causes],
         "error": learned.error_m,
     }
@@ -349,7 +392,7 @@ def differs(row: dict[str, Any], base: dict[str, Any]) -> str:
         return "" if "failed" in row and "failed" in base else str(row.get("failed", "no longer fails"))
     said = [
         f"{key} {', '.join(base[key]) or '-'} -> {', '.join(row[key]) or '-'}"
-        for key in ("names", "noise", "dependences", "sure_wrong") if row[key] != base[key]
+        for key in ("names", "noise", "dependences", "sure", "sure_wrong") if row[key] != base[key]
     ]  # fmt: skip
     if abs(row["error"] - base["error"]) > SAME * base["error"]:
         said.append(f"error {base['error']:.4g} -> {row['error']:.4g}")
@@ -433,8 +476,8 @@ class PriceList:
             names = names[names.index(name) :]  # those before do not change with fewer changes
             blamed = self.culprits(left, name)
             left = [one for one in left if one not in blamed]
-            rows = list(self.changed(blamed)) if len(blamed) == 1 else [(name, "together")]
-            told(f"{' AND '.join(map(str, blamed))}: {len(rows)} row(s)")
+            rows = list(islice(self.changed(blamed), ENOUGH))
+            told(f"{' AND '.join(map(str, blamed))}: {len(rows)} row(s){' or more' * (len(rows) == ENOUGH)}")
             for where, said in rows:
                 told(f"    {where}: {said}")
         told(f"no row: {', '.join(map(str, left)) or 'none'}")

@@ -91,13 +91,6 @@ class Backlash(Effect):
         """Bound on the uncorrectable error, metres: with a gyro, odometry has only the mean of both motors' travel."""
         return 0.0 if self.heading == "wheels" else abs(self.travel)
 
-    def first_reversals(self, motion: Motion) -> tuple[int, int]:
-        """Return the intervals in which the right and the left wheel first reverse; their number, if never."""
-        track = needed_track_m(self.name, self.track or motion.track_m)
-        sides = (_sides(u * motion.dt_s, AT_REST)[0] for u in rims_of(motion.v, motion.omega, track))
-        right, left = (int(np.argmax(np.append(np.diff(side) != 0.0, True))) for side in sides)
-        return right, left
-
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
         """Return the state before the first motion of both wheels."""
         return AT_REST, AT_REST

@@ -17,7 +17,7 @@ from odomcorrupt.report.json.numbers import finite, picked
 from odomcorrupt.report.text.comparison import rejection, reproduction_sentence
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
-from odomcorrupt.study.estimate.first_contact import unexplained_events
+from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.validate.trajectory_error import clock_gain
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def learned_json(
                     "y_m": one.place_xy[1],
                     **picked(one, "along_m", "across_m", "yaw_rad"),
                 }
-                for one in unexplained_events(learned.fit)
+                for one in single_events(learned.fit)
             ],
             "disagreements": [
                 {

@@ -19,8 +19,7 @@ from odomcorrupt.report.text.numbers import (
     words_text,
 )
 from odomcorrupt.study.estimate.clocks import RIVALS
-from odomcorrupt.study.estimate.first_contact import unexplained_events
-from odomcorrupt.study.estimate.outliers import Event, events
+from odomcorrupt.study.estimate.outliers import Event, events, single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
 
@@ -59,7 +58,7 @@ def found_text(
         lines.append(f"noise: {noise.name}, {values} ({probability}): {noise.effect.summary}")
     for unknown in foremost(dependences_found(learned, fit), 3):
         lines += _unknown_lines(unknown)
-    lines += [_event_line(one) for one in unexplained_events(learned.fit)]
+    lines += [_event_line(one) for one in single_events(learned.fit)]
     like_a_clock = [name for name in learned.added if name in RIVALS]
     if like_a_clock and learned.clocks.ambiguous_nats > 0.0:
         lines.append(
