@@ -161,8 +161,8 @@ def main() -> None:
     for name, reports in found.items():
         cells = []
         for report in reports[:-1]:
-            lost = sum(run.lost for run in report.runs)
-            cells.append(f"{report.summary('ate_m').median.value:.3f} m" + (f", {lost} lost" if lost else ""))
+            lost = f", {report.failed} lost" if report.failed else ""
+            cells.append(f"{report.summary('ate_m').median.value:.3f} m{lost}")
         point = reports[-1].breakdown
         at = f"{point.drift:.1%} ({point.low:.1%} to {point.high:.1%})" if point.drift else f"above {point.low:.1%}"
         print(f"| {name} | " + " | ".join(cells) + f" | {at} |")

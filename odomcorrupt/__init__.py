@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     from odomcorrupt.api.simulation import Simulation, simulate
     from odomcorrupt.api.spread import Spread, spread
     from odomcorrupt.errors import OdomCorruptError
+    from odomcorrupt.scoring.errors import path_errors
+    from odomcorrupt.scoring.estimates import Estimate, read_estimate
 
 __version__ = "0.1.0"
 
@@ -71,18 +73,21 @@ _HOMES = {
     "api.simulation": ("Simulation", "simulate"),
     "api.spread": ("Spread", "spread"),
     "errors": ("OdomCorruptError",),
+    "scoring.errors": ("path_errors",),
+    "scoring.estimates": ("Estimate", "read_estimate"),
 }  # fmt: skip
 """Modules of the public names."""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Assembly", "Batch", "BatchCost", "Comparison", "Conversion", "Correction", "Corruption", "Density",
-    "Diagnosis", "EffectDescription", "EffectList", "Export", "Fit", "Info", "Integration", "Learned", "Maps",
-    "Model", "Noise", "OdomCorruptError", "Particles", "PresetList", "Preview", "Recordings", "Samples", "Score",
-    "Simulation", "Spread", "SquareTest", "__version__", "assemble", "batch", "compare", "convert_alpha", "correct",
-    "corrupt", "density", "describe_effect", "diagnose", "draw_maps", "estimate_batch", "export_parameters", "fit",
-    "fit_returns", "info", "integrate", "learn", "list_effects", "list_presets", "preview", "read_recordings",
-    "sample", "sample_along", "score", "simulate", "spread",
+    "Assembly", "Batch", "BatchCost", "Comparison", "Conversion", "Correction", "Corruption", "Density", "Diagnosis",
+    "EffectDescription", "EffectList", "Estimate", "Export", "Fit", "Info", "Integration", "Learned", "Maps", "Model",
+    "Noise", "OdomCorruptError", "Particles", "PresetList", "Preview", "Recordings", "Samples", "Score",
+    "Simulation", "Spread", "SquareTest", "__version__", "assemble", "batch", "compare",
+    "convert_alpha", "correct", "corrupt", "density", "describe_effect", "diagnose", "draw_maps", "estimate_batch",
+    "export_parameters", "fit", "fit_returns", "info", "integrate", "learn", "list_effects", "list_presets",
+    "path_errors", "preview", "read_estimate", "read_recordings", "sample", "sample_along", "score", "simulate",
+    "spread",
 ]  # fmt: skip
 
 

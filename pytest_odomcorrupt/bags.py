@@ -48,7 +48,7 @@ class CorruptedBag:
 
     def errors(
         self,
-        estimate: Path | str | Trajectory,
+        estimate: Path | str | Trajectory | tuple[Path | str, str],
         topic: str | None = None,
         *,
         truth: str | None = None,
@@ -59,7 +59,7 @@ class CorruptedBag:
         Parameters
         ----------
         estimate
-            A trajectory, a TUM or CSV file, or a bag.
+            A trajectory, a TUM or CSV file, a bag, or a bag and its topic.
         topic
             Topic or edge of TF with the estimate, in a bag.
         truth
@@ -68,6 +68,8 @@ class CorruptedBag:
             As `odomcorrupt.scoring.errors.path_errors` has it.
         """
         covariance = None
+        if isinstance(estimate, tuple):
+            estimate, topic = estimate
         if isinstance(estimate, str | Path):
             read = read_estimate(Path(estimate), topic)
             estimate, covariance = read.trajectory, read.covariance

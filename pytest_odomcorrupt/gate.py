@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.result_files import write_text
-from odomcorrupt.scoring.gate import STATISTICS, Comparison, compare_paired
+from odomcorrupt.scoring.gate import STATISTICS, Comparison, compare_paired, paired_sentence, worst_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,21 +32,30 @@ class ErrorGate:
         self.update = update
 
     def __call__(
-        self, errors: Mapping[str, float], *, rise: float = 0.2, statistic: str = "p90", most: float | None = None
+        self,
+        errors: Mapping[str, float],
+        *,
+        rise: float = 0.2,
+        statistic: str = "p90",
+        most: float | None = None,
+        crashes: int = 0,
     ) -> Comparison | None:
         """Assert that errors have not risen.
 
         Parameters
         ----------
         errors
-            One number above 0 for each run, by its name (`CorruptedBag.name`).
+            One number of at least 0 for each run, by its name (`CorruptedBag.name`), metres if `rise` is of an ATE;
+            infinity for a run without a result.
         rise
-            What must be found: 0.2 is 20 %. 40 runs find it in 95 of 100 cases where the errors of a run scatter by
-            up to a fifth from version to version; in 1 of 100 cases the gate fails where nothing has changed.
+            Rise to find: 0.2 is 20 %. 40 runs find it in 95 of 100 cases where the errors of a run scatter by up to a
+            fifth from version to version; in 1 of 100 cases the gate fails where nothing has changed.
         statistic
-            "mean", "median", "p90", "p95" or "max" over runs.
+            "mean", "median", "p90", "p95" or "max" over runs; infinite if too many runs have no result.
         most
-            What the statistic must not exceed, whatever was before.
+            Upper bound of the statistic, regardless of the baseline.
+        crashes
+            Number of runs that may have no result although they have one in the baseline.
 
         Returns
         -------
@@ -56,15 +65,16 @@ class ErrorGate:
         Raises
         ------
         AssertionError
-            Where they have risen; where there is no baseline.
+            If they have risen, a run crashed that did not, or there is no baseline.
         """
-        wrong = {name: value for name, value in errors.items() if not (np.isfinite(value) and value >= 0.0)}
-        assert not wrong, f"errors must be finite numbers of at least 0: {dict(list(wrong.items())[:3])}"
-        assert statistic in STATISTICS, f"statistic {statistic!r}: there are {', '.join(STATISTICS)}"
+        __tracebackhide__ = True
+        wrong = {name: value for name, value in errors.items() if not value >= 0.0}
+        _require(not wrong, f"errors must be numbers of at least 0: {dict(list(wrong.items())[:3])}")
+        _require(statistic in STATISTICS, f"statistic {statistic!r}: there are {', '.join(STATISTICS)}")
         value = float(STATISTICS[statistic](np.array(list(errors.values()))))
-        assert most is None or value <= most, (
-            f"the {statistic} of {len(errors)} errors is {value:.4g}, more than {most:g}"
-        )
+        above = f"the {statistic} of {len(errors)} errors is {value:.4g}, more than {most}"
+        worst = sorted(errors.items(), key=lambda one: -one[1])[:5]
+        _require(most is None or value <= most, "\n".join([above, *(f"  {n}: {e:.4g}" for n, e in worst)]))
         if self.update:
             table = {"schema": SCHEMA, "errors": {name: float(error) for name, error in errors.items()}}
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,21 +82,23 @@ class ErrorGate:
             return None
         before = self._baseline()
         common = [name for name in errors if name in before]
-        assert common, f"{self.path}: has none of these runs; write it again with --odomcorrupt-update"
+        _require(bool(common), f"{self.path}: has none of these runs; write it again with --odomcorrupt-update")
+        crashed = [name for name in common if np.isinf(errors[name]) and np.isfinite(before[name])]
+        said = f"{len(crashed)} of {len(common)} runs have no result that had one ({crashes} allowed)"
+        _require(len(crashed) <= crashes, "\n".join([said, *(f"  {n}: {before[n]:.4g} -> no result" for n in crashed)]))
         old, new = (np.array([table[name] for name in common]) for table in (before, errors))
         try:
             found = compare_paired(old, new, rise=rise, statistic=statistic)
         except OdomCorruptError as error:
-            raise AssertionError(f"{self.path}: {error}") from error
-        assert not found.rise, (
-            f"the {statistic} of the errors rose by {_percent(found.statistic_ratio)}, of a typical run by "
-            f"{_percent(found.ratio)} (95 % interval {_percent(found.low)} to {_percent(found.high)}; "
-            f"{found.pairs} runs, p {found.p:.2g}). Where that is meant, accept it with --odomcorrupt-update."
-        )
+            raise AssertionError(f"{self.path}: {error}") from None
+        said = f"the {paired_sentence(found, 'errors', statistic, old, new)}"
+        rows = [f"  {common[i]}: {old[i]:.4g} -> {new[i]:.4g}" for i in worst_of(old, new)]
+        _require(not found.rise, "\n".join([said, *rows, "If that is intended, accept it with --odomcorrupt-update."]))
         return found
 
     def _baseline(self) -> dict[str, float]:
-        assert self.path.exists(), f"{self.path}: there is no baseline yet; write it with --odomcorrupt-update"
+        __tracebackhide__ = True
+        _require(self.path.exists(), f"{self.path}: there is no baseline yet; write it with --odomcorrupt-update")
         try:
             errors: dict[str, float] = json.loads(self.path.read_text(encoding="utf8"))["errors"]
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -94,5 +106,7 @@ class ErrorGate:
         return errors
 
 
-def _percent(ratio: float) -> str:
-    return f"{100.0 * (ratio - 1.0):.1f} %"
+def _require(true: bool, message: str) -> None:  # noqa: FBT001 - a condition, as of assert
+    __tracebackhide__ = True
+    if not true:
+        raise AssertionError(message)

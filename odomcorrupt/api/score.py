@@ -45,14 +45,15 @@ class Score(Result):
         Parameters
         ----------
         rules : sequence of str
-            Such as "ate_p90 +20%" (relative to the baseline), "lost +5%" or "ate_median > 0.3".
+            Such as "ate_p90 +20%" (relative to the baseline), "lost +1", "lost +5%" or "ate_median > 0.3".
         baseline : mapping, optional
             `to_dict()` of an earlier score, or the content of a file of `odomcorrupt score --save`.
 
         Returns
         -------
         Score
-            `verdicts` has one verdict per rule.
+            `verdicts` has one verdict per rule, and a failed one for crashes that no rule allows, or if the estimates
+            of all runs are identical.
 
         Raises
         ------
@@ -64,16 +65,34 @@ class Score(Result):
         return replace(self, verdicts=tuple(check(self.to_dict(), rules, baseline)))
 
     def summary(self) -> Summary:
-        """Return the number of failed runs, the gate's verdicts, the errors and the break-down point."""
+        """Return the gate's result, the number of failed runs, the errors and the break-down point."""
         from odomcorrupt.report.text.score import score_brief
 
         return score_brief(self.result, self.verdicts, following=self.following)
 
     def details(self) -> str:
-        """Return sentences, the table over runs, a line for each run, and the gate's verdicts."""
-        from odomcorrupt.report.text.score import score_text
+        """Return sentences, the tables of points and over runs, a line for each run, and the gate's verdicts."""
+        from odomcorrupt.report.text.score import gate_lines, score_text
 
-        return "\n".join([score_text(self.result), *(f"{verdict.sentence}." for verdict in self.verdicts)])
+        return "\n".join([score_text(self.result), *gate_lines(self.verdicts)])
+
+    def markdown(self) -> str:
+        """Return the gate's result, what failed, and the tables of points and over runs, for a summary page of CI."""
+        from odomcorrupt.report.text.score import score_markdown
+
+        return score_markdown(self.result, self.verdicts)
+
+    def junit(self) -> str:
+        """Return the gate as JUnit XML, a test case for each rule."""
+        from odomcorrupt.report.text.score import score_junit
+
+        return score_junit(self.result, self.verdicts)
+
+    def points_csv(self) -> str:
+        """Return drift, number of runs, failed runs, median and p90 of the ATE for each point of a sweep, as CSV."""
+        from odomcorrupt.report.text.score import score_csv
+
+        return score_csv(self.result)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the score as docs/json.md describes it: metres, radians, seconds."""
@@ -110,7 +129,6 @@ def score(
     outputs: str | PathLike[str] | None = None,
     align: Alignment = "rigid",
     limits: Limits | None = None,
-    count_missing: bool = False,
 ) -> Score:
     """Return the errors of a localisation that was run on each bag of a batch.
 
@@ -128,12 +146,11 @@ def score(
     outputs : path, optional
         Directory with the estimates: files or bags that begin like the runs (`run_000012.tum`); by default beside the
         runs. For a sweep, it contains a directory for each point.
-    align : {"rigid", "origin", "none"}
-        Alignment of estimate and truth: best fit of positions, equal first poses, or none.
+    align : {"rigid", "origin", "none", "same"}
+        Alignment of estimate and truth: best fit of positions, equal first poses, none (both in one frame), or none
+        although the frames have different names.
     limits : odomcorrupt.scoring.errors.Limits, optional
         Limits of loss, jumps and coverage.
-    count_missing : bool
-        Whether runs without a complete output are failures.
 
     Returns
     -------
@@ -143,7 +160,7 @@ def score(
     Raises
     ------
     ScoreError
-        If there is no batch, or no run has an estimate.
+        If there is no batch, no run has an estimate, or poses in different frames would be subtracted.
 
     Examples
     --------
@@ -155,10 +172,8 @@ def score(
     """
     from odomcorrupt.scoring.run import score as score_runs
 
-    roots = as_paths(runs)
-    found = score_runs(
-        roots, estimate, truth=truth, truth_bag=truth_bag, outputs=outputs, align=align, limits=limits,
-        count_missing=count_missing,
-    )  # fmt: skip
-    named = ("--estimate", estimate) if estimate else ()
-    return Score(found, ("odomcorrupt", "score", *roots, *named, "--report", "page.html"))
+    return Score(
+        score_runs(
+            as_paths(runs), estimate, truth=truth, truth_bag=truth_bag, outputs=outputs, align=align, limits=limits
+        )
+    )

@@ -181,7 +181,8 @@ def _make(
     shared.require_source()
     for one in runs:
         _put_beside(job, home, one)
-    return [(_record(job, one.strand, part.losses), one.sink) for one in runs]
+    frame = "" if shared.odometry.frames is None else shared.odometry.frames.odom
+    return [(_record(job, one.strand, part.losses, frame), one.sink) for one in runs]
 
 
 def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:
@@ -268,7 +269,7 @@ def _is_copy(job: Job, model: MotionModel) -> bool:
     return is_identity and job.batch.output == "full"
 
 
-def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]:
+def _record(job: Job, strand: RunState, losses: Sequence[str], frame: str) -> dict[str, Any]:
     drift = strand.drift.result()
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     record: dict[str, Any] = {
@@ -277,6 +278,7 @@ def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]
         "command": job.command_of(strand.run),
         "input": job.shown_source,
         "seed": job.batch.seed,
+        "odom_frame": frame,
     }
     if job.spreads:
         record["robot"] = job.robot_of(strand.run)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, Number, one_of, setting
+from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, PICTURES, Number, OutputFile, kind_of, one_of, setting
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words
 from odomcorrupt.input_files import read_input
 from odomcorrupt.result_files import write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _BASELINE_BYTES = 1 << 28
 
@@ -31,8 +36,9 @@ _BASELINE_BYTES = 1 << 28
 @click.option("--truth-bag", type=click.Path(exists=True, path_type=Path), help="Bag, TUM or CSV with the truth.")
 @one_of(
     "--align",
-    among=["rigid", "origin", "none"],
-    text="Align estimate and truth: best fit of positions, equal first poses, or none.",
+    among=["rigid", "origin", "none", "same"],
+    text="Align estimate and truth: best fit of positions, equal first poses, none (both in one frame), or none "
+    "although their frames have different names (same).",
 )
 @click.option(
     "--lost",
@@ -55,7 +61,7 @@ _BASELINE_BYTES = 1 << 28
     default=0.5,
     help="Change of the error within a second that is a jump, metres. [default: 0.5]",
 )
-@click.option("--count-missing", is_flag=True, help="Count runs without a complete output as failures.")
+@click.option("--count-missing", is_flag=True, hidden=True, expose_value=False)
 @click.option(
     "--baseline",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
@@ -63,12 +69,15 @@ _BASELINE_BYTES = 1 << 28
 )
 @click.option(
     "--fail-if", "rules", multiple=True, metavar="RULE",
-    help='Exit with 1 if this rule holds, as in "ate_p90 +20%", "lost +5%", "ate_median > 0.3" (repeatable).',
+    help='Exit with 1 if this rule holds, as in "ate_p90 +20%", "lost +1", "ate_median > 0.3" (repeatable).',
 )  # fmt: skip
-@click.option("--each", is_flag=True, help="Print a line for every run, not only for those that failed.")
 @click.option("--save", type=OUTPUT, help="Write the result as JSON: a baseline for later.")
+@click.option("-o", "--output", type=OutputFile("json", *PICTURES), help="The same as --save, or as --plot.")
 @click.option("--report", type=PAGE, help="Write the full result as one HTML page.")
-@click.option("-o", "--output", type=PICTURE, help="Picture to write: png, svg or pdf.")
+@click.option("--markdown", type=OUTPUT, help="Write gate and tables as Markdown, for a summary page of CI.")
+@click.option("--junit", type=OUTPUT, help="Write the gate as JUnit XML, a test case for each rule.")
+@click.option("--csv", type=OUTPUT, help="Write the table of points of a sweep: drift, runs, lost, median and p90.")
+@click.option("--plot", type=PICTURE, help="Picture: .png, .svg or .pdf.")
 @overwrite_option("existing outputs")
 @unpack_option
 @standard_options
@@ -78,6 +87,7 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
     Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
     """
     from odomcorrupt.api.score import score
+    from odomcorrupt.report.text.score import gate_lines
     from odomcorrupt.scoring.errors import Limits
     from odomcorrupt.scoring.gate import parse_rule
 
@@ -89,21 +99,34 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
     with Stages("scoring", quiet=console.quiet):
         result = score(
             runs, given["estimate"], truth=given["truth"], truth_bag=given["truth_bag"],
-            outputs=given["outputs"], align=given["align"], count_missing=given["count_missing"],
+            outputs=given["outputs"], align=given["align"],
             limits=Limits(given["lost_m"], given["lost_s"], given["jump_m"]),
         ).check(given["rules"], baseline)  # fmt: skip
     if console.as_json:
-        for verdict in result.verdicts:
-            click.echo(f"{verdict.sentence}.", err=True)
-    values, details = result.to_dict(), result.details()
-    text = json.dumps(values, indent=1, allow_nan=False) + "\n"
-    files = {
-        **written(given["save"], lambda path: write_text(path, text)),
-        **written(given["report"], lambda path: write_text(path, result.report())),
-        **written(given["output"], result.plot),
+        for line in gate_lines(result.verdicts):
+            click.echo(line, err=True)
+    drawn = given["output"] is not None and kind_of(given["output"]) in PICTURES
+    pictures = (given["plot"], given["output"] if drawn else None)
+
+    def as_json() -> str:
+        return json.dumps(result.to_dict(), indent=1, allow_nan=False) + "\n"
+
+    texts: list[tuple[Path | None, Callable[[], str]]] = [
+        (given["save"], as_json), (None if drawn else given["output"], as_json),
+        (given["report"], result.report), (given["markdown"], result.markdown), (given["junit"], result.junit),
+        (given["csv"], result.points_csv),
+    ]  # fmt: skip
+    files: dict[Path, Callable[[], object]] = {
+        path: functools.partial(_write, path, text) for path, text in texts if path is not None
     }
-    console.print(details if given["each"] else result.summary(), details, values, files=files)
+    files |= {path: functools.partial(result.plot, path) for path in pictures if path is not None}
+    following = ("odomcorrupt", "score", *typed_words(), "--report", "page.html")
+    console.show(replace(result, following=() if given["report"] else following), files=files)
     return 1 if result.failed else 0
+
+
+def _write(path: Path, text: Callable[[], str]) -> None:
+    write_text(path, text())
 
 
 def _baseline(path: Path) -> dict[str, Any]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
 
-Alignment = Literal["rigid", "origin", "none"]
+Alignment = Literal["rigid", "origin", "none", "same"]
 
 RPE_M = 1.0
 """Path length of the motions compared by RPE, metres."""
@@ -103,7 +103,7 @@ class PathErrors:
         return wrap(self.estimate_xyt[:, 2] - self.truth_xyt[:, 2])
 
     def metrics(self) -> dict[str, float]:
-        """Return the run's metrics by name: metres, radians; NaN without headings or sufficient length."""
+        """Return metrics by name: metres, radians; NaN without headings or sufficient length."""
         position = self.position_m
         rpe = relative_errors(self.truth_xyt, self.estimate_xyt, RPE_M)
         window = _windows(self.truth_xyt, self.estimate_xyt, self.t_s)
@@ -145,10 +145,17 @@ def path_errors(
 ) -> PathErrors:
     """Return the errors of an estimate at its stamps within the truth's period.
 
+    Parameters
+    ----------
     estimate, truth : headings may be NaN, if only positions were recorded
     align : "rigid": rotated and translated for the smallest distance of positions; "origin": first poses made equal;
-        "none": as recorded, both in one frame
+        "none", "same": as recorded, both in one frame
     covariance : (n, 3, 3) covariance of x, y (metres) and heading (radians) in the estimate's frame
+
+    Returns
+    -------
+    PathErrors
+        Both trajectories at the same stamps, and NEES; `metrics()` has ATE, RPE and the others.
 
     Raises
     ------
@@ -182,7 +189,7 @@ def path_errors(
 
 
 def _aligned(true: Array, own: Array, align: Alignment) -> Array:
-    if align == "none":
+    if align in ("none", "same"):
         return own
     if align == "rigid":
         return aligned_rigidly(true, own)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,11 +20,12 @@ from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.topic_selection import parse_address, plain
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from os import PathLike
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.raw_trajectory import Samples
+    from odomcorrupt.study.io.topic_selection import Role
 
 _BAGS = (".mcap", ".bag", ".db3")
 _TEXTS = (".tum", ".txt", ".csv")
@@ -89,22 +91,40 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
     )
 
 
-def read_estimate(path: Path, address: str | None) -> Estimate:
-    """Read an estimate: from a text file, or from a topic or an edge of TF (as /tf:map.base_link) of a bag.
+def read_estimate(path: str | PathLike[str], address: str | None = None, *, role: Role = "estimate") -> Estimate:
+    """Return an estimate from a text file, or from a topic or an edge of TF of a bag.
+
+    Parameters
+    ----------
+    path : TUM or CSV file, or bag
+    address : topic, or edge of TF as "/tf:map.base_link"; None for a text file
+    role : "truth" also allows topics of positions without headings
+
+    Returns
+    -------
+    Estimate
+        Trajectory, frame, covariances.
 
     Raises
     ------
     OdomCorruptError
         If the file cannot be read, or has no such topic; NoEstimateError if the topic has no message.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> oc.read_estimate("fixtures/office.mcap", "/odom").frame
+    'odom'
     """
+    path = Path(path)
     place = str(path)
     covariance = None
     if is_text(path):
         samples = read_text(path, place)
     else:
         if address is None:
-            raise ScoreError(f"{place}: is a bag; name the topic or the edge of TF in it with --estimate")
-        samples = read_bag(_bag_in(path), place, {"odometry": address})["odometry"]
+            raise ScoreError(f"{place}: is a bag; name the topic or the edge of TF in it with --{role}")
+        samples = read_bag(_bag_in(path), place, {role: address})[role]
     if not len(samples):
         raise NoEstimateError(f"{samples.place} holds no message")
     ordered = in_order(samples)
@@ -152,7 +172,7 @@ def read_first(paths: list[Path], address: str) -> Estimate:
     for path in paths:
         if path.exists() and path.suffix not in _TEXTS:
             try:
-                return read_estimate(path, address)
+                return read_estimate(path, address, role="truth")
             except OdomCorruptError as error:
                 last = error
     raise last

@@ -5,7 +5,8 @@ use that, each at half the error rate. The first is Wilcoxon's signed-rank test 
 pairs. It detects a rise common to all runs (a factor) with the power of a t test, and is robust to outliers. The
 second swaps pairs at random and compares the statistic named in the rule: it detects a rise in only the worst runs.
 A detected rise must also be estimated as more than half of the forbidden one, so that a thousand runs do not turn
-1 % into a failure.
+1 % into a failure. Runs without a result are counted, not tested: their errors are infinite, so that a statistic that
+becomes infinite is a rise; and no run may crash that did not, unless a rule on "lost" allows it.
 
 Sources: Wilcoxon, Biometrics Bulletin 1(6), 1945; Hodges & Lehmann, Ann. Math. Stat. 34, 1963; permutation tests:
 Fisher, The Design of Experiments, 1935. Rates of errors of both kinds: `benchmarks/gate.py`.
@@ -15,17 +16,21 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from math import comb, erfc, exp, log, sqrt
+from math import degrees, erfc, exp, inf, isfinite, log, sqrt
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from odomcorrupt.scoring.errors import ScoreError
+from odomcorrupt.scoring.statistics import quantile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from odomcorrupt.geometry.se2 import Array
+
+    _Pair = tuple[Mapping[str, Any], Mapping[str, Any]]
+    """Scores of one run as JSON: in the baseline and now."""
 
 FALSE_RED = 0.01
 """Largest probability that a rule fails an unchanged version."""
@@ -35,6 +40,8 @@ LEAST_PAIRS = 8
 
 _EXACT = 200
 _SWAPS = 1_999
+_WORST = 5
+"""Largest number of runs that a failed rule on an error names; a rule on lost runs names all."""
 _SEED = 20_250_101
 """Seed of the random swaps, fixed so that verdicts are reproducible."""
 
@@ -44,9 +51,9 @@ _METRICS = {
 }  # fmt: skip
 STATISTICS: dict[str, Callable[[Array], Array]] = {
     "mean": lambda values: np.mean(values, axis=-1),
-    "median": lambda values: np.median(values, axis=-1),
-    "p90": lambda values: np.quantile(values, 0.9, axis=-1),
-    "p95": lambda values: np.quantile(values, 0.95, axis=-1),
+    "median": lambda values: quantile(values, 0.5),
+    "p90": lambda values: quantile(values, 0.9),
+    "p95": lambda values: quantile(values, 0.95),
     "max": lambda values: np.max(values, axis=-1),
 }
 _RULE = re.compile(r"\s*([a-z0-9_]+?)\s*(\+|>)\s*([0-9.]+(?:e-?[0-9]+)?)\s*(%?)\s*\Z")
@@ -56,10 +63,10 @@ _RULE = re.compile(r"\s*([a-z0-9_]+?)\s*(\+|>)\s*([0-9.]+(?:e-?[0-9]+)?)\s*(%?)\
 class Rule:
     """Condition under which the gate fails.
 
-    metric : a name of `score.run.METRICS`, or "lost": the fraction of failed runs
+    metric : a name of `score.run.METRICS`, or "lost": failed runs
     statistic : "mean", "median", "p90", "p95" or "max" over runs; "" for "lost"
-    kind : "rise": against a baseline, by `amount` (0.2 is 20 %; for "lost" 0.05 is 5 of 100 runs more);
-        "above": more than `amount`, regardless of a baseline
+    kind : "rise": against a baseline, by `amount` (0.2 is 20 %); "above": more than `amount`, without a baseline
+    percent : whether `amount` is a fraction; of "lost", a fraction of the runs instead of their number
     """
 
     text: str
@@ -67,6 +74,11 @@ class Rule:
     statistic: str
     kind: Literal["rise", "above"]
     amount: float
+    percent: bool = False
+
+
+CRASHES = Rule("crashes", "lost", "", "rise", 0.0)
+"""Rule of every gate with a baseline: no run is without a complete output that had one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,16 +104,22 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Outcome of one rule: whether it failed, a sentence, and the comparison if runs were paired."""
+    """Outcome of one rule.
+
+    sentence : the outcome in one sentence
+    comparison : the comparison if runs were paired
+    runs : if it failed, the runs that made it fail, a phrase each: name, seed, file, from what to what
+    """
 
     rule: str
     failed: bool
     sentence: str
     comparison: Comparison | None = None
+    runs: tuple[str, ...] = ()
 
 
 def parse_rule(text: str) -> Rule:
-    """Return a rule written as "ate_p90 +20%", "lost +5%", "rpe_median > 0.1" or "lost > 5%".
+    """Return a rule written as "ate_p90 +20%", "lost +1", "lost +5%", "rpe_median > 0.1" or "lost > 5%".
 
     Raises
     ------
@@ -109,7 +127,7 @@ def parse_rule(text: str) -> Rule:
         If it is not a rule.
     """
     match = _RULE.match(text)
-    way_out = 'write it as "ate_p90 +20%", "lost +5%" or "ate_median > 0.3"'
+    way_out = 'write it as "ate_p90 +20%", "lost +1" or "ate_median > 0.3"'
     if match is None:
         raise ScoreError(f"rule {text!r}: is not understood; {way_out}")
     name, sign, number, percent = match.groups()
@@ -118,10 +136,10 @@ def parse_rule(text: str) -> Rule:
     except ValueError as error:
         raise ScoreError(f"rule {text!r}: {number} is not a number; {way_out}") from error
     kind: Literal["rise", "above"] = "rise" if sign == "+" else "above"
+    if name == "lost":
+        return Rule(text, "lost", "", kind, amount, bool(percent))
     if kind == "rise" and not (percent and amount > 0.0):
         raise ScoreError(f"rule {text!r}: a rise is a percentage of more than 0; {way_out}")
-    if name == "lost":
-        return Rule(text, "lost", "", kind, amount)
     metric, _, statistic = name.rpartition("_")
     if statistic not in STATISTICS or (name in _METRICS and metric not in _METRICS):
         metric, statistic = name, "median"
@@ -134,28 +152,31 @@ def parse_rule(text: str) -> Rule:
 def compare_paired(old: Array, new: Array, *, rise: float = 0.2, statistic: str = "median") -> Comparison:
     """Return the factor by which an error has changed between two versions, and whether that is a forbidden rise.
 
-    old, new : (n,) errors of the same runs, above zero
+    old, new : (n,) errors of the same runs, at least 0; infinite for a run without a result
     rise : rise to detect: 0.2 is 20 %
     statistic : "mean", "median", "p90", "p95" or "max" over runs
 
     Raises
     ------
     ScoreError
-        If there are fewer than `LEAST_PAIRS` pairs, or a number is not above zero.
+        If there are fewer than `LEAST_PAIRS` pairs, or a number is below zero or unknown.
     """
     if len(old) != len(new) or len(old) < LEAST_PAIRS:
         raise ScoreError(
             f"{min(len(old), len(new))} runs in common with the baseline; a gate takes {LEAST_PAIRS} or more"
         )
     both = np.array([old, new], dtype=float)
-    if not (np.isfinite(both).all() and (both >= 0.0).all()):
-        raise ScoreError("errors of two versions: each must be a finite number of at least 0")
-    # an error of zero is replaced by one below any measured error
-    logs = np.log(np.maximum(both, 1e-12))
+    if not (both >= 0.0).all():
+        raise ScoreError("errors of two versions: each must be a number of at least 0")
+    # errors of zero and of infinity are replaced by ones below and above any measured error
+    logs = np.log(np.clip(both, 1e-12, 1e12))
     d = logs[1] - logs[0]
     centre, low, high = _hodges_lehmann(d)
     own = STATISTICS[statistic]
-    of_statistic = float(np.log(own(np.maximum(both[1], 1e-12))) - np.log(own(np.maximum(both[0], 1e-12))))
+    before, after = (float(own(values)) for values in np.exp(logs))
+    of_statistic = log(after) - log(before)
+    # a statistic over runs that no longer exists is no matter of chance
+    gone = bool(np.isfinite(own(both[0])) and not np.isfinite(own(both[1])))
     half = log(1.0 + rise) / 2.0
     p_all = _signed_rank(d)
     p_own = _swap_test(np.exp(logs), own, of_statistic) if of_statistic > 0.0 else 1.0
@@ -165,7 +186,7 @@ def compare_paired(old: Array, new: Array, *, rise: float = 0.2, statistic: str 
     found = max(half + 1.645 * error, (2.576 + 1.645) * error)
     return Comparison(
         len(d), exp(centre), exp(low), exp(high), exp(of_statistic), min(1.0, 2.0 * min(p_all, p_own)),
-        exp(found) - 1.0, rise=bool(shared or tail),
+        exp(found) - 1.0, rise=bool(shared or tail or gone),
     )  # fmt: skip
 
 
@@ -216,7 +237,7 @@ def _swap_test(both: Array, statistic: Callable[[Array], Array], observed: float
 
 
 def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str, Any] | None = None) -> list[Verdict]:
-    """Return a verdict for each rule.
+    """Return a verdict for each rule, and one on crashes if there are any that no rule allows.
 
     report, baseline : scores as JSON (from `report.json.score.score_json` or `odomcorrupt score --json`)
     rules : in the syntax of `parse_rule`
@@ -227,57 +248,113 @@ def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str
         If a rule is invalid, a rise has no baseline, the two were scored differently, or they have too few runs with
         equal seeds.
     """
+    parsed = [parse_rule(text) for text in rules]
+    own = _by_pair(report)
+    pairs: list[_Pair] = []
     if baseline is not None:
+        before = _by_pair(baseline)
         _require_alike(report, baseline)
-    return [_verdict(parse_rule(text), report, baseline) for text in rules]
+        pairs = [(before[key], own[key]) for key in own if key in before]
+        if not pairs:
+            raise ScoreError(
+                "the baseline has no run in common with these (same name and seed); use the seed it was made with"
+            )
+    verdicts = [_verdict(rule, own, pairs) for rule in parsed]
+    if parsed and report.get("identical"):
+        said = "identical: FAILED. The estimates are identical in all runs: your localisation was not run again"
+        verdicts.append(Verdict("identical", failed=True, sentence=said))
+    # a crash fails every gate, unless a rule says how many are allowed
+    if not any(rule.metric == "lost" for rule in parsed):
+        crashes = [(old, new) for old, new in pairs if old["scored"]]
+        verdicts += [one for one in [_lost(CRASHES, crashes)] if one.failed]
+    return verdicts
 
 
 def _require_alike(report: Mapping[str, Any], baseline: Mapping[str, Any]) -> None:
-    """Refuse a baseline whose errors have another meaning."""
-    options = {"align": "--align", "count_missing": "--count-missing", "limits": "limits of failures"}
-    for key, option in options.items():
-        own, other = report.get(key), baseline.get(key) if "runs" in baseline else report.get(key)
+    """Refuse a baseline whose errors have another meaning, or that is of other bags."""
+    for key, option in {"estimate": "--estimate", "align": "--align", "limits": "limits of failures"}.items():
+        own, other = report.get(key), baseline.get(key, report.get(key))
         if own != other:
             raise ScoreError(f"{option}: {own}, but {other} in the baseline; score both with the same options")
+    before = {one["batch"]: one for one in baseline.get("inputs", ())}
+    for one in report.get("inputs", ()):
+        for kind, value in before.get(one["batch"], {}).items():
+            if one[kind] != value:
+                raise ScoreError(
+                    f"{one['batch'] or 'batch'}: the hash of its {kind} is {one[kind]}, but {value} in the baseline; "
+                    "make the batch of the same bag and model, or save a new baseline"
+                )
 
 
-def _verdict(rule: Rule, report: Mapping[str, Any], baseline: Mapping[str, Any] | None) -> Verdict:
-    own = _by_pair(report)
+def _verdict(rule: Rule, runs: Mapping[Any, Mapping[str, Any]], pairs: Sequence[_Pair]) -> Verdict:
     if rule.kind == "above":
-        return _above(rule, own)
-    if baseline is None:
+        return _above(rule, runs)
+    if not pairs:
         raise ScoreError(f"rule {rule.text!r}: a rise is measured against an earlier result; name it with --baseline")
-    before = _by_pair(baseline)
-    keys = [key for key in own if key in before]
-    if not keys:
-        raise ScoreError(
-            "the baseline has no run in common with these (same name and seed); use the seed it was made with"
-        )
     if rule.metric == "lost":
-        return _lost(rule, [(before[k], own[k]) for k in keys])
-    pairs = [(before[k]["metrics"].get(rule.metric), own[k]["metrics"].get(rule.metric)) for k in keys]
-    usable = [
-        pair for k, pair in zip(keys, pairs, strict=True)
-        if None not in pair and before[k]["scored"] and own[k]["scored"]
-    ]  # fmt: skip
-    old, new = np.array([p[0] for p in usable], dtype=float), np.array([p[1] for p in usable], dtype=float)
-    found = compare_paired(old, new, rise=rule.amount, statistic=rule.statistic)
-    left = len(keys) - len(usable)
-    beside = f"; {left} pairs left out, without a complete output in one of the two" if left else ""
-    change = f"{rule.metric} {rule.statistic} changed by {100.0 * (found.statistic_ratio - 1.0):+.1f} %"
-    sentence = (
-        f"{rule.text}: {'FAILED' if found.rise else 'passed'}. {change}; a typical run by "
-        f"{100.0 * (found.ratio - 1.0):+.1f} % (95 % interval {100.0 * (found.low - 1.0):+.1f} to "
-        f"{100.0 * (found.high - 1.0):+.1f} %), {found.pairs} pairs, p {found.p:.2g}{beside}"
-    )
+        return _lost(rule, pairs)
+    both = [(_error(old, rule.metric), _error(new, rule.metric)) for old, new in pairs]
+    known = [i for i, pair in enumerate(both) if None not in pair]
+    values = np.array([both[i] for i in known], dtype=float).reshape(-1, 2).T
+    found = compare_paired(*values, rise=rule.amount, statistic=rule.statistic)
+    sentence = f"{_outcome(rule, failed=found.rise)} {paired_sentence(found, rule.metric, rule.statistic, *values)}"
+    if len(known) < len(pairs):
+        sentence += f"; {len(pairs) - len(known)} pairs without {rule.metric} left out"
     if not found.rise and found.detectable > rule.amount:
         least = f"{100.0 * found.detectable:.0f} %"
         sentence += f"; with so few pairs that scatter so much only a rise of {least} is found reliably"
-    return Verdict(rule.text, found.rise, sentence, found)
+    order = [known[i] for i in worst_of(*values)] if found.rise else []
+    named = [_named(*pairs[i], *(quantity(rule.metric, value or 0.0) for value in both[i])) for i in order]
+    return Verdict(rule.text, found.rise, sentence, found, tuple(named))
+
+
+def paired_sentence(found: Comparison, metric: str, statistic: str, old: Array, new: Array) -> str:
+    """Return a comparison in words: the statistic before and after with its unit, and the change of a typical run."""
+    before, after = (quantity(metric, float(STATISTICS[statistic](values))) for values in (old, new))
+    shown = (found.statistic_ratio, found.ratio, found.low, found.high)
+    changes = [f"{100.0 * (ratio - 1.0):+.1f} %" if ratio < 1e6 else "infinite" for ratio in shown]
+    return (
+        f"{statistic} of {metric.removesuffix('_m')}: {before} -> {after} ({changes[0]}); a typical run {changes[1]} "
+        f"(95 % interval {changes[2]} to {changes[3]}), {found.pairs} pairs, p {found.p:.2g}"
+    )
+
+
+def quantity(metric: str, value: float) -> str:
+    """Return a value of a metric with its unit: metres, degrees, percent or none; "-" if it is unknown."""
+    if not isfinite(value):
+        return "infinite" if value > 0.0 else "-"
+    if metric == "inside_95":
+        return f"{100.0 * value:.3g} %"
+    if metric.endswith("_rad"):
+        return f"{degrees(value):.3g} deg"
+    return f"{value:.3g} m" if metric.endswith("_m") else f"{value:.3g}"
+
+
+def worst_of(old: Array, new: Array) -> list[int]:
+    """Return the indices of the runs that rose most, the worst first, at most `_WORST`."""
+    rise = np.log(np.clip(new, 1e-12, 1e12)) - np.log(np.clip(old, 1e-12, 1e12))
+    return [int(i) for i in np.argsort(-rise, kind="stable")[:_WORST] if rise[i] > 0.0]
+
+
+def _named(old: Mapping[str, Any], new: Mapping[str, Any], before: str, after: str) -> str:
+    file = new.get("source") or old.get("source") or "no file"
+    # the way out, after a semicolon, is the same for all runs
+    reason = f" ({new['reason'].partition(';')[0]})" if not new["scored"] and new.get("reason") else ""
+    return f"{new['name']}, seed {new['seed']}, {file}: {before} -> {after}{reason}"
+
+
+def _error(run: Mapping[str, Any], metric: str) -> float | None:
+    """Return a metric of a run: infinite for an error without a complete output, None if it is unknown."""
+    value: float | None = run["metrics"].get(metric)
+    return value if run["scored"] else None if metric == "nees" else inf
+
+
+def _outcome(rule: Rule, *, failed: bool) -> str:
+    return f"{rule.text}: {'FAILED' if failed else 'passed'}."
 
 
 def _by_pair(report: Mapping[str, Any]) -> dict[tuple[str, int], Mapping[str, Any]]:
-    needed = {"name", "seed", "metrics", "scored", "counted", "failed"}
+    needed = {"name", "seed", "metrics", "scored", "failed"}
     try:
         runs = {(run["name"], run["seed"]): run for run in report["runs"] if needed <= run.keys()}
         whole = len(runs) == len(report["runs"])
@@ -289,30 +366,40 @@ def _by_pair(report: Mapping[str, Any]) -> dict[tuple[str, int], Mapping[str, An
 
 
 def _above(rule: Rule, runs: Mapping[Any, Mapping[str, Any]]) -> Verdict:
+    lost = [run for run in runs.values() if run["failed"]]
     if rule.metric == "lost":
-        counted = [run for run in runs.values() if run["counted"]]
-        value = sum(run["failed"] for run in counted) / max(len(counted), 1)
-    else:
-        values = [run["metrics"].get(rule.metric) for run in runs.values() if run["scored"]]
-        known = np.array([v for v in values if v is not None], dtype=float)
-        if not len(known):
-            raise ScoreError(f"rule {rule.text!r}: no run has {rule.metric}")
-        value = float(STATISTICS[rule.statistic](known))
+        value = len(lost) / (len(runs) if rule.percent else 1)
+        failed = value > rule.amount
+        names = tuple(f"{run['name']}, seed {run['seed']}, {run.get('source')}: {run.get('status')}" for run in lost)
+        return Verdict(
+            rule.text, failed, f"{_outcome(rule, failed=failed)} {len(lost)} of {len(runs)} runs failed",
+            runs=names if failed else (),
+        )  # fmt: skip
+    errors = [(error, run) for run in runs.values() if (error := _error(run, rule.metric)) is not None]
+    if not errors:
+        raise ScoreError(f"rule {rule.text!r}: no run has {rule.metric}")
+    value = float(STATISTICS[rule.statistic](np.array([error for error, _ in errors])))
     failed = value > rule.amount
-    return Verdict(rule.text, failed, f"{rule.text}: {'FAILED' if failed else 'passed'}. It is {value:.4g}")
+    worst = sorted(errors, key=lambda one: -one[0])[:_WORST] if failed else []
+    named = [f"{r['name']}, seed {r['seed']}, {r.get('source')}: {quantity(rule.metric, v)}" for v, r in worst]
+    said = f"{rule.statistic} of {rule.metric.removesuffix('_m')}: {quantity(rule.metric, value)}, {len(errors)} runs"
+    return Verdict(rule.text, failed, f"{_outcome(rule, failed=failed)} {said}", runs=tuple(named))
 
 
-def _lost(rule: Rule, pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Verdict:
-    """Return whether more runs fail than before: the exact sign test of discordant runs (McNemar, 1947)."""
-    counted = [(old, new) for old, new in pairs if old["counted"] and new["counted"]]
-    worse = sum(new["failed"] and not old["failed"] for old, new in counted)
-    better = sum(old["failed"] and not new["failed"] for old, new in counted)
-    n = worse + better
-    p = sum(comb(n, k) for k in range(worse, n + 1)) / 2**n
-    change = (worse - better) / max(len(counted), 1)
-    failed = p <= FALSE_RED and change > rule.amount / 2.0
+def _lost(rule: Rule, pairs: Sequence[_Pair]) -> Verdict:
+    """Return whether more runs fail, or have no complete output, than the rule allows: both are counted."""
+    crashed = [new["scored"] < old["scored"] for old, new in pairs]
+    before, after = (sum(pair[i]["failed"] for pair in pairs) for i in (0, 1))
+    allowed = rule.amount * (len(pairs) if rule.percent else 1)
+    more = sum(crashed) if rule is CRASHES else max(sum(crashed), after - before)
+    failed = more > allowed + 1e-9
     sentence = (
-        f"{rule.text}: {'FAILED' if failed else 'passed'}. Of {len(counted)} paired runs {worse} fail that did not, "
-        f"{better} no longer fail ({100.0 * change:+.1f} % of runs), p {p:.2g}"
+        f"{_outcome(rule, failed=failed)} Failed runs of {len(pairs)}: {before} -> {after}, "
+        f"{sum(crashed)} of them newly without a complete output ({allowed:g} allowed)"
     )
-    return Verdict(rule.text, failed, sentence)
+    named = [
+        _named(old, new, *(run.get("status") or ("failed" if run["failed"] else "ok") for run in (old, new)))
+        for (old, new), crash in zip(pairs, crashed, strict=True)
+        if failed and (crash or new["failed"] > old["failed"])
+    ]
+    return Verdict(rule.text, failed, sentence, runs=tuple(named))

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
 Status = Literal["ok", "lost", "diverged", "partial", "missing", "unreadable"]
 
-METRICS = ("ate_m", "ate_rad", "max_m", "rpe_m", "rpe_rad", "error_10s_m", "end_m", "nees", "inside_95")
+ERRORS = ("ate_m", "ate_rad", "max_m", "rpe_m", "rpe_rad", "error_10s_m", "end_m")
+"""Metrics that are infinite for a run without a complete output."""
+METRICS = (*ERRORS, "nees", "inside_95")
 """Metrics of a run, in the order of display."""
 
 _KEPT = 400
@@ -47,6 +49,7 @@ class RunScore:
     failure : time and place of the failure
     jumps_s : times of jumps, seconds since the truth's first stamp
     coverage : fraction of the truth's path that the estimate covers
+    source : file of the estimate, and topic; the run's own file if there is no estimate
     events : events of the model: name, begin, end (seconds since the first stamp)
     notes : omissions in reading
     """
@@ -71,14 +74,34 @@ class RunScore:
     estimate_xy: Array = field(default_factory=lambda: np.zeros((0, 2)), repr=False)
 
     @property
-    def lost(self) -> bool:
-        """Whether the estimate itself failed."""
-        return self.status in ("lost", "diverged")
+    def failed(self) -> bool:
+        """Whether the estimate was lost, or there is no complete one."""
+        return self.status != "ok"
 
     @property
     def scored(self) -> bool:
-        """Whether the run is included in statistics over runs: its output covers the path."""
+        """Whether the output covers the path, so that its errors are those of the whole run."""
         return self.status in ("ok", "lost", "diverged")
+
+    @property
+    def point(self) -> str:
+        """Directory of the run's batch: the point of a sweep, or the input; "" if there is one batch only."""
+        return self.name.rpartition("/")[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Errors at one point of a sweep, or on one of several inputs; "" if there is one batch only.
+
+    drift : median of the runs' drifts
+    ate : position errors (ATE), metres, infinite for runs without a complete output
+    """
+
+    name: str
+    drift: float
+    runs: int
+    lost: int
+    ate: Summary
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -86,8 +109,9 @@ class ScoreReport:
     """Scores of n runs.
 
     runs : all runs, in the order of the manifest
-    align, limits, count_missing : options of the scoring
+    align, limits : options of the scoring
     estimate, truth : sources of both
+    inputs : name of each batch ("" if it is the only one), and hashes of its input and its model
     clean_m, clean_xy : (k,) metres driven along the truth, and (k, 2) positions there
     notes : notes on all runs
     """
@@ -97,36 +121,42 @@ class ScoreReport:
     truth: str
     align: Alignment
     limits: Limits
-    count_missing: bool
+    inputs: tuple[Mapping[str, str], ...]
     clean_m: Array
     clean_xy: Array
     notes: tuple[str, ...] = ()
 
-    def failed(self, run: RunScore) -> bool:
-        """Return whether a run counts as a failure: lost, or without a complete output if `count_missing`."""
-        return run.lost or (self.count_missing and not run.scored)
+    @property
+    def failed(self) -> int:
+        """Number of failed runs."""
+        return sum(run.failed for run in self.runs)
 
     @property
-    def counted(self) -> tuple[RunScore, ...]:
-        """Runs in the denominator of the failure rate: those with an output, and those without if `count_missing`."""
-        return tuple(run for run in self.runs if run.scored or self.count_missing)
-
-    def values(self, metric: str) -> Array:
-        """Return a metric of the scored runs (n,); NaN for runs without it."""
-        if metric not in METRICS:
-            raise ScoreError(f"{metric}: is not a metric; there are {', '.join(METRICS)}")
-        return np.array([run.metrics.get(metric, float("nan")) for run in self.runs if run.scored])
+    def identical(self) -> bool:
+        """Whether all estimates are the same although the odometry of the runs differs, so that none is of its run."""
+        scored = [run for run in self.runs if run.metrics]
+        alike = all(np.array_equal(run.estimate_xy, scored[0].estimate_xy) for run in scored)
+        return alike and max(run.drift_end_m for run in scored) > min(run.drift_end_m for run in scored)
 
     def summary(self, metric: str) -> Summary:
-        """Return statistics of a metric over the scored runs."""
-        return summarise(self.values(metric))
+        """Return statistics of a metric over the runs; an error is infinite for a run without a complete output."""
+        return _summary(self.runs, metric)
+
+    @property
+    def points(self) -> list[Point]:
+        """Errors of each batch, in the order of their drifts."""
+        found = []
+        for name in dict.fromkeys(run.point for run in self.runs):
+            runs = [run for run in self.runs if run.point == name]
+            drift = float(np.median([run.drift for run in runs]))
+            found.append(Point(name, drift, len(runs), sum(run.failed for run in runs), _summary(runs, "ate_m")))
+        return sorted(found, key=lambda point: point.drift)
 
     @property
     def breakdown(self) -> Breakdown:
         """Drift at which 5 % of runs fail, see `statistics.breakdown`."""
-        runs = self.counted
         return breakdown(
-            np.array([run.drift for run in runs]), np.array([self.failed(run) for run in runs], dtype=bool)
+            np.array([run.drift for run in self.runs]), np.array([run.failed for run in self.runs], dtype=bool)
         )
 
     @property
@@ -144,6 +174,11 @@ class ScoreReport:
         return sections(paths, self.clean_m, self.clean_xy, lost)
 
 
+def _summary(runs: Sequence[RunScore], metric: str) -> Summary:
+    unknown, without = float("nan"), float("inf") if metric in ERRORS else float("nan")
+    return summarise(np.array([run.metrics.get(metric, unknown) if run.scored else without for run in runs]))
+
+
 def score(
     runs: Path | str | Sequence[Path | str],
     estimate: str | None = None,
@@ -153,7 +188,6 @@ def score(
     outputs: str | PathLike[str] | None = None,
     align: Alignment = "rigid",
     limits: Limits | None = None,
-    count_missing: bool = False,
 ) -> ScoreReport:
     """Return the errors of estimates of a batch's runs; parameters and errors are those of `odomcorrupt.score`."""
     limits = limits or Limits()
@@ -162,13 +196,16 @@ def score(
     found: list[RunScore] = []
     clean: Trajectory | None = None
     truths: set[str] = set()
-    frames: set[str] = set()
+    inputs: list[Mapping[str, str]] = []
     for label, directory, root in places:
         beside = directory if outputs is None else Path(outputs) / directory.relative_to(root)
         records = read_records(directory)
         if not records:
             raise ScoreError(f"{directory}: the batch has no runs yet; make them with odomcorrupt batch")
-        source = _Truth(directory, truth, None if truth_bag is None else Path(truth_bag))
+        begun = read_beginning(directory)
+        inputs.append({"batch": label, **{kind: begun[kind]["hash"] for kind in ("input", "model")}})
+        frame = next(iter(records.values())).get("odom_frame", "")
+        source = _Truth(directory, truth, None if truth_bag is None else Path(truth_bag), frame)
         for number, record in records.items():
             name = f"{label}/run_{number:06d}" if label else f"run_{number:06d}"
             blank = RunScore(name, int(record["seed"]), number, "missing", **_put_in(record))
@@ -176,14 +213,23 @@ def score(
             found.append(one)
             clean = clean or reference
             truths |= {source.name} if source.name else set()
-            frames |= {source.frame} if source.frame else set()
+            _require_one_frame(one, source.frame, align)
     if clean is None or not any(run.metrics for run in found):
         first = found[0]
         raise ScoreError(f"none of {len(found)} runs has an estimate that can be scored; {first.name}: {first.reason}")
     return ScoreReport(
-        tuple(found), estimate or "text files", ", ".join(sorted(truths)), align, limits, count_missing,
-        distance_along(clean.xyt), clean.xyt[:, :2], tuple(_notes(found, truths, frames, align)),
+        tuple(found), estimate or "text files", ", ".join(sorted(truths)), align, limits, tuple(inputs),
+        distance_along(clean.xyt), clean.xyt[:, :2], tuple(_notes(found, truths, align)),
     )  # fmt: skip
+
+
+def _require_one_frame(run: RunScore, true_frame: str, align: Alignment) -> None:
+    """Refuse to subtract poses in two frames."""
+    if align == "none" and run.frame and true_frame and run.frame.strip("/") != true_frame.strip("/"):
+        raise ScoreError(
+            f"{run.name}: the estimate is in frame {run.frame}, the truth in {true_frame}; name a truth in {run.frame} "
+            "with --truth, align them with --align rigid, or say --align same if both frames are one"
+        )
 
 
 def _batches(root: Path) -> list[tuple[str, Path, Path]]:
@@ -209,9 +255,10 @@ def _put_in(record: Mapping[str, Any]) -> dict[str, Any]:
 class _Truth:
     """Source of the truth of a batch's runs; read once if all share it."""
 
-    def __init__(self, directory: Path, topic: str | None, file: Path | None) -> None:
+    def __init__(self, directory: Path, topic: str | None, file: Path | None, odom_frame: str) -> None:
         self._directory, self._topic, self._file = directory, topic, file
         self._shared: Trajectory | None = None
+        self._odom_frame = odom_frame
         self.name = ""
         self.frame = ""
 
@@ -221,14 +268,15 @@ class _Truth:
             return self._shared
         shared = True
         if self._file is not None:
-            got = read_estimate(self._file, self._topic)
+            got = read_estimate(self._file, self._topic, role="truth")
         elif self._topic is None:
             got = read_estimate(self._directory / "clean.tum", None)
         else:
             original = Path(read_beginning(self._directory)["input"]["path"])
             got = read_first([original, run_file, estimate_file], self._topic)
             shared = got.source.startswith(str(original))
-        self.name, self.frame = got.source, got.frame
+        from_odometry = self._file is None and self._topic is None
+        self.name, self.frame = got.source, self._odom_frame if from_odometry else got.frame
         if shared:
             self._shared = got.trajectory
         return got.trajectory
@@ -244,6 +292,7 @@ def _scored(
     limits: Limits,
 ) -> tuple[RunScore, Trajectory | None]:
     """Return the score of one run, and its truth if that could be read."""
+    blank = replace(blank, source=str(run_file))
     try:
         path = find_estimate(outputs, run_file, needs_topic=estimate is not None)
         got = read_estimate(path, estimate)
@@ -278,19 +327,13 @@ def _judged(blank: RunScore, errors: PathErrors, limits: Limits) -> RunScore:
     )  # fmt: skip
 
 
-def _notes(runs: Sequence[RunScore], truths: set[str], true_frames: set[str], align: Alignment) -> list[str]:
+def _notes(runs: Sequence[RunScore], truths: set[str], align: Alignment) -> list[str]:
     """Return notes on all runs: frames, alignment and omissions in reading."""
     notes = []
     frames = sorted({run.frame for run in runs if run.metrics})
     if len(frames) > 1:
         notes.append(f"the estimates are in different frames: {', '.join(repr(frame) for frame in frames)}")
-    own = {frame for frame in frames if frame}
-    if align == "none" and own and true_frames and own != true_frames:
-        named = " and ".join(", ".join(sorted(names)) for names in (own, true_frames))
-        notes.append(
-            f"not aligned, although the estimate and the truth are in frames called {named}; are they the same?"
-        )
-    elif align == "none":
+    if align in ("none", "same"):
         notes.append("not aligned: estimate and truth are taken to be in one frame")
     if any(name.endswith("clean.tum") for name in truths):
         notes.append("truth: the odometry before it was corrupted; name a topic with --truth if that is not a truth")

@@ -21,6 +21,15 @@ _CHI2_1_95 = 3.841
 """Twice the decrease of the log likelihood at the ends of a 95 % interval of one parameter."""
 
 
+def quantile(values: Array, q: float) -> Array:
+    """Return a quantile over the last axis of values, which may be infinite; linear between neighbours."""
+    ordered = np.sort(values, axis=-1)
+    at = q * (ordered.shape[-1] - 1)
+    low, high = ordered[..., int(np.floor(at))], ordered[..., int(np.ceil(at))]
+    with np.errstate(invalid="ignore"):
+        return np.where(low == high, low, low + (at - np.floor(at)) * (high - low))
+
+
 @dataclass(frozen=True, slots=True)
 class Quantile:
     """A quantile over runs and its 95 % interval by order statistics; infinite if too few runs bound it."""
@@ -43,8 +52,8 @@ class Summary:
 
 
 def summarise(values: Array) -> Summary:
-    """Return mean, quantiles and maximum of values (n,), ignoring NaN."""
-    own = np.sort(values[np.isfinite(values)])
+    """Return mean, quantiles and maximum of values (n,), which may be infinite, ignoring NaN."""
+    own = np.sort(values[~np.isnan(values)])
     if not len(own):
         nothing = Quantile(*[float("nan")] * 3)
         return Summary(0, float("nan"), nothing, nothing, nothing, float("nan"))
@@ -65,7 +74,7 @@ def _quantile(ordered: Array, q: float) -> Quantile:
         upper = int(np.searchsorted(counts, 0.975)) + 1
     low = float(ordered[lower - 1]) if lower >= 1 else 0.0
     high = float(ordered[upper - 1]) if upper <= n else float("inf")
-    return Quantile(float(np.quantile(ordered, q)), low, high)
+    return Quantile(float(quantile(ordered, q)), low, high)
 
 
 @dataclass(frozen=True, slots=True)

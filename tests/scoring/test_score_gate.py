@@ -63,32 +63,78 @@ def result(values, failed=(), seed=7, missing=()):
     return {
         "runs": [
             {"name": f"run_{i:06d}", "seed": seed, "metrics": {"ate_m": None if i in missing else float(v)},
-             "scored": i not in missing, "counted": i not in missing, "failed": i in failed}
+             "scored": i not in missing, "failed": i in failed or i in missing, "source": f"run_{i:06d}.tum"}
             for i, v in enumerate(values)
         ]
     }  # fmt: skip
 
 
-def test_a_rule_says_what_happened_and_how_many_pairs_it_saw():
+def test_a_failed_rule_names_statistic_unit_and_the_worst_runs():
     old, new = pair(np.random.default_rng(6), 0.5)
-    (verdict,) = check(result(new, missing={3}), ["ate_p90 +20%"], result(old))
+    (verdict,) = check(result(new), ["ate_p90 +20%"], result(old))
+    worst = int(np.argmax(new / old))
     assert verdict.failed
-    assert "FAILED" in verdict.sentence
-    assert "39 pairs" in verdict.sentence
-    assert "1 pairs left out" in verdict.sentence
+    assert verdict.sentence.startswith("ate_p90 +20%: FAILED. p90 of ate: ")
+    assert f"{np.quantile(old, 0.9):.3g} m -> {np.quantile(new, 0.9):.3g} m" in verdict.sentence
+    assert "40 pairs" in verdict.sentence
+    assert verdict.runs[0] == (
+        f"run_{worst:06d}, seed 7, run_{worst:06d}.tum: {old[worst]:.3g} m -> {new[worst]:.3g} m"
+    )
 
 
-def test_more_losses_are_found_by_the_runs_that_differ():
+@pytest.mark.parametrize(
+    ("rules", "crashes", "failing"),
+    [
+        (["ate_median +20%"], 1, ["crashes"]),
+        (["ate_median +20%", "lost +1"], 1, []),
+        (["ate_median +20%", "lost +1"], 2, ["lost +1"]),
+        (["ate_p90 +20%", "lost +5%"], 1, []),
+        (["ate_p90 +20%", "lost +10%"], 2, ["ate_p90 +20%"]),
+        (["ate_p90 +20%", "lost +50%"], 4, ["ate_p90 +20%"]),
+        (["ate_p90 +20%", "lost +0"], 1, ["lost +0"]),
+        (["ate_p90 +20%", "lost +5%"], 5, ["ate_p90 +20%", "lost +5%"]),
+    ],
+)
+def test_a_crash_fails_unless_a_rule_allows_it_and_counts_as_an_infinite_error(rules, crashes, failing):
+    old, _ = pair(np.random.default_rng(2), 0.0, n=20)
+    verdicts = check(result(old, missing=range(crashes)), rules, result(old))
+    assert [one.rule for one in verdicts if one.failed] == failing
+    for one in verdicts:
+        if one.failed and "lost" in one.rule:
+            assert one.runs == tuple(f"run_{i:06d}, seed 7, run_{i:06d}.tum: ok -> failed" for i in range(crashes))
+    # crashes that the baseline had, too, are none of this version
+    again = check(result(old, missing=range(crashes)), rules, result(old, missing=range(crashes)))
+    assert not any(one.failed for one in again)
+
+
+def test_losses_are_counted_not_tested():
     values = np.ones(40)
-    red, same = (check(result(values, failed=range(n)), ["lost +10%"], result(values))[0] for n in (10, 2))
+    red, same = (check(result(values, failed=range(n)), ["lost +10%"], result(values))[0] for n in (5, 4))
     assert red.failed
     assert not same.failed
 
 
 def test_an_absolute_rule_needs_no_baseline():
-    low, high = check(result([0.1, 0.2, 0.3], failed={1}), ["ate_max > 0.5", "lost > 10%"])
-    assert not low.failed
-    assert high.failed
+    rules = ["ate_max > 0.5", "lost > 10%", "lost > 1"]
+    low, part, count = check(result([0.1, 0.2, 0.3], failed={1}), rules)
+    assert (low.failed, part.failed, count.failed) == (False, True, False)
+    assert check(result([0.1, 0.2, 0.3], missing={1}), ["ate_max > 0.5"])[0].failed
+
+
+def test_identical_estimates_fail_every_gate():
+    values = np.ones(10)
+    verdicts = check(result(values) | {"identical": True}, ["ate_median > 3"])
+    assert [one.rule for one in verdicts if one.failed] == ["identical"]
+    assert "not run again" in verdicts[-1].sentence
+    assert check(result(values) | {"identical": True}, []) == []
+
+
+def test_a_baseline_of_other_bags_or_options_is_refused():
+    values, batch = np.ones(10), {"inputs": [{"batch": "", "input": "a", "model": "b"}], "estimate": "/amcl_pose"}
+    check(result(values) | batch, ["ate_p90 +20%"], result(values) | batch)
+    for other in ({"inputs": [{"batch": "", "input": "a", "model": "c"}]}, {"estimate": "/pose"}):
+        with pytest.raises(ScoreError, match="in the baseline; "):
+            check(result(values) | batch, ["ate_p90 +20%"], result(values) | batch | other)
 
 
 def test_few_pairs_say_what_they_can_find():

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import re
+import shlex
 import shutil
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +70,7 @@ def test_the_run_itself_may_hold_the_estimate_as_a_topic_or_in_tf(batch):
     assert 0.2 < topic.summary("nees").median.value < 5.0
 
 
-def test_what_is_wrong_with_a_run_is_said_and_counted_only_on_demand(batch, estimates):
+def test_what_is_wrong_with_a_run_is_said_and_counted(batch, estimates):
     spoil(estimates / "run_000001.tum", rows=slice(0, 1200))
     (estimates / "run_000002.tum").unlink()
     spoil(estimates / "run_000003.tum", shift_ns=10**15)
@@ -81,10 +85,9 @@ def test_what_is_wrong_with_a_run_is_said_and_counted_only_on_demand(batch, esti
     assert "covers" in report.runs[1].reason
     assert "no time in common" in report.runs[3].reason
     assert report.runs[5].failure.t_s == pytest.approx(30.0, abs=0.2)
-    assert (len(report.counted), sum(report.failed(one) for one in report.runs)) == (5, 1)
-    assert report.summary("ate_m").n == 5
-    strict = score(batch / "trajectories", outputs=estimates, align="none", count_missing=True)
-    assert (len(strict.counted), sum(strict.failed(one) for one in strict.runs)) == (10, 6)
+    assert report.failed == 6
+    found = report.summary("ate_m")
+    assert (found.n, found.median.value, found.max) == (10, np.inf, np.inf)
 
 
 def test_no_estimate_at_all_and_no_batch_are_errors(batch, tmp_path):
@@ -108,17 +111,82 @@ def test_a_sweep_is_one_report(tmp_path):
     assert [one.name for one in report.runs] == [
         f"alpha-scale={scale}/run_{number:06d}" for scale in ("0.5", "2") for number in (0, 1)
     ]
-    low, high = (np.mean([one.drift for one in report.runs[i : i + 2]]) for i in (0, 2))
-    assert high > 2.0 * low
+    low, high = report.points
+    assert (low.name, high.name, low.runs, low.lost) == ("alpha-scale=0.5", "alpha-scale=2", 2, 0)
+    assert high.drift > 2.0 * low.drift
+    assert low.ate.p90.value == pytest.approx(
+        np.quantile([one.metrics["ate_m"] for one in report.runs[:2]], 0.9), rel=1e-9
+    )
+
+
+def test_a_sweep_is_a_table_of_points_everywhere(tmp_path, capsys):
+    words = [str(OFFICE), str(tmp_path / "runs"), "--runs", "2", *NOISE, "--seed", "7", "--output", "overlay"]
+    assert run(["batch", *words, "--sweep", "alpha-scale=0.5,2"]) == 0
+    capsys.readouterr()
+    files = {name: tmp_path / name for name in ("t.csv", "t.md", "t.xml", "t.png")}
+    given = [
+        w
+        for o, n in zip(("--csv", "--markdown", "--junit", "--plot"), files.values(), strict=True)
+        for w in (o, str(n))
+    ]
+    gate = ["--fail-if", "ate_median > 0.001", "--fail-if", "lost > 99%"]
+    assert run(["score", str(tmp_path / "runs"), "--estimate", "/odom", "--align", "origin", *given, *gate]) == 1
+    shown = capsys.readouterr().out
+    head = next(line for line in shown.splitlines() if line.startswith("points"))
+    assert head.split() == ["points", "drift", "runs", "lost", "median", "ATE", "p90", "point"]
+    rows = list(csv.DictReader(files["t.csv"].read_text().splitlines()))
+    assert [row["point"] for row in rows] == ["alpha-scale=0.5", "alpha-scale=2"]
+    text = files["t.md"].read_text()
+    assert text.startswith("## FAILED: /odom")
+    for row in rows:
+        for value in (f"{float(row['median_ate_m']):.3g} m", f"{float(row['p90_ate_m']):.3g} m", row["point"]):
+            assert value in shown
+            assert value in text
+    suite = ET.fromstring(files["t.xml"].read_text())  # noqa: S314 - our own file
+    assert (suite.get("tests"), suite.get("failures")) == ("3", "1")
+    (failure,) = suite.iter("failure")
+    assert "seed 7" in failure.text
+    assert "run_000000" in failure.text
+    assert files["t.png"].stat().st_size > 10_000
+
+
+def test_the_estimate_of_the_recording_is_no_estimate_of_its_runs(batch, estimates, capsys):
+    for path in estimates.glob("run_*.tum"):
+        shutil.copy(batch / "trajectories" / "run_000000.tum", path)
+    words = ["score", str(batch / "trajectories"), "--outputs", str(estimates)]
+    for gate, code, first in (([], 0, "IDENTICAL"), (["--fail-if", "ate_median > 9"], 1, "FAILED")):
+        assert run([*words, *gate]) == code
+        said = capsys.readouterr().out
+        assert said.startswith(first)
+        assert "your localisation was not run again" in re.sub(r"\s+", " ", said)
+
+
+def test_poses_in_two_frames_are_subtracted_on_demand_only(batch, tmp_path, capsys):
+    (tmp_path / "truth.tum").write_bytes((batch / "full" / "clean.tum").read_bytes())
+    shutil.copytree(batch / "full", tmp_path / "runs")
+    shutil.rmtree(tmp_path / "runs" / ".parts")
+    records = tmp_path / "runs" / "manifest.jsonl"
+    records.write_text(records.read_text().replace('"odom_frame": "odom"', '"odom_frame": "wheels"'))
+    words = ["score", str(tmp_path / "runs"), "--estimate", "/odom"]
+    assert run([*words, "--align", "none"]) == 1
+    said = capsys.readouterr().err
+    for part in ("frame odom", "truth in wheels", "--truth", "--align rigid"):
+        assert part in said
+    for fine in (
+        ["--align", "same"],
+        ["--align", "rigid"],
+        ["--align", "none", "--truth-bag", str(tmp_path / "truth.tum")],
+    ):
+        assert run([*words, *fine]) == 0
 
 
 @pytest.mark.slow
 def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates, tmp_path, capsys):
     words = ["score", str(batch / "trajectories"), "--outputs", str(estimates), "--align", "none"]
     base, page, picture = (tmp_path / name for name in ("last.json", "page.html", "score.png"))
-    assert run([*words, "--save", str(base), "--report", str(page), "-o", str(picture), "--each"]) == 0
+    assert run([*words, "--save", str(base), "--report", str(page), "-o", str(picture), "-v"]) == 0
     text = capsys.readouterr().out
-    assert "10 runs, 0 of 10 counted ones failed" in text
+    assert "0 of 10 runs failed" in text
     assert text.count("run_0000") == 10
     assert page.read_text().count("<img") == 3
     assert picture.stat().st_size > 10_000
@@ -145,27 +213,34 @@ def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates
         (["--fail-if", "ate +"], 1, "not understood"),
         (["--baseline", "BASE"], 2, "--fail-if"),
         (["--fail-if", "ate_p90 +20%", "--baseline", "BASE"], 1, "not a result of score"),
-        (["-o", "score.gif"], 2, "ends in .gif; write .png, .svg or .pdf"),
+        (["-o", "score.gif"], 2, "ends in .gif; write .json, .png, .svg or .pdf"),
         (["--lost", "nan"], 2, "metres"),
-        (["--truth", "/nowhere"], 1, "/nowhere"),
+        (["--truth", "/nowhere"], 1, "Name another with --truth"),
+        (["--outputs", "FULL", "--estimate", "/nowhere"], 1, "Name another with --estimate"),
     ],
 )
 def test_wrong_words_are_refused_in_one_line(batch, estimates, tmp_path, capsys, words, code, said):
     (tmp_path / "base.json").write_text("[]")
-    given = [word.replace("BASE", str(tmp_path / "base.json")) for word in words]
+    given = [word.replace("BASE", str(tmp_path / "base.json")).replace("FULL", str(batch / "full")) for word in words]
     assert run(["score", str(batch / "trajectories"), "--outputs", str(estimates), *given]) == code
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
 
 
-def test_a_score_is_eight_lines_and_begins_with_what_failed(batch, estimates, capsys):
+def test_the_first_word_is_the_gates_result_and_the_exit_code(batch, estimates, capsys):
     words = ["score", str(batch / "trajectories"), "--outputs", str(estimates), "--align", "none"]
-    for label, code, gate in (("HELD", 0, []), ("FAILED", 1, ["--fail-if", "ate_median > 0"])):
+    (estimates / "run_000001.tum").unlink()
+    passing, failing = ["--fail-if", "ate_median > 9"], ["--fail-if", "ate_median > 0"]
+    for label, code, gate in (("SCORED", 0, []), ("PASSED", 0, passing), ("FAILED", 1, failing)):
         assert run([*words, *gate]) == code
         lines = capsys.readouterr().out.splitlines()
         assert lines[0].startswith(label)
-        assert len(lines) <= 8
+        assert "1 of 10 runs failed (1 missing)" in lines[0]
+        assert len(lines) <= {"SCORED": 8, "PASSED": 10, "FAILED": 20}[label]
+        following = next(i for i, line in enumerate(lines) if line.startswith("next"))
+        said = " ".join(line[8:].removesuffix("\\").strip() for line in lines[following:])
+        assert said == shlex.join(["odomcorrupt", *words, *gate, "--report", "page.html"])
         assert max(map(len, lines)) <= 80
         assert any(line.startswith("next") for line in lines)
         assert any(line.startswith("gate") for line in lines) == bool(gate)
@@ -189,7 +264,7 @@ def keys_of(value):
 
 def test_a_score_from_python_is_small_to_print_and_has_a_gate(batch, estimates, tmp_path):
     result = oc.score(batch / "trajectories", outputs=estimates, align="none")
-    assert repr(result).startswith("<Score: HELD ")
+    assert repr(result).startswith("<Score: SCORED ")
     assert len(repr(result)) < 120
     assert len(str(result).splitlines()) <= 8
     assert [row["run"] for row in result.rows()] == list(range(10))

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.report.html.page import page, picture, table
 from odomcorrupt.report.plots.score import along, draw_alone, drift, places
-from odomcorrupt.report.text.score import METRIC_WORDS, metric_text, run_cells, run_heads, sentences
+from odomcorrupt.report.text.score import (
+    METRIC_WORDS,
+    POINT_HEADS,
+    gate_lines,
+    point_rows,
+    run_cells,
+    run_heads,
+    sentences,
+)
+from odomcorrupt.scoring.gate import quantity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +37,8 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str
     body = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="quiet">Truth: {escape(report.truth)}. Alignment: {escape(report.align)}.</p>',
-        *(f'<p class="verdict{" rejected" if v.failed else ""}">{escape(v.sentence)}.</p>' for v in verdicts),
+        *(f'<p class="verdict{" rejected" if v.failed else ""}">{"<br>".join(map(escape, gate_lines([v])))}</p>'
+          for v in verdicts),
         f"<p><strong>{escape(first)}</strong></p>",
         *(f"<p>{escape(sentence)}</p>" for sentence in rest),
         picture(
@@ -40,6 +50,7 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str
             draw_alone(along, report, 8.0, 4.2),
         ),
         picture("places", "Where it fails", "Crosses: where runs were lost.", draw_alone(places, report, 7.0, 6.0)),
+        table(POINT_HEADS, [list(map(escape, row)) for row in point_rows(report)]) if len(report.points) > 1 else "",
         "<h2>Over runs</h2>",
         _summary(report),
         _sections(report),
@@ -57,20 +68,20 @@ def _summary(report: ScoreReport) -> str:
         s = report.summary(name)
         if s.n:
             quantiles = [_quantile(name, q) for q in (s.median, s.p90, s.p95)]
-            rows.append([escape(words), str(s.n), metric_text(name, s.mean), *quantiles, metric_text(name, s.max)])
+            rows.append([escape(words), str(s.n), quantity(name, s.mean), *quantiles, quantity(name, s.max)])
     heads = ("", "runs", "mean", "median (95 % interval)", "p90 (95 % interval)", "p95 (95 % interval)", "max")
     return table(heads, rows)
 
 
 def _quantile(metric: str, q: Quantile) -> str:
-    high = metric_text(metric, q.high) if isfinite(q.high) else "∞"
-    return f"{metric_text(metric, q.value)} ({metric_text(metric, q.low)} to {high})"
+    high = quantity(metric, q.high) if isfinite(q.high) else "∞"
+    return f"{quantity(metric, q.value)} ({quantity(metric, q.low)} to {high})"
 
 
 def _sections(report: ScoreReport) -> str:
     rows = [
         [f"{s.from_m:.1f} to {s.to_m:.1f} m", f"{s.xy_m[0]:.2f}, {s.xy_m[1]:.2f}", str(s.runs),
-         metric_text("_m", s.median_m), metric_text("_m", s.p90_m), f"!{s.failures}" if s.failures else "0"]
+         quantity("_m", s.median_m), quantity("_m", s.p90_m), f"!{s.failures}" if s.failures else "0"]
         for s in report.sections
     ]  # fmt: skip
     return table(("along the path", "x, y (m)", "runs", "median error", "p90", "losses begin"), rows, "Along the path")

@@ -25,27 +25,24 @@ def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[st
             "schema": SCHEMA,
             **picked(report, "estimate", "truth", "align"),
             "limits": asdict(report.limits),
-            "count_missing": report.count_missing,
+            "inputs": report.inputs,
             "summary": {name: asdict(report.summary(name)) for name in METRICS},
-            "failed": sum(report.failed(run) for run in report.runs),
-            "counted": len(report.counted),
+            "failed": report.failed,
+            "identical": report.identical,
+            "points": [asdict(point) for point in report.points],
             "breakdown": asdict(found),
             "growth": None if grown is None else asdict(grown),
             "sections": [asdict(section) for section in report.sections],
-            "runs": [_run(run, report) for run in report.runs],
+            "runs": [_run(run) for run in report.runs],
             "verdicts": [asdict(verdict) for verdict in verdicts],
             "notes": list(report.notes),
         }
     )
 
 
-def _run(run: RunScore, report: ScoreReport) -> dict[str, Any]:
-    counted = run.scored or report.count_missing
+def _run(run: RunScore) -> dict[str, Any]:
     return {
-        **picked(run, "name", "seed", "run", "status", "reason", "scored"),
-        "counted": counted,
-        "failed": report.failed(run),
-        **picked(run, "drift", "drift_end_m"),
+        **picked(run, "name", "seed", "run", "status", "reason", "scored", "failed", "drift", "drift_end_m"),
         "metrics": {name: run.metrics.get(name) for name in METRICS},
         "failure": None if run.failure is None else asdict(run.failure),
         "jumps_s": list(run.jumps_s),

@@ -46,13 +46,19 @@ def drift(axes: Axes, report: ScoreReport) -> None:
     # zero drift is drawn at the left end of the logarithmic axis
     least = 0.5 * min(above, default=1.0)
     for lost, colour, marker, label in ((False, BLUE, "o", "not lost"), (True, RED, "X", "lost")):
-        own = [run for run in runs if run.lost is lost]
+        own = [run for run in runs if run.failed is lost]
         if own:
             shares = [100.0 * max(run.drift, least) for run in own]
             axes.plot(
                 shares, [run.metrics["ate_m"] for run in own], marker, color=colour,
                 markersize=4.5, alpha=0.7, markeredgewidth=0.0, label=f"{len(own)} {label}",
             )  # fmt: skip
+    points = report.points
+    if len(points) > 1:
+        at = [100.0 * max(point.drift, least) for point in points]
+        for quantile, style in (("median", "-"), ("p90", "--")):
+            ate = [getattr(point.ate, quantile).value for point in points]
+            axes.plot(at, ate, style, color=BLACK, linewidth=1.2, label=f"{quantile} of a point")
     found = report.breakdown
     if found.drift is not None:
         axes.axvline(100.0 * found.drift, color=ORANGE, linewidth=1.5, label="5 % of runs lost")
@@ -73,7 +79,7 @@ def along(axes: Axes, report: ScoreReport) -> None:
     """Draw the position error of each run along the path, with median and 90 % quantile."""
     runs = [run for run in report.runs if run.scored]
     for run in runs[:_SHOWN]:
-        axes.plot(run.distance_m, run.position_m, color=RED if run.lost else BLUE, alpha=0.15, linewidth=0.7)
+        axes.plot(run.distance_m, run.position_m, color=RED if run.failed else BLUE, alpha=0.15, linewidth=0.7)
     known = [s for s in report.sections if s.runs]
     middle = [(s.from_m + s.to_m) / 2.0 for s in known]
     axes.plot(middle, [s.median_m for s in known], color=BLACK, linewidth=1.8, label="median of runs")

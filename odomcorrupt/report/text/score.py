@@ -1,16 +1,20 @@
-"""Scores of a batch's estimates as plain text, with the sentences that the HTML page shares."""
+"""Scores of a batch's estimates as plain text, Markdown, CSV and JUnit XML, with the sentences of the HTML page."""
 
 from __future__ import annotations
 
+import csv
+import io
 from collections import Counter
-from math import degrees, isfinite
+from math import isfinite
 from typing import TYPE_CHECKING
+from xml.sax.saxutils import escape, quoteattr
 
 from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.scoring.gate import quantity
+from odomcorrupt.summary import ALWAYS, MOST_LINES, Line, Summary, command_line
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from odomcorrupt.scoring.gate import Verdict
     from odomcorrupt.scoring.run import RunScore, ScoreReport, Status
@@ -25,58 +29,78 @@ METRIC_WORDS = {
 """Rows of the table over runs."""
 
 _STATUSES: tuple[Status, ...] = ("lost", "diverged", "partial", "missing", "unreadable")
+_NAMED = 5
+"""Runs that a failed rule names on the screen; -v, Markdown and JUnit name all."""
+POINT_HEADS = ("drift", "runs", "lost", "median ATE", "p90", "point")
 
 
-def metric_text(metric: str, value: float) -> str:
-    """Return a metric in a common unit; "-" if unknown."""
-    if value != value:  # noqa: PLR0124 - NaN alone
-        return "-"
-    if not isfinite(value):
-        return "unbounded"
-    if metric.endswith("_rad"):
-        return f"{degrees(value):.3g} deg"
-    if metric.endswith("_m"):
-        return f"{value * 1e3:.3g} mm" if value < 0.1 else f"{value:.3g} m"
-    return _percent(value) if metric == "inside_95" else f"{value:.3g}"
+def point_rows(report: ScoreReport) -> list[list[str]]:
+    """Return the rows of the table of points: drift, runs, lost, median and p90 of the ATE, name."""
+    return [
+        [_percent(p.drift), str(p.runs), str(p.lost), quantity("ate_m", p.ate.median.value),
+         quantity("ate_m", p.ate.p90.value), p.name or "all runs"]
+        for p in report.points
+    ]  # fmt: skip
 
 
 def score_text(report: ScoreReport) -> str:
-    """Return sentences, the table over runs, and a line for each run."""
+    """Return sentences, the tables of points and over runs, and a line for each run."""
     lines = [*sentences(report), ""]
-    lines.append(
-        f"{'over runs':<32}{'n':>5}{'median':>11}{'95 % interval':>22}{'p90':>11}{'95 % interval':>22}{'max':>11}"
-    )
+    if len(report.points) > 1:
+        lines += [*_aligned([POINT_HEADS, *point_rows(report)]), ""]
+    rows = [["over runs", "n", "median", "95 % interval", "p90", "95 % interval", "max"]]
     for name, words in METRIC_WORDS.items():
         s = report.summary(name)
         if s.n:
-            cells = (s.median.value, s.p90.value, s.max)
-            median, p90, largest = (metric_text(name, value) for value in cells)
-            lines.append(
-                f"{words:<32}{s.n:>5}{median:>11}{_interval(name, s.median):>22}{p90:>11}"
-                f"{_interval(name, s.p90):>22}{largest:>11}"
-            )
-    lines += ["", _row(run_heads()), *(_row(run_cells(run)) for run in report.runs)]
+            median, p90, largest = (quantity(name, value) for value in (s.median.value, s.p90.value, s.max))
+            rows.append([words, str(s.n), median, _interval(name, s.median), p90, _interval(name, s.p90), largest])
+    lines += [*_aligned(rows), "", *_aligned([run_heads(), *map(run_cells, report.runs)])]
     lines += [f"Note: {note}." for note in report.notes]
     return "\n".join(lines)
 
 
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows with their columns aligned: names to the left, which have no number in them, others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    left = [i in (0, len(widths) - 1) and not rows[-1][i][:1].isdigit() for i in range(len(widths))]
+    return [
+        "  ".join(
+            f"{c:<{w}}" if to_left else f"{c:>{w}}" for c, w, to_left in zip(row, widths, left, strict=True)
+        ).rstrip()
+        for row in rows
+    ]
+
+
 def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: Sequence[object]) -> Summary:
-    """Return the number of failed runs, the gate's verdicts, the errors, the break-down point and the covariances.
+    """Return the gate's result, the number of failed runs, the errors, the break-down point and the covariances.
 
     report : scores of the runs
     verdicts : verdicts of the gate's rules
     following : words of the suggested next command
     """
-    failed, parts = _failed(report)
-    said, gate = f"{failed} of {len(report.counted)} counted runs failed{parts}", any(one.failed for one in verdicts)
-    lines = [Line("FAILED" if failed or gate else "HELD", said, "bad" if gate else "warning" if failed else "good")]
-    # failed rules of the gate come first, because scripts depend on them
-    ranked = sorted(verdicts, key=lambda verdict: not verdict.failed)
-    lines += [Line("gate", one.sentence, "bad" if one.failed else "good") for one in ranked]
+    said = f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}"
+    bad = sum(one.failed for one in verdicts)
+    if verdicts:
+        kept = f"{len(verdicts) - bad} of {len(verdicts)} rules hold; {said}"
+        lines = [Line("FAILED", kept, "bad") if bad else Line("PASSED", kept, "good")]
+    elif report.identical:
+        lines = [Line("IDENTICAL", f"in all runs: your localisation was not run again; {said}", "bad")]
+    else:
+        lines = [Line("SCORED", said, "warning" if report.failed else "good")]
+    most = MOST_LINES + 2 * len(verdicts)
+    for one in sorted(verdicts, key=lambda verdict: not verdict.failed):
+        names = [*one.runs[:_NAMED], *([f"{len(one.runs) - _NAMED} more: -v names all"] * (len(one.runs) > _NAMED))]
+        lines.append(Line("gate", one.sentence, "bad" if one.failed else "good", ALWAYS))
+        lines += [Line("", name, "bad", ALWAYS) for name in names]
+        most += 2 * len(names)
+    if len(report.points) > 1:
+        first, *rest = _aligned([POINT_HEADS, *point_rows(report)])
+        lines += [Line("points", first, weight=ALWAYS), *(Line("", row, weight=ALWAYS) for row in rest)]
+        most += len(rest) + 1
     for name, label in (("ate_m", "ATE"), ("rpe_m", "RPE")):
         s = report.summary(name)
         if s.n:
-            values = (metric_text(name, value) for value in (s.median.value, s.p90.value, s.max))
+            values = (quantity(name, value) for value in (s.median.value, s.p90.value, s.max))
             lines.append(Line(label, "median {}, p90 {}, max {}".format(*values)))
     drifts, point = _drifts(report), report.breakdown.drift
     span = f"drifts {drifts} per 10 m"
@@ -86,29 +110,87 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: 
     if nees.n:
         lines.append(Line("NEES", f"{nees.median.value:.3g} per degree of freedom (1 is calibrated)"))
     lines += [Line("note", note, "warning") for note in report.notes]
-    return Summary((*lines, command_line(following)))
+    return Summary((*lines, command_line(following)), most)
 
 
-def _failed(report: ScoreReport) -> tuple[int, str]:
-    """Return the number of failed runs, and their kinds, as " (2 lost, 1 missing)"; "" if none failed."""
+def gate_lines(verdicts: Iterable[Verdict]) -> list[str]:
+    """Return the sentence of each verdict, and the runs that made it fail."""
+    return [line for one in verdicts for line in (f"{one.sentence}.", *(f"  {name}" for name in one.runs))]
+
+
+def score_markdown(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
+    """Return the gate's result, what failed, and the tables of points and over runs, for a summary page of CI."""
+    failed = any(one.failed for one in verdicts)
+    title = f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}"
+    lines = [f"## {'FAILED: ' if failed else 'PASSED: ' if verdicts else ''}{report.estimate}, {title}", ""]
+    for one in verdicts:
+        lines += [f"* {'**' * one.failed}{_cell(one.sentence)}{'**' * one.failed}"]
+        lines += [f"    * {_cell(name)}" for name in one.runs]
+    lines += ["", *_table(POINT_HEADS, point_rows(report)), ""]
+    rows = [[words, *(quantity(name, value) for value in (s.median.value, s.p90.value, s.max))]
+            for name, words in METRIC_WORDS.items() if (s := report.summary(name)).n]  # fmt: skip
+    lines += [*_table(("over runs", "median", "p90", "max"), rows), ""]
+    lines += [f"* {_cell(sentence)}" for sentence in (*sentences(report)[1:], *report.notes)]
+    return "\n".join(lines) + "\n"
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(map(_cell, row))} |" for row in (heads, ["---"] * len(heads), *rows)]
+
+
+def _cell(text: str) -> str:
+    """Return a text in which names of files and topics have no meaning for Markdown or HTML."""
+    return escape(text).replace("|", "\\|").replace("_", "\\_").replace("*", "\\*")
+
+
+def score_csv(report: ScoreReport) -> str:
+    """Return the table of points as CSV: fractions and metres, "inf" for a statistic over runs without an output."""
+    stream = io.StringIO()
+    table = csv.writer(stream, lineterminator="\n")
+    table.writerow(("point", "drift", "runs", "lost", "median_ate_m", "p90_ate_m"))
+    for p in report.points:
+        table.writerow((p.name, p.drift, p.runs, p.lost, p.ate.median.value, p.ate.p90.value))
+    return stream.getvalue()
+
+
+def score_junit(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
+    """Return the gate as JUnit XML: a test case for each rule, and one for the reading of the runs."""
+    failed = sum(one.failed for one in verdicts)
+    cases = [f'  <testcase classname="odomcorrupt.score" name="{len(report.runs)} runs scored"/>']
+    for one in verdicts:
+        case = f'  <testcase classname="odomcorrupt.score" name={quoteattr(one.rule)}'
+        text = escape("\n".join(gate_lines([one])))
+        body = f"\n    <failure message={quoteattr(one.sentence)}>{text}</failure>\n  " if one.failed else ""
+        cases.append(f"{case}>{body}</testcase>")
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<testsuite name="odomcorrupt score" tests="{len(cases)}" failures="{failed}" errors="0" skipped="0">\n'
+        + "\n".join(cases)
+        + f"\n  <system-out>{escape(score_text(report))}</system-out>\n</testsuite>\n"
+    )
+
+
+def _kinds(report: ScoreReport) -> str:
+    """Return the kinds of failed runs, as " (2 lost, 1 missing)"; "" if none failed."""
     counts = Counter(run.status for run in report.runs)
     parts = ", ".join(f"{counts[status]} {status}" for status in _STATUSES if counts[status])
-    return sum(report.failed(run) for run in report.runs), f" ({parts})" if parts else ""
+    return f" ({parts})" if parts else ""
 
 
 def _drifts(report: ScoreReport) -> str:
-    """Return the smallest and the largest drift of the valid runs; "" if none is known."""
-    drifts = [run.drift for run in report.counted if isfinite(run.drift)]
+    """Return the smallest and the largest drift of the runs; "" if none is known."""
+    drifts = [run.drift for run in report.runs if isfinite(run.drift)]
     return f"{_percent(min(drifts))} to {_percent(max(drifts))}" if drifts else ""
 
 
 def sentences(report: ScoreReport) -> list[str]:
     """Return the results over all runs, a sentence each, the most important first."""
-    failed, parts = _failed(report)
-    lines = [f"{len(report.runs)} runs, {failed} of {len(report.counted)} counted ones failed{parts}."]
-    left = len(report.runs) - len(report.counted)
-    if left:
-        lines.append(f"Not counted, without a complete output: {left}; --count-missing makes them failures.")
+    lines = [f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}."]
+    without = sum(not run.scored for run in report.runs)
+    if without:
+        lines.append(f"Errors of the {without} runs without a complete output count as infinite.")
+    if report.identical:
+        lines.append("The estimates are identical in all runs: your localisation was not run again.")
     lines.append(_breakdown_sentence(report))
     grown = report.growth
     if grown is not None:
@@ -143,11 +225,10 @@ def _breakdown_sentence(report: ScoreReport) -> str:
     if not drifts:
         return "The drift of these runs is not known, and so no break-down point."
     span = f"runs drift by {drifts} of the way, rms over 10 m"
-    failed = sum(report.failed(run) for run in report.counted)
-    if found.drift is None and not failed:
+    if found.drift is None and not report.failed:
         low = f"; it lies above {_percent(found.low)} (95 %)" if found.low > 0.0 else ""
         return f"No break-down point: no run failed ({span}){low}."
-    if found.drift is None and failed < len(report.counted):
+    if found.drift is None and report.failed < len(report.runs):
         return f"Too few runs for a break-down point ({span})."
     if found.drift is None:
         high = f"; it lies below {_percent(found.high)} (95 %)" if isfinite(found.high) else ""
@@ -166,7 +247,7 @@ def _place_sentences(report: ScoreReport) -> list[str]:
     if worst is not None:
         parts.append(
             f"Errors are largest {worst.from_m:.1f} to {worst.to_m:.1f} m along the path, about ({worst.xy_m[0]:.1f}, "
-            f"{worst.xy_m[1]:.1f}): median {metric_text('_m', worst.median_m)}, p90 {metric_text('_m', worst.p90_m)}."
+            f"{worst.xy_m[1]:.1f}): median {quantity('_m', worst.median_m)}, p90 {quantity('_m', worst.p90_m)}."
         )
     most = max(known, key=lambda s: s.failures, default=None)
     if most is not None and most.failures > 1:
@@ -179,20 +260,15 @@ def _place_sentences(report: ScoreReport) -> list[str]:
 
 def run_heads() -> list[str]:
     """Return the heads of the table of runs."""
-    return ["run", "drift", "ATE", "RPE", "10 s", "end", "jumps", "status"]
+    return ["run", "drift, %", "ATE, m", "RPE, m", "10 s, m", "end, m", "jumps", "status"]
 
 
 def run_cells(run: RunScore) -> list[str]:
     """Return a row of the table of runs."""
-    get = run.metrics.get
-    numbers = [metric_text("_m", get(name, float("nan"))) for name in ("ate_m", "rpe_m", "error_10s_m", "end_m")]
-    drift = _percent(run.drift) if isfinite(run.drift) else "-"
-    return [run.name, drift, *numbers, str(len(run.jumps_s)), run.status + (f": {run.reason}" if run.reason else "")]
-
-
-def _row(cells: list[str]) -> str:
-    return f"{cells[0]:<20}" + "".join(f"{cell:>10}" for cell in cells[1:-1]) + f"  {cells[-1]}"
+    values = [100.0 * run.drift, *map(run.metrics.get, ("ate_m", "rpe_m", "error_10s_m", "end_m"))]
+    numbers = ["-" if value is None or not isfinite(value) else f"{value:.3f}" for value in values]
+    return [run.name, *numbers, str(len(run.jumps_s)), run.status + (f": {run.reason}" if run.reason else "")]
 
 
 def _interval(metric: str, q: Quantile) -> str:
-    return f"{metric_text(metric, q.low)} to {metric_text(metric, q.high)}"
+    return f"{quantity(metric, q.low)} to {quantity(metric, q.high)}"

@@ -54,7 +54,7 @@ def parse_address(text: str) -> Address:
     return Address(topic, frames, static)
 
 
-Role = Literal["odometry", "truth"]
+Role = Literal["odometry", "truth", "estimate"]
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
@@ -68,7 +68,7 @@ POSITIONS = ("geometry_msgs/msg/PointStamped", "sensor_msgs/msg/NavSatFix")
 """Message types with positions but no headings."""
 EDGES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", TRANSFORM)
 """Message types that contain TF edges."""
-FLAGS: dict[Role, str] = {"odometry": "--odom", "truth": "--truth"}
+FLAGS: dict[Role, str] = {"odometry": "--odom", "truth": "--truth", "estimate": "--estimate"}
 
 
 def near(asked: str, there: Iterable[str]) -> str:
@@ -150,4 +150,4 @@ def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Itera
 
 
 def _types(role: Role) -> tuple[str, ...]:
-    return POSES if role == "odometry" else (*POSES, *POSITIONS)
+    return (*POSES, *POSITIONS) if role == "truth" else POSES
