@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 DEFAULT = "corrupt"
+_LONGEST = 2000
+"""Characters of an error message."""
 
 _OWN_FLAGS = frozenset({"-h", "--help", "--version"})
 
@@ -168,7 +170,10 @@ def _warn(message: Warning | str, *_where: object, **_more: object) -> None:
 
 
 def _say(sentence: str) -> None:
-    click.echo(f"odomcorrupt: {visible(sentence.replace(chr(10), ' '))}", err=True)
+    """Print a sentence in one line; of a very long one, which quotes a file, the middle is left out."""
+    half = _LONGEST // 2
+    shown = sentence if len(sentence) <= _LONGEST else f"{sentence[:half]} ... {sentence[-half:]}"
+    click.echo(f"odomcorrupt: {visible(shown.replace(chr(10), ' '))}", err=True)
 
 
 def _terminated(number: int, _frame: object) -> NoReturn:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from odomcorrupt.errors import OdomCorruptError
 
@@ -22,6 +22,12 @@ _KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
+
+
+TOML_BYTES = 1 << 20
+"""Largest size of a TOML text."""
+_MOST_DOTS = 2000
+"""Largest number of dots in a line of TOML: the parser's time grows with the square of the parts of a dotted key."""
 
 
 def open_input(path: Path, error: type[Exception] = OdomCorruptError) -> BinaryIO:
@@ -75,3 +81,23 @@ def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCo
     if len(data) > most:
         raise error(f"{path}: more than {most} bytes; that is not a {what}")
     return data
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the table of a TOML text.
+
+    Raises
+    ------
+    ValueError
+        If it is invalid, too long, or nested too deeply.
+    """
+    import tomllib  # noqa: PLC0415 - not needed for most commands
+
+    if len(text) > TOML_BYTES:
+        raise ValueError(f"it has more than {TOML_BYTES} characters")
+    if any(line.count(".") > _MOST_DOTS for line in text.splitlines()):
+        raise ValueError(f"a line has more than {_MOST_DOTS} dots")
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.effects.effect import check_bounds, choices, parameters
 from odomcorrupt.errors import EffectError, ModelError
+from odomcorrupt.input_files import parse_toml
 from odomcorrupt.model.correlation import Correlation
 from odomcorrupt.model.model_file import format_model, parse_model, read_model_text
 from odomcorrupt.rng import stream
@@ -58,9 +59,7 @@ def stated_spreads(path: Path) -> frozenset[str]:
 
     The standard errors of a fit are stored elsewhere in the file, and drawn only on request.
     """
-    import tomllib  # noqa: PLC0415 - not needed without a fleet
-
-    table = tomllib.loads(read_model_text(path))
+    table = parse_toml(read_model_text(path))
     stated = {name for name, value in table.get("noise", {}).items() if _is_spread(value)}
     for item in table.get("effect", []):
         stated |= {f"{item.get('name')}.{name}" for name, value in item.items() if _is_spread(value)}

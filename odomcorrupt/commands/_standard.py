@@ -18,7 +18,7 @@ from click.core import ParameterSource
 
 from odomcorrupt import commands
 from odomcorrupt.commands._options import Decorator, OutputFile, Setting, added
-from odomcorrupt.input_files import read_input
+from odomcorrupt.input_files import TOML_BYTES, parse_toml, read_input
 from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.summary import Summary, wrapped
 
@@ -31,7 +31,6 @@ CONFIG = "odomcorrupt.toml"
 """Name of the file of defaults, read if it is in the working directory: for settings only, as it may be anyone's."""
 Files: TypeAlias = "Mapping[Path, Callable[[], object]]"
 """Output files of a command and their writers; if a writer returns text, it is printed instead of `wrote FILE`."""
-_LIMIT_BYTES = 1 << 20
 WORDS = "odomcorrupt.words"
 """Key in click's context for the words typed after the command's name."""
 _DEFAULTS = "odomcorrupt.defaults"
@@ -233,12 +232,10 @@ def _entries(file: Path, own: click.Command) -> Iterator[tuple[click.Command, cl
 
 
 def _table(file: Path) -> Mapping[str, Any]:
-    import tomllib
-
-    data = read_input(file, _LIMIT_BYTES, "file of defaults", click.UsageError)
+    data = read_input(file, TOML_BYTES, "file of defaults", click.UsageError)
     try:
-        return tomllib.loads(data.decode())
-    except (ValueError, RecursionError) as error:
+        return parse_toml(data.decode())
+    except ValueError as error:
         raise click.UsageError(f"{file}: not valid TOML ({error})") from error
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from odomcorrupt.corruption.covariance import RANDOM_SUMS, SUMS, NoiseSteps, RandomEffectCovariance, sum_terms
 from odomcorrupt.corruption.inverse import Drive, EffectInverse, Slowed, SystematicEffects
+from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.geometry.se2 import rotated, wrap
 from odomcorrupt.model.noise_laws import Variances, variances
@@ -107,6 +108,10 @@ def _law_at(noise: Noise, gone_m: Array, gone_rad: Array) -> Variances:
     return noise.law.rule(noise.coefficients, half, np.maximum(gone_m, 0.0), half)
 
 
+_MOST_STEPS = 1e6
+"""Largest number of steps in one block; a kilometre of the shortest ones."""
+
+
 class _Ends(NamedTuple):
     """Ends of steps: index of the increment of each, and metres and radians since the path's start."""
 
@@ -118,6 +123,9 @@ class _Ends(NamedTuple):
 def _ends(step: Step, growth: StepGrowth, gone_m: Array, gone_rad: Array) -> _Ends:
     found: list[tuple[int, float, float]] = []
     began_m, began_rad = growth.began_m, growth.began_rad
+    most = (gone_m[-1] - began_m) / step.distance_m + (gone_rad[-1] - began_rad) / step.angle_rad
+    if most > _MOST_STEPS:
+        raise ModelError(f"step: {step}; a part of the path has {most:.3g} of them; give a longer one")
     while began_m + step.distance_m <= gone_m[-1] or began_rad + step.angle_rad <= gone_rad[-1]:
         far, turned = began_m + step.distance_m, began_rad + step.angle_rad
         i = min(int(np.searchsorted(gone_m, far)), int(np.searchsorted(gone_rad, turned))) - 1

@@ -322,7 +322,7 @@ def parse_expression(text: str, parameters: tuple[str, ...]) -> Expression:
     if len(text) > _MOST_CHARACTERS:
         raise reader.wrong(f"{len(text)} characters; {_MOST_CHARACTERS} at most")
     try:
-        tree = ast.parse("\n".join(line.strip() for line in text.replace(";", "\n").splitlines()))
+        tree = ast.parse(reader.source)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise reader.wrong("it cannot be read; write as in yaw += k * v * abs(omega)") from None
     terms = tuple(reader.statement(node) for node in tree.body)
@@ -346,6 +346,7 @@ class _Reader:
 
     def __init__(self, text: str, parameters: tuple[str, ...]) -> None:
         self._text, self._parameters = text, parameters
+        self.source = "\n".join(line.strip() for line in text.replace(";", "\n").splitlines())
         self._nodes = 0
         self._jumping = False
         self.names: set[str] = set()
@@ -385,7 +386,8 @@ class _Reader:
                 return lambda names: np.where(both(names), 1.0, 0.0)
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
                 return self._call(name, args, depth)
-        raise self.wrong(f"{ast.unparse(node)[:40]!r} is not of this language; see `odomcorrupt effects --help`")
+        shown = ast.get_source_segment(self.source, node) or ""
+        raise self.wrong(f"{shown[:40]!r} is not of this language; see `odomcorrupt effects --help`")
 
     def _lagged(self, node: ast.expr, depth: int) -> Term:
         """Return a term that decides on a discontinuity: it uses values of the previous interval."""

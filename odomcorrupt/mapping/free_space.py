@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
+_MOST_WORK = 2e9
+"""Largest product of the cells of a map and the robot's radius in cells: ten seconds."""
+
 Unknown = Literal["blocked", "free"]
 Check = Literal["endpoint", "path"]
 
@@ -87,6 +90,11 @@ def free_space(
     """
     if not (np.isfinite(radius_m) and radius_m >= 0.0):
         raise MapError(f"robot radius: {radius_m} m; it must be zero or more")
+    if radius_m / grid.resolution_m * grid.cells.size > _MOST_WORK:
+        raise MapError(
+            f"map: {grid.cells.size:,} cells of {grid.resolution_m:g} m, and a robot of {radius_m:g} m; that takes "
+            "minutes: give a coarser map, or a smaller --robot-radius"
+        )
     # a radius of three and a half cells must not be reduced by rounding
     blocked = _inflated(grid.cells == OCCUPIED, radius_m / grid.resolution_m * (1.0 + 1e-9))
     if unknown == "blocked":
@@ -103,17 +111,19 @@ def _inflated(walls: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     """
     rows, columns = walls.shape
     reach = int(np.floor(radius + 0.5))
-    total = np.zeros((rows, columns + 1), dtype=np.int32)
-    np.cumsum(walls, axis=1, out=total[:, 1:])
-    here = np.arange(columns)
+    # cumulative sums along each row, continued by its ends as far as a disc reaches
+    beyond = min(reach, columns)
+    total = np.zeros((rows, columns + 1 + 2 * beyond), dtype=np.int32)
+    np.cumsum(walls, axis=1, out=total[:, beyond + 1 : beyond + 1 + columns])
+    total[:, beyond + 1 + columns :] = total[:, beyond + columns, None]
     out = np.zeros_like(walls)
     for down in range(min(reach, rows - 1) + 1):
         gap = max(down - 0.5, 0.0)
         if gap > radius:
             break
         # even a zero radius keeps the robot's centre out of the wall cell
-        run = int(np.floor(np.sqrt(radius**2 - gap**2) + 0.5)) if radius > 0.0 else 0
-        near = total[:, np.minimum(here + run + 1, columns)] > total[:, np.maximum(here - run, 0)]
+        run = min(int(np.floor(np.sqrt(radius**2 - gap**2) + 0.5)), columns) if radius > 0.0 else 0
+        near = total[:, beyond + run + 1 :][:, :columns] > total[:, beyond - run :][:, :columns]
         out[down:] |= near[: rows - down]
         out[: rows - down] |= near[down:]
     return out

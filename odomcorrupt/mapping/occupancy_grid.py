@@ -28,6 +28,12 @@ if TYPE_CHECKING:
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 
+MAX_CELLS = 50_000_000
+"""Largest number of cells of a map; more indicate an error: a drift of kilometres or a resolution of millimetres."""
+
+_FINEST_M, _COARSEST_M, _FARTHEST_M = 1e-3, 1e3, 1e8
+"""Bounds of a map's resolution and origin: what is beyond them is no map, and would overflow or take minutes."""
+
 
 @dataclass(frozen=True, slots=True)
 class Grid:
@@ -41,6 +47,15 @@ class Grid:
     cells: NDArray[np.uint8]
     resolution_m: float
     origin_xyt: Array
+
+    def __post_init__(self) -> None:
+        usual = _FINEST_M <= self.resolution_m <= _COARSEST_M and np.abs(self.origin_xyt).max() <= _FARTHEST_M
+        if not (usual and 0 < self.cells.size <= MAX_CELLS):
+            rows, columns = self.cells.shape
+            raise MapError(
+                f"map: {columns} x {rows} cells of {self.resolution_m:g} m at {self.origin_xyt.tolist()}; at most "
+                f"{MAX_CELLS:,} cells of {_FINEST_M:g} to {_COARSEST_M:g} m can be used"
+            )
 
     def places(self, xy: Array) -> Array:
         """Return positions (..., 2) in metres as column and row (..., 2) in cells, not rounded."""
@@ -72,7 +87,6 @@ SAVED_UNKNOWN = 205
 """Pixel value of unknown in every map_saver; with nav2's own free_thresh of 0.25 it would load as free."""
 
 _YAML_BYTES = 65_536
-_LINE = re.compile(r"\s*([A-Za-z_]+)\s*:\s*(.*?)\s*(?:#.*)?\Z")
 _GAP = rb"(?:\s|#[^\n]{0,200}\n)+"
 _HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,5})\s")
 
@@ -98,20 +112,21 @@ def read_map(path: Path) -> Grid:
         raise MapError(
             f"{path}: resolution {keys['resolution']}, origin {keys['origin']}; they are metres and [x, y, yaw]"
         )
-    value = _read_pgm(_image(path, keys["image"].strip("\"'")))
     mode = keys.get("mode", "trinary").strip("\"'")
     if mode not in ("trinary", "scale", "raw"):
         raise MapError(f"{path}: mode {mode}; there are trinary, scale and raw")
+    value = np.arange(256)
     dark = value / 100.0 if mode == "raw" else value / 255.0
     if mode != "raw" and not _number(path, keys, "negate", 0.0):
         dark = 1.0 - dark
-    cells = np.full(value.shape, UNKNOWN, dtype=np.uint8)
-    cells[dark < _number(path, keys, "free_thresh", 0.25)] = FREE
-    cells[(dark > _number(path, keys, "occupied_thresh", 0.65)) & (dark <= 1.0)] = OCCUPIED
+    state = np.full(len(value), UNKNOWN, dtype=np.uint8)
+    state[dark < _number(path, keys, "free_thresh", 0.25)] = FREE
+    state[(dark > _number(path, keys, "occupied_thresh", 0.65)) & (dark <= 1.0)] = OCCUPIED
     if mode == "trinary":
-        cells[value == SAVED_UNKNOWN] = UNKNOWN
+        state[SAVED_UNKNOWN] = UNKNOWN
     # the first row of an image is the top one
-    return Grid(np.ascontiguousarray(cells[::-1]), resolution, np.array(origin))
+    pixels = _read_pgm(_image(path, keys["image"].strip("\"'")))[::-1]
+    return Grid(state[pixels], resolution, np.array(origin))
 
 
 def format_map(grid: Grid, image_name: str) -> tuple[bytes, str]:
@@ -135,10 +150,10 @@ def _keys(path: Path) -> dict[str, str]:
     found: dict[str, str] = {}
     lines = raw.decode(errors="replace").splitlines()
     for i, line in enumerate(lines):
-        match = _LINE.match(line)
-        if match is None:
+        key, colon, rest = line.partition(":")
+        key, value = key.strip(), rest.partition("#")[0].strip()
+        if not colon:
             continue
-        key, value = match.groups()
         if not value:
             # a list may follow its key, one item per line
             items = [entry.strip() for entry in lines[i + 1 : i + 4]]
@@ -175,22 +190,23 @@ def _float(path: Path, key: str, text: str) -> float:
 
 
 def _read_pgm(path: Path) -> NDArray[np.uint8]:
-    """Read a binary .pgm (rows, columns); memory is allocated only after enough bytes for its size are present."""
+    """Read a binary .pgm (rows, columns), if it is not too large for a map."""
     with open_input(path, MapError) as file:
-        raw = file.read()
-    match = _HEADER.match(raw[:4096])
-    if match is None:
-        raise MapError(f"{path}: begins with {raw[:8]!r}, which is not a binary PGM (P5); convert the image to that")
-    columns, rows, most = (int(number) for number in match.groups())
-    pixels = raw[match.end() :]
-    if not (0 < most <= 255 and columns > 0 and rows > 0 and len(pixels) >= columns * rows):
+        match = _HEADER.match(head := file.read(4096))
+        if match is None:
+            raise MapError(
+                f"{path}: begins with {head[:8]!r}, which is not a binary PGM (P5); convert the image to that"
+            )
+        columns, rows, most = (int(number) for number in match.groups())
+        if columns * rows > MAX_CELLS:
+            raise MapError(f"{path}: {columns} x {rows} pixels; a map has at most {MAX_CELLS:,}")
+        file.seek(match.end())
+        pixels = file.read(columns * rows)
+    if not (0 < most <= 255 and columns > 0 and rows > 0 and len(pixels) == columns * rows):
         raise MapError(f"{path}: {columns} x {rows} pixels up to {most}, {len(pixels)} bytes of them; it is damaged")
-    value = np.frombuffer(pixels, dtype=np.uint8, count=columns * rows).reshape(rows, columns)
-    return value if most == 255 else (value * (255.0 / most)).astype(np.uint8)
+    value = np.frombuffer(pixels, dtype=np.uint8).reshape(rows, columns)
+    return value if most == 255 else np.minimum(value * (255.0 / most), 255.0).astype(np.uint8)
 
-
-MAX_CELLS = 50_000_000
-"""Largest number of cells of a map; more indicate an error: a drift of kilometres or a resolution of millimetres."""
 
 OCCUPIED_SHARE = 0.25
 """Smallest share of the rays reaching a cell that end in it, for the cell to be a wall (gmapping's occ_thresh)."""

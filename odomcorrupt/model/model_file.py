@@ -13,7 +13,7 @@ from odomcorrupt.drive_types import DRIVE_TYPES
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.errors import ModelError
-from odomcorrupt.input_files import read_input
+from odomcorrupt.input_files import TOML_BYTES, parse_toml, read_input
 from odomcorrupt.model.correlation import Correlation
 from odomcorrupt.model.motion_model import MotionModel, Noise, Origin, Setup, Step, TruthNoise, parse_alpha
 from odomcorrupt.model.noise_laws import Coefficients
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
 
 SCHEMA = 1
-_LIMIT_BYTES = 1 << 20
+_MOST_EFFECTS = 64
+"""Largest number of effects in a file; no fit has more, and each acts on every message."""
 _COEFFICIENTS = {
     "rot_rot": "rad per sqrt(rad)",
     "rot_trans": "rad per sqrt(m)",
@@ -56,18 +57,16 @@ def read_model(path: Path) -> MotionModel:
 def read_model_text(path: Path) -> str:
     """Return the text of a model file, unparsed."""
     try:
-        return read_input(path, _LIMIT_BYTES, "model file", ModelError).decode()
+        return read_input(path, TOML_BYTES, "model file", ModelError).decode()
     except UnicodeDecodeError as error:
         raise ModelError(f"{path}: not a text file, so not a model file") from error
 
 
 def parse_model(text: str) -> MotionModel:
     """Return the model written in TOML text."""
-    import tomllib  # noqa: PLC0415 - not needed for writing a model, which happens for every bag
-
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # an integer of thousands of digits raises a plain ValueError
+        table = parse_toml(text)
+    except ValueError as error:
         raise ModelError(f"not valid TOML ({error})") from error
     _only(table, ("schema", "noise", "effect", "robot", "setup", "source", "fit"), "the file")
     if table.get("schema") != SCHEMA:
@@ -103,6 +102,8 @@ def _noise(table: Mapping[str, Any], errors: dict[str, float]) -> Noise:
 def _effects(items: Any, errors: dict[str, float]) -> tuple[Effect, ...]:
     if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
         raise ModelError("effect: it must be a list of tables; write [[effect]]")
+    if len(items) > _MOST_EFFECTS:
+        raise ModelError(f"effect: there are {len(items)}; {_MOST_EFFECTS} at most")
     return tuple(_effect(item, errors) for item in items)
 
 

@@ -34,6 +34,10 @@ def parse_alpha(text: str) -> float:
     return math.radians(value) if match[2] == "deg" else value
 
 
+_SHORTEST_STEP = 1e-3
+"""Metres and radians: below the resolution of odometry, and the time that a law takes grows with its steps."""
+
+
 @dataclass(frozen=True, slots=True)
 class Step:
     """Length of path over which a per-step law is applied: it ends at a distance or an angle, whichever comes first."""
@@ -42,8 +46,8 @@ class Step:
     angle_rad: float
 
     def __post_init__(self) -> None:
-        if not (self.distance_m > 0.0 and self.angle_rad > 0.0):
-            raise ModelError(f"step: {self}; both its distance and its angle must be more than zero")
+        if not (self.distance_m >= _SHORTEST_STEP and self.angle_rad >= _SHORTEST_STEP):
+            raise ModelError(f"step: {self}; both its distance and its angle must be {_SHORTEST_STEP:g} or more")
 
     def __str__(self) -> str:
         return f"{self.distance_m:g}m,{self.angle_rad:g}rad"

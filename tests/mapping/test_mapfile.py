@@ -61,7 +61,7 @@ def test_modes_mean_what_map_server_means(tmp_path, extra, states):
         (YAML.replace("m.pgm", "gone.pgm"), PGM, "No such file"),
         (YAML + "mode: odd\n", PGM, "trinary"),
         (YAML, b"\x89PNG....", "PGM"),
-        (YAML, b"P5 900000000 900000000 255\n\x00", "damaged"),
+        (YAML, b"P5 900000000 900000000 255\n\x00", "at most 50,000,000"),
         (YAML, b"P5 2 2 65535\n" + bytes(8), "damaged"),
         (YAML, b"P5 0 2 255\n" + bytes(8), "damaged"),
     ],
