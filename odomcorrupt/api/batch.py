@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from os import PathLike, fspath
@@ -22,7 +23,7 @@ from odomcorrupt.batching.parameter_draws import fleet_model
 from odomcorrupt.corruption.summary import places_lines
 from odomcorrupt.errors import BatchError, BatchOptionError
 from odomcorrupt.model.model_file import read_model
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import ALWAYS, MOST_LINES, USUAL, Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -89,18 +90,19 @@ class Batch(Result):
         made = f"{self.made_now} runs made now, {len(records)} in {self.directory}"
         lines = [Line("FAILED", made, "bad") if self.failures else Line("MADE", made, "good")]
         lines += [*places_lines(self.jobs[0].model), Line("seed", str(self.seed))]
-        drifts = [record["drift"] for record in records if "end_drawn_m" in record.get("drift", {})]
-        if drifts:
-            metres = math.sqrt(sum(d["end_drawn_m"] ** 2 for d in drifts) / len(drifts))
-            radians = math.sqrt(sum(d["end_drawn_rad"] ** 2 for d in drifts) / len(drifts))
-            far = max(d["distance_m"] for d in drifts)
-            said = f"{metres:.3g} m, {math.degrees(radians):.3g} deg RMS at the end of {far:.4g} m"
-            lines.append(Line("drift", said))
+        names = [os.path.relpath(job.directory, self.directory) for job in self.jobs]
+        drifts = [(name, drift) for name, job in zip(names, self.jobs, strict=True) if (drift := _drift(job))]
+        several = len(self.jobs) > 1
+        for i, (name, said) in enumerate(drifts):
+            lines.append(Line("" if i else "drift", said + f": {name}" * several, weight=ALWAYS if several else USUAL))
         if self.failures:
             first, reason = self.failures[0]
             lines.append(Line("failed", f"{len(self.failures)} runs, tried twice; run {first}: {reason}", "bad"))
         lines += [Line("lost", loss, "warning") for loss in self.losses]
-        return Summary((*lines, command_line(["odomcorrupt", "spread", self.directory])))
+        # a sweep has a spread at each of its points
+        return Summary(
+            (*lines, command_line(["odomcorrupt", "spread", self.directory / names[0]])), MOST_LINES + len(drifts)
+        )
 
     def details(self) -> str:
         """Return the summary in sentences, with the numbers of the failed runs."""
@@ -133,6 +135,17 @@ class Batch(Result):
         from odomcorrupt.report.plots.samples import draw_spread
 
         return draw_spread(measure(self.jobs[0].directory))
+
+
+def _drift(job: Job) -> str:
+    """Return the RMS drift at the end of a job's runs; "" if it is not known."""
+    drifts = [one["drift"] for one in read_records(job.directory).values() if "end_drawn_m" in one.get("drift", {})]
+    if not drifts:
+        return ""
+    metres = math.sqrt(sum(d["end_drawn_m"] ** 2 for d in drifts) / len(drifts))
+    radians = math.sqrt(sum(d["end_drawn_rad"] ** 2 for d in drifts) / len(drifts))
+    far = max(d["distance_m"] for d in drifts)
+    return f"{metres:.3g} m, {math.degrees(radians):.3g} deg RMS at the end of {far:.4g} m"
 
 
 @dataclass(frozen=True, slots=True, repr=False)

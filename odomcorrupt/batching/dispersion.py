@@ -52,6 +52,8 @@ class SpreadReport:
     clean_xy (n, 2), runs_xy : paths for plots, metres
     band : (m, 3) distance in m, predicted standard deviations of position in m and heading in rad
     errors : (k, j, 3) distance in m, position error in m and heading error in rad of each run at each mark
+    concentration : sum of the squared eigenvalues of the predicted position covariance at the end over their squared
+        sum: 1 for errors along one axis, 0.5 for equal ones along two
     """
 
     directory: str
@@ -62,6 +64,7 @@ class SpreadReport:
     runs_xy: tuple[Array, ...]
     band: Array
     errors: Array
+    concentration: float
 
 
 _ERRORS = 2.0
@@ -113,9 +116,11 @@ def measure(directory: Path) -> SpreadReport:
     distances = np.stack((errors[:, :, 0], np.hypot(errors[:, :, 1], errors[:, :, 2]), np.abs(errors[:, :, 3])), axis=2)
     shared = SystematicEffects(model)
     paths = tuple(_path(model, shared, begun["seed"], record, directory, clean) for record in records[:SHOWN_RUNS])
+    planar = covariance[i][:2, :2]
     random = tuple(sorted({effect.name for effect in model.effects if effect.kind == "noise"}))
     return SpreadReport(
-        str(directory), len(records), tuple(rows), random, clean.xyt[:, :2], paths, band, distances
+        str(directory), len(records), tuple(rows), random, clean.xyt[:, :2], paths, band, distances,
+        float(np.trace(planar @ planar) / np.trace(planar) ** 2) if np.trace(planar) > 0.0 else 1.0,
     )  # fmt: skip
 
 
@@ -176,11 +181,12 @@ def spread_brief(report: SpreadReport, following: Sequence[object] = ()) -> Summ
     """Return whether the dispersion at the end is as predicted, its values along the drive, and the next command."""
     last = report.rows[-1]
     ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
-    # standard error of the logarithm of a standard deviation from this many runs in two directions
-    chance = _ERRORS / math.sqrt(4.0 * max(report.runs - 1, 1))
+    # standard error of the logarithm of the root of a sum of variances, estimated from this many normal errors
+    chance = _ERRORS * math.sqrt(report.concentration / (2.0 * max(report.runs - 1, 1)))
     off = math.inf if not ratio else math.log(ratio)
     verdict = "AS PREDICTED" if abs(off) <= chance else "WIDER" if off > 0.0 else "NARROWER"
-    said = f"{ratio:.3g} times the predicted spread after {last.after_m:.4g} m, {report.runs} runs"
+    by_chance = f"{report.runs} runs: {math.exp(-chance):.2f} to {math.exp(chance):.2f} by chance"
+    said = f"{ratio:.3g} times the predicted spread after {last.after_m:.4g} m ({by_chance})"
     lines = [Line(verdict, said, "good" if abs(off) <= chance else "warning")]
     for row in (report.rows[i] for i in sorted({0, len(report.rows) // 2, len(report.rows) - 1})):
         measured = f"{row.position_m:.3g} m, {math.degrees(row.heading_rad):.3g} deg"

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from test_batch_bytes import BAGS, bytes_of, messages_of
 
+import odomcorrupt as oc
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.batching.dispersion import spread_brief
 from odomcorrupt.cli import run
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
@@ -178,3 +182,30 @@ def test_more_runs_than_any_disk_holds_are_refused_at_once(here, capsys):
     assert run(["batch", "office.mcap", "runs", "--runs", "900000000", "--seed", "1"]) == 1
     assert "900000000 runs need about" in capsys.readouterr().err
     assert not (here / "runs").exists()
+
+
+def test_a_sweep_says_the_drift_of_each_point_and_its_next_command_works(here, capsys):
+    words = ["batch", "office.mcap", "runs", "--runs", "2", "--output", "trajectories", *NOISE]
+    assert run([*words, "--sweep", "alpha-scale=0.5,2"]) == 0
+    *_, low, high, following = capsys.readouterr().err.splitlines()
+    for line, name in ((low, "alpha-scale=0.5"), (high, "alpha-scale=2")):
+        drift = [one["drift"]["end_drawn_m"] for one in records(here / "runs" / name)]
+        rms_m = (sum(value**2 for value in drift) / len(drift)) ** 0.5
+        assert line.endswith(f"of 25.05 m: {name}")
+        assert f"{rms_m:.3g} m, " in line
+    assert run(shlex.split(following)[2:]) == 0
+
+
+def test_a_spread_differs_from_the_prediction_by_chance_as_rarely_as_it_says(here):
+    """19 of 20 groups of 20 runs are said to be as predicted."""
+    oc.batch("office.mcap", "runs", model="typical", runs=400, seed=5, output="trajectories")
+    report = oc.spread("runs").result
+    errors = np.array([one["errors"][-1] for one in records(here / "runs")])[:, 1:3].reshape(20, 20, 2)
+    ratios = np.linalg.norm(errors.std(axis=1, ddof=1), axis=1)
+    said = [
+        spread_brief(replace(report, runs=20, rows=(replace(report.rows[-1], position_m=float(one)),))).lines[0].label
+        for one in ratios
+    ]
+    assert 17 <= said.count("AS PREDICTED") <= 20
+    wide = spread_brief(replace(report, rows=(replace(report.rows[-1], position_m=float(1.2 * ratios.mean())),)))
+    assert wide.lines[0].label == "WIDER"
