@@ -37,7 +37,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.io.raw_trajectory import Samples
-from odomcorrupt.study.io.reader import recordings_of
+from odomcorrupt.study.io.reader import one_study, recordings_of
 from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.pipeline import LAW, learn_robot
 
@@ -207,12 +207,13 @@ def corrected_error_m(run: Run, robot: Robot, effects: Sequence[Effect]) -> floa
 def learned(key: str, runs: Sequence[Run], fitted: Sequence[str]) -> tuple[list[Effect], dict[str, Any]]:
     """Return the systematic effects of the model of some runs, and what is reported of it; in a process of its own."""
     robot, start = ROBOTS[key], time.process_time()
-    recordings, refused = [], []
+    usable, refused = [], []
     for run in runs:
         try:
-            recordings += as_recordings(run, robot)
+            usable += as_recordings(run, robot)
         except RecordingError as why:
             refused.append(str(why))
+    recordings = one_study(usable)
     if fitted:
         model = fit_robot(recordings, [effect_from_values(name, {}) for name in fitted], law_name=LAW).model
         said: dict[str, Any] = {}

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 PathLikes = str | PathLike[str] | Iterable[str | PathLike[str]]
 """One path or several."""
+_BAGS, _METADATA = (".mcap", ".bag", ".db3"), "metadata.yaml"
+"""Suffixes of the bags in a folder (tables of text may be anything), and the file that makes a folder one bag."""
 _LEAST_TRAVEL_M = 0.5
 """Least travel of a study, m: noise of 1 mm a step in 15 min of turns on the spot (20 Hz) adds up to 0.1 to 0.25 m."""
 
@@ -171,7 +173,8 @@ def read_recordings(
     Parameters
     ----------
     paths : path or several
-        Bags, or TUM or CSV files with the odometry.
+        Bags, or TUM or CSV files with the odometry; a folder of them, a pattern such as "runs/*.mcap", or a list file
+        (``*.list``), which has a path a line.
     odom, truth : str, optional
         Topics, or TF edges such as "/tf:map.base_link"; by default the only possible topic.
     truth_bag : path or several, optional
@@ -205,7 +208,8 @@ def read_recordings(
     Returns
     -------
     Recordings
-        One recording per file, or several if resets cut it into independent segments.
+        One recording per file, or several if resets cut it into independent segments. Of several files, an unusable
+        one is left out, with an alert.
 
     Raises
     ------
@@ -225,7 +229,7 @@ def read_recordings(
 
     if drive_type not in (AUTO, *DRIVE_TYPES):
         raise RecordingError(f"drive_type: {drive_type!r}; it is one of {', '.join((AUTO, *DRIVE_TYPES))}")
-    files, truths = as_paths(paths), as_paths(truth_bag)
+    files, truths = recording_paths(paths), as_paths(truth_bag)
     if not files:
         raise RecordingError("no recording given; name a bag with odometry and truth")
     if len(truths) > 1 and len(truths) != len(files):
@@ -245,20 +249,10 @@ def read_recordings(
 
 
 def _read(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> Recordings:
-    from odomcorrupt.study.io.reader import read_runs
+    from odomcorrupt.study.io.reader import read_study
 
-    found: list[Recording] = []
-    for n, source in enumerate(sources):
-        if progress is not None:
-            progress("reading", n / len(sources))
-        found += read_runs(source, progress and _nth(progress, n, len(sources)))
-    runs = Recordings(tuple(found), tuple(sources))
+    runs = Recordings(tuple(read_study(sources, progress)), tuple(sources))
     return runs.in_frame(runs.geodetic_origin)
-
-
-def _nth(progress: Callable[[str, float], None], n: int, count: int) -> Callable[[str, float], None]:
-    """Return a progress callback for one of several recordings."""
-    return lambda stage, share: progress(stage, (n + share) / count)
 
 
 def as_paths(paths: PathLikes) -> list[Path]:
@@ -266,6 +260,33 @@ def as_paths(paths: PathLikes) -> list[Path]:
     if isinstance(paths, str | PathLike):
         return [Path(fspath(paths))]
     return [Path(fspath(path)) for path in paths]
+
+
+def recording_paths(paths: PathLikes) -> list[Path]:
+    """Return the files of recordings: a folder, a pattern or a list file in place of the files that it names.
+
+    Raises
+    ------
+    RecordingError
+        If a folder, a pattern or a list names no file.
+    """
+    return [file for path in as_paths(paths) for file in _files_of(path)]
+
+
+def _files_of(path: Path) -> list[Path]:
+    """Return the recordings that a path stands for, in alphabetical order; a file or a rosbag2 folder stands alone."""
+    if path.suffix == ".list" and path.is_file():
+        lines = (line.strip() for line in path.read_text(encoding="utf-8").splitlines())
+        found = [path.parent / line for line in lines if line and not line.startswith("#")]
+    elif path.is_dir() and not (path / _METADATA).exists():
+        found = sorted(p for p in path.iterdir() if p.suffix in _BAGS or (p / _METADATA).exists())
+    elif not set(str(path)).isdisjoint("*?[") and not path.exists():
+        found = sorted(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
+    else:
+        return [path]
+    if not found:
+        raise RecordingError(f"{path}: names no recording; give bags (*.mcap, *.bag, rosbag2 folders)")
+    return found
 
 
 def as_recordings(given: Recordings | PathLikes, like: Recordings | None = None) -> Recordings:

@@ -171,9 +171,11 @@ def _words(option: click.Parameter, value: Any) -> Iterator[str]:
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], list[str]]:
-    """Split arguments into recordings and models: arguments that end in .toml are models."""
+    """Split arguments into recordings (also of folders, patterns and lists) and models, which end in .toml."""
+    from odomcorrupt.api.recordings import recording_paths
+
     models = [a for a in arguments if a.endswith(".toml")]
-    recordings = [Path(a) for a in arguments if not a.endswith(".toml")]
+    recordings = recording_paths([a for a in arguments if not a.endswith(".toml")])
     if not recordings:
         raise click.UsageError("no recording given; name a bag with odometry and truth")
     return recordings, models

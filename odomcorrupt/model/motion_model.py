@@ -160,8 +160,8 @@ class MotionModel:
 
     standard_errors : by "effect.parameter" or name of a coefficient, one standard error, if the model was fitted
     correlation : correlations of these errors, for the parameters that it names
-    source : origin of the values: "recordings" lists the fitted files, "odometry" is their topic, "frame" the frame of
-        their truth if it is that of one run only
+    source : origin of the values: "recordings" lists the fitted files, "fitted" what identifies their content,
+        "odometry" is their topic, "frame" the frame of their truth if it is that of one run only
     """
 
     noise: Noise

@@ -191,17 +191,17 @@ def test_why_a_dependence_was_left_out_is_said_on_its_line_and_not_on_others_of_
     law = UNKNOWNS[-1]
     weaker, over_time = replace(law, nats=12.0), unknown("yaw", "time", per="s")
     why = {law.name: "no odometry satisfies it on the fitted drive", over_time.name: OF_ONE_DRIVE}
-    for held_out in ("halves", "recordings"):
+    for held_out in ("folds", "recordings"):
         learned = replace(rich, unknown=(law, weaker), laws=(), left_out=why)
         lines, _ = _found_lines(learned, rich.fit, set(), held_out=held_out)
         (said, other) = (line.text for line in lines if "periodic" in line.text)
         assert said.endswith(" (left out of the model: no odometry satisfies it on the fitted drive)")
         assert " (not in the model" in other
-    for held_out, said in (("halves", "not in the model; to decide, val"), ("recordings", "left out of the model: it")):
+    for held_out, said in (("folds", "not in the model; to decide, val"), ("recordings", "left out of the model: it")):
         lines, _ = _found_lines(replace(learned, unknown=(over_time,)), rich.fit, set(), held_out=held_out)
         (line,) = (line for line in lines if f" ({said}" in line.text)
         assert over_time.expression not in line.short
-        assert line.short.endswith(": --validate OTHER decides") == (held_out == "halves")
+        assert line.short.endswith(": --validate OTHER decides") == (held_out == "folds")
         assert line.short.endswith(f" ({said} depends on the time within this one drive; a second one would show "
                                    "whether it recurs)") == (held_out == "recordings")  # fmt: skip
 

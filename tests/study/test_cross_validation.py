@@ -40,8 +40,7 @@ def read(folder, run):
 
 def judged(recordings):
     """The robot's model and its comparison on the very recordings, which are halved."""
-    model = fit_robot(recordings, (), law_name="diffusion").model
-    return compare(recordings, {"own": replace(model, source={"recordings": [r.name for r in recordings]})})
+    return compare(recordings, {"own": fit_robot(recordings, (), law_name="diffusion").model})
 
 
 def names(comparison):
@@ -77,7 +76,7 @@ def test_a_run_with_resets_is_halved_as_one(tmp_path, office, whole, resets_s, p
     found = judged(recordings)
     told = [name.removeprefix("run.mcap ") for name in names(found)]
     assert told == pieces
-    assert found.evaluations[0].judged_on == "halves"
+    assert found.evaluations[0].judged_on == "folds"
     # windows of 10 s begin elsewhere, and there are a dozen
     assert found.evaluations[0].ten_second_error_m < 1.6 * whole.evaluations[0].ten_second_error_m
     assert found.evaluations[0].nats_per_m == pytest.approx(whole.evaluations[0].nats_per_m, rel=0.1)
@@ -101,7 +100,7 @@ def test_a_truth_that_lasts_longer_than_the_odometry_is_halved_where_there_is_od
     early = replace(
         recording, odometry=Trajectory(recording.odometry.stamps_ns[:third], recording.odometry.xyt[:third])
     )
-    first, second = split_of([early], [early.name], 0.5).pieces([early])[0].all
+    first, second = (fold.test[0] for fold in split_of([early], [True], 0.5).folds([early]))
     middle_s = (second.truth.stamps_ns[0] - early.odometry.stamps_ns[0]) * 1e-9
     assert middle_s == pytest.approx(160.0 / 6.0, abs=1.0)
     assert first.truth.stamps_ns[-1] < second.truth.stamps_ns[0]
@@ -122,24 +121,36 @@ def test_a_recording_that_mostly_stands_is_cut_at_half_of_its_way(first):
 
 def test_a_usual_drive_is_cut_in_the_middle_of_its_time(office):
     recording = as_recording(office)
-    cutting = split_of([recording], [recording.name], 0.5)
-    first, second = cutting.pieces([recording])[0].all
+    cutting = split_of([recording], [True], 0.5)
+    first, second = (fold.test[0] for fold in cutting.folds([recording]))
     assert abs(len(first.truth) - len(second.truth)) <= 1
     assert not cutting.notes
 
 
-def test_what_is_too_short_to_be_halved_is_left_out_and_said_so(office):
-    long = as_recording(office, "long")
-    rows = slice(None, 1500)
-    short = replace(long, name="short", truth=Trajectory(long.truth.stamps_ns[rows], long.truth.xyt[rows]))
-    cutting = split_of([long, short], ["long", "short"], 0.5)
-    assert [run.names for run in cutting.pieces([long, short])] == [{"long"}]
-    (note,) = cutting.notes
-    assert note.startswith("short: too short to be fitted on one half and evaluated on the other")
-    alone = split_of([short], ["short"], 0.5)
-    assert "record longer" in alone.notes[-1]
-    assert [run.names for run in alone.pieces([short])] == [{"short"}]
-    assert not alone.pieces([short])[0].second
+def test_folds_are_whole_recordings_and_a_refit_has_all_others(office):
+    whole = as_recording(office)
+    count = len(whole.truth)
+    drives = [replace(whole, name=str(i), truth=whole.truth.only(slice(count - 500 * i))) for i in range(7)]
+    fitted = [i != 3 for i in range(7)]
+    folds = split_of(drives, fitted, 0.5).folds(drives)
+    assert sorted(r.name for fold in folds for r in fold.test) == [r.name for r in drives]
+    for fold in folds:
+        own = {r.name for r in fold.test}
+        assert {r.name for r in fold.train} == (set() if own == {"3"} else set("012456") - own)
+        assert fold.inflation == 1.0 if own == {"3"} else 1.0 < fold.inflation < 1.5
+    order = [4, 2, 6, 0, 3, 1, 5]
+    shuffled = split_of([drives[i] for i in order], [fitted[i] for i in order], 0.5).folds([drives[i] for i in order])
+    parts = [{frozenset(r.name for r in fold.test) for fold in some} for some in (folds, shuffled)]
+    assert parts[0] == parts[1]
+
+
+def test_what_is_too_short_to_be_halved_is_evaluated_as_a_whole_and_said_so(office):
+    long = as_recording(office, "short")
+    short = replace(long, truth=Trajectory(long.truth.stamps_ns[:1500], long.truth.xyt[:1500]))
+    cutting = split_of([short], [True], 0.5)
+    assert "short: too short to be fitted on one half" in cutting.notes[0]
+    assert "record longer" in cutting.notes[0]
+    assert [(fold.test, fold.train) for fold in cutting.folds([short])] == [((short,), ())]
 
 
 def test_a_model_of_a_drive_too_short_for_halves_is_judged_on_the_fitted_data_and_says_so(office):

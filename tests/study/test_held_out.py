@@ -126,7 +126,7 @@ def test_another_drive_that_was_given_is_not_asked_for_but_said_to_support_nothi
     assert said[0].endswith("a second one would show whether it recurs")
     assert said[1].endswith("the other drive does not support it: -1 +- 25 nats")
     assert said[2].endswith("the other drives do not support it: -1 +- 25 nats")
-    assert "halves" not in held_out._needed(test, [None]).failure
+    assert "folds" not in held_out._needed(test, [None]).failure
 
 
 def test_the_mean_of_a_law_over_time_is_dropped_where_the_halves_do_not_support_it():

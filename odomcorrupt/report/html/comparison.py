@@ -47,10 +47,8 @@ def _models_line(comparison: Comparison) -> str:
     names = ", ".join(j.name for j in comparison.evaluations)
     if comparison.judged_on == "fitted data":
         return f"Models: {names}. Evaluation on the data that they were fitted on, too short for halves."
-    if comparison.judged_on == "halves":
-        return (
-            f"Models: {names}. Fitted on these recordings: refitted on one half and evaluated on the other, both ways."
-        )
+    if comparison.judged_on == "folds":
+        return f"Models: {names}. Fitted on these recordings: refitted without each part of them and evaluated on it."
     return f"Models: {names}. Evaluation on recordings that they were not fitted on."
 
 

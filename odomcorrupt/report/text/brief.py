@@ -245,7 +245,7 @@ def _mounting_words(search: Learned, fit: Fit) -> str:
 
 
 def _found_lines(
-    search: Learned, fit: Fit, undecided: set[str], *, held_out: JudgedOn = "halves"
+    search: Learned, fit: Fit, undecided: set[str], *, held_out: JudgedOn = "folds"
 ) -> tuple[list[Line], list[Line]]:
     """Return a line for each effect, dependence, noise and clock found; and a line of negligible ones.
 

@@ -27,11 +27,11 @@ _BAR = 30
 _NAME = 24
 """Columns of a model's name; a longer one gets a separate line, so that bars are aligned."""
 
-HELD: dict[JudgedOn, str] = {"recordings": "held out", "halves": "cross-validated", "fitted data": "on the fitted data"}
+HELD: dict[JudgedOn, str] = {"recordings": "held out", "folds": "cross-validated", "fitted data": "on the fitted data"}
 """Data on which the errors and likelihoods of a comparison were computed, in words."""
 _HOW: dict[JudgedOn, str] = {
     "recordings": "not fitted here",
-    "halves": "refitted on the other half of each recording it was fitted on",
+    "folds": "refitted without the recording, or the half of the only one, that it is evaluated on",
     "fitted data": "on the data it was fitted on",
 }
 

@@ -32,7 +32,7 @@ from odomcorrupt.study.estimate.noise_likelihood import LOWEST, NoiseLikelihood
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.variance_components import NAMES
 from odomcorrupt.study.io.encoders import restore_lost
-from odomcorrupt.study.io.recording import shared_frame
+from odomcorrupt.study.io.recording import content_of, shared_frame
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
@@ -177,6 +177,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
         standard_errors=dict(zip(names, map(float, fitted.standard_errors), strict=True)),
         source={
             "recordings": [r.name for r in problem.recordings],
+            "fitted": [content_of(r) for r in problem.recordings],
             **({"odometry": topics.pop()} if len(topics) == 1 else {}),
             **({"frame": frame} if (frame := shared_frame(problem.recordings)) else {}),
             "regressors": problem.approach.side,

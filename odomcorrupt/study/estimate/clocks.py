@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mountings
 from odomcorrupt.study.estimate.gauss_newton import fit_problem
 from odomcorrupt.study.estimate.problem import pose_problem, undo
@@ -38,6 +39,8 @@ _NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", *MOUNTING)
 """Effects that are free while the clocks are estimated, and are then discarded."""
 RIVALS = ("accel_slip", "backlash", "channel_lag")
 """Effects that resemble a clock offset at starts and stops; a clock must remain significant with these free."""
+_FEWEST_ALIKE = 3
+"""Fewest clocks whose mean may be that of a recording that cannot tell its own."""
 _SCAN_CLOCK_S = 0.1
 """Expected offset between the stamps of scans and of odometry, seconds: 0.09 to 0.17 s on four real robots."""
 _KNOWN_S, _PULLED_S = 0.002, 0.02
@@ -62,6 +65,7 @@ class Clocks:
     ranges_s : least and largest offset within two standard errors, with the usual systematic effects and rivals free;
         also of an offset that is left at zero because it is not significant; (0, 0) if an offset increases the 10 s
         error
+    held : names of recordings that cannot tell their clock: it is the mean of the others', or zero
     """
 
     clocks: tuple[Clock, ...]
@@ -74,6 +78,7 @@ class Clocks:
     truths: tuple[TruthNoise, ...] = ()
     left_nats: float = 0.0
     ranges_s: tuple[tuple[float, float], ...] = ()
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,22 +110,47 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     """
     leaders = clock_leaders(recordings)
     together = {i: [r for r, leader in zip(recordings, leaders, strict=True) if leader == i] for i in set(leaders)}
-    found = {i: _find_clock(runs, approach) for i, runs in together.items()}
-    each = [found[leader] for leader in leaders]
-    longest = max(found.values(), key=lambda f: len(f.fit.problem.intervals)).fit
+    found = {i: _clock_or_reason(runs, approach) for i, runs in together.items()}
+    known = [own for own in found.values() if isinstance(own, _Found)]
+    if not known:
+        raise next(own for own in found.values() if isinstance(own, FitError | RecordingError))
+    longest = max(known, key=lambda own: len(own.fit.problem.intervals))
+    common = replace(longest, clock=_common_clock(known), free=(False, False), errors=(0.0, 0.0))
+    each = [own if isinstance(own := found[leader], _Found) else common for leader in leaders]
     errors = with_rounding([f.errors for f in each], [f.free for f in each], recordings)
-    offsets = [(f.clock.offset_s, own[0]) if f.free[0] else f.unused_s for f, own in zip(each, errors, strict=True)]
+    offsets = [
+        (f.clock.offset_s, own[0]) if f.free[0] or f is common else f.unused_s
+        for f, own in zip(each, errors, strict=True)
+    ]
     return Clocks(
         tuple(f.clock for f in each),
         tuple(f.free for f in each),
         errors,
-        longest.noise.free,
-        tuple(e for e in longest.onward.effects if e.name in _NUISANCE),
-        max(f.ambiguous_nats for f in each),
-        min((f.margins_nats for f in each), key=lambda nats: min(nats, default=np.inf)),
+        longest.fit.noise.free,
+        tuple(e for e in longest.fit.onward.effects if e.name in _NUISANCE),
+        max(f.ambiguous_nats for f in known),
+        min((f.margins_nats for f in known), key=lambda nats: min(nats, default=np.inf)),
         tuple(f.fit.noise.truth for f in each),
         ranges_s=tuple((offset_s - _RANGE * error_s, offset_s + _RANGE * error_s) for offset_s, error_s in offsets),
+        held=tuple(r.name for r, own in zip(recordings, each, strict=True) if own is common),
     )
+
+
+def _clock_or_reason(runs: Sequence[Recording], approach: Approach) -> _Found | FitError | RecordingError:
+    """Return the clock of some runs, or why there is none: on straight lines at one speed it has no maximum."""
+    try:
+        return _find_clock(runs, approach)
+    except (FitError, RecordingError) as why:
+        return why
+
+
+def _common_clock(found: Sequence[_Found]) -> Clock:
+    """Return the mean offset of clocks if it is significant beside their scatter, else zero."""
+    offsets = np.array([own.clock.offset_s for own in found if own.free[0]])
+    if len(offsets) < _FEWEST_ALIKE:
+        return Clock()
+    mean, error = float(offsets.mean()), float(offsets.std(ddof=1) / np.sqrt(len(offsets)))
+    return Clock(mean) if abs(mean) > _CLOCK_LIMIT * error else Clock()
 
 
 def most_likely_clocks(recordings: Sequence[Recording], clocks: Clocks, approach: Approach) -> tuple[Clock, ...]:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.errors import RecordingError
 from odomcorrupt.model.noise_laws import law_named
 from odomcorrupt.study.estimate.heading_source import sees_travel, turns_at_rest
 from odomcorrupt.study.estimate.interval_ends import pick_interval_ends
@@ -127,10 +126,7 @@ def _spread(recording: Recording, truth_s: Array, length_s: float) -> Array | No
     """Return the robust variance (3,) of odometry minus truth over windows of a length; None if there are too few."""
     odo_s, found = recording.odometry_s, []
     for phase in np.arange(_PHASES) / _PHASES:
-        try:
-            picked = pick_interval_ends(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
-        except RecordingError:
-            return None
+        picked = pick_interval_ends(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
         kept = np.flatnonzero(np.diff(truth_s[picked]) < 1.5 * length_s)
         if len(kept):
             found.append(intervals_between(recording, picked, kept).residual)

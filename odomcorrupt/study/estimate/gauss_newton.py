@@ -14,7 +14,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.study.estimate.interval_ends import LEAST_INTERVALS
 from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise_beside
+from odomcorrupt.study.estimate.noise_likelihood import pseudo_inverse
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, with_random
 from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, bias_steps, has_bias
@@ -183,6 +186,7 @@ def fit_problem(
     start: Array | None = None,
     weights_of: Fit | None = None,
     nearly: bool = False,
+    held: Array | None = None,
 ) -> Fit:
     """Return the fit that begins with the effects and clocks of a problem, see `fit`.
 
@@ -190,7 +194,21 @@ def fit_problem(
         slip bursts allow any number of outliers
     weights_of : fit of the same recordings whose robust weights are kept, at whatever clocks; default: re-estimated
     nearly : end at a step within two standard errors, found in `onward`; for callers that do not use the residuals
+    held : (p,) standard deviations of a normal prior of the effects' amplitudes at their values in the problem;
+        infinite for those without one; default: no prior
+
+    Raises
+    ------
+    RecordingError
+        If the recordings have too few intervals together.
     """
+    if len(problem.intervals) < LEAST_INTERVALS:
+        names = ", ".join(recording.name for recording in problem.recordings)
+        raise RecordingError(
+            f"{names}: only {len(problem.intervals)} stretches of {problem.approach.spacing_s:g} s have both odometry "
+            f"and truth; {LEAST_INTERVALS} are needed: record longer, or check both clocks"
+        )
+    begun = problem.effects
     coefficients = tuple(e for e in random if e.name in CORRELATED_NOISE)
     bursts = any(e.name == "slip_burst" for e in random)
     recordings, approach = problem.recordings, problem.approach
@@ -210,7 +228,7 @@ def fit_problem(
         noise = _fitted_noise(problem, components, columns, coefficients, begin)
         start, weighted = noise.free, problem
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
-        whole = noise.theta
+        whole = noise.theta if held is None else _held_step(noise, begun, effects, held)
         if not free.any() and len(made[0]) == len(whole):  # of a clock, the likelihood may have several maxima
             whole = _extrapolated(whole, *made)
         made = noise.theta, whole
@@ -235,6 +253,17 @@ def fit_problem(
         free_clocks=tuple((bool(offset), bool(rate)) for offset, rate in free),
         onward=NextStart(effects, clocks),
     )
+
+
+def _held_step(noise: NoiseFit, begun: Sequence[Effect], now: Sequence[Effect], held: Array) -> Array:
+    """Return the step (q,) to the maximum of likelihood times prior; see `fit_problem` for the prior's `held`."""
+    away = _made(begun, now, np.zeros(0))
+    precision = np.zeros(len(noise.theta))
+    precision[: len(held)] = 1.0 / np.square(held)
+    pull = np.zeros(len(noise.theta))
+    pull[: len(held)] = -precision[: len(held)] * away
+    normal = pseudo_inverse(noise.theta_covariance)
+    return pseudo_inverse(normal + np.diag(precision)) @ (normal @ noise.theta + pull)
 
 
 def _extrapolated(step: Array, before: Array, made: Array) -> Array:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 GAP_S = 3.0
 """Multiple of the node spacing above which an interval is a gap in the truth and is not used."""
 LEAST_INTERVALS = 20
-"""Minimum number of intervals for a fit."""
+"""Minimum number of intervals for a fit, of all its recordings."""
 
 
 def pick_interval_ends(
@@ -34,6 +34,8 @@ def pick_interval_ends(
 ) -> NDArray[np.int64]:
     """Return indices of truth samples in [first, last], each at least about `spacing_s` after the previous one.
 
+    Fewer than two samples there are returned as they are.
+
     truth_s : (n,) times of the truth samples, s, increasing
     first_s, last_s : limits of the times, s
     among : (n,) mask of the samples that may be picked; all by default
@@ -42,9 +44,7 @@ def pick_interval_ends(
     usable = (truth_s >= first_s) & (truth_s <= last_s)
     inside = np.flatnonzero(usable if among is None else usable & among)
     if len(inside) < 2:
-        raise RecordingError(
-            f"odometry and truth overlap in {len(inside)} truth samples; check that their stamps come from one clock"
-        )
+        return inside
     begin_s = truth_s[inside[0]]
     if anchor_s is not None:
         begin_s += (anchor_s - begin_s) % spacing_s
@@ -61,18 +61,17 @@ def intervals_of(recording: Recording, spacing_s: float) -> Intervals:
         If odometry and truth overlap too little.
     """
     truth_s = recording.truth_s
-    try:
-        picked = _ends_of(recording, spacing_s)
-    except RecordingError as error:
-        raise RecordingError(f"{recording.name}: {error}") from error
+    picked = _ends_of(recording, spacing_s)
+    if len(picked) < 2:
+        raise RecordingError(
+            f"{recording.name}: odometry and truth overlap in {len(picked)} truth samples; check that their stamps "
+            "come from one clock"
+        )
     start, end = truth_s[picked[:-1]], truth_s[picked[1:]]
     beside = [(end <= step.start_s) | (start >= step.end_s) for step in recording.pose_steps]
     kept = np.flatnonzero(np.all([end - start < GAP_S * spacing_s, *beside], axis=0))
-    if len(kept) < LEAST_INTERVALS:
-        raise RecordingError(
-            f"{recording.name}: only {len(kept)} stretches of {spacing_s:g} s have both odometry and truth; "
-            f"{LEAST_INTERVALS} are needed: record longer, or check both clocks"
-        )
+    if not len(kept):
+        raise RecordingError(f"{recording.name}: no stretch of {spacing_s:g} s has both odometry and truth")
     return intervals_between(recording, picked, kept)
 
 

@@ -5,7 +5,7 @@ Clocks are estimated first: an unmodelled offset of 30 ms looks like slip or bac
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,7 +44,7 @@ def aligned(recording: Recording, clock: Clock) -> Recording:
     t_ns = recording.odometry.stamps_ns - recording.origin_ns
     shift = (clock.offset_s * 1e9 + clock.rate * t_ns) / (1.0 + clock.rate)
     stamps = recording.odometry.stamps_ns - np.round(shift).astype(np.int64)
-    return with_headings(replace(recording, odometry=Trajectory(stamps, recording.odometry.xyt)))
+    return with_headings(recording.with_odometry(Trajectory(stamps, recording.odometry.xyt)))
 
 
 def clock_leaders(recordings: Sequence[Recording]) -> list[int]:

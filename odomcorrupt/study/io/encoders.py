@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,7 +77,7 @@ def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
         return recording
     motion = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
     xyt = accumulate(recording.odometry.xyt[0], corrected_increments(restorable, motion))
-    return replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
+    return recording.with_odometry(Trajectory(recording.odometry.stamps_ns, xyt))
 
 
 def tick_of(recording: Recording) -> float | None:

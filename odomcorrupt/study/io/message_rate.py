@@ -40,7 +40,7 @@ def thinned(recordings: Sequence[Recording]) -> list[Recording]:
             continue
         few = known.setdefault(id(odometry), odometry.only(slice(None, None, every)))
         said = f"odometry at {_rate_hz(odometry):.0f} Hz: one pose of {every} is used"
-        found.append(replace(recording, odometry=few, notes=(*recording.notes, said)))
+        found.append(replace(recording.with_odometry(few), notes=(*recording.notes, said)))
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.drive_types import STEERED
-from odomcorrupt.errors import RecordingError
+from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.rounded_stamps import resolution_s
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.feedback import feedback_of
@@ -29,6 +29,7 @@ from odomcorrupt.study.io.localisation import (
 )
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.raw_trajectory import in_order
+from odomcorrupt.study.io.recording import sketch_of
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
@@ -48,7 +49,7 @@ from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wh
 from odomcorrupt.study.io.yaw_dead_band import yaw_dead_band
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from odomcorrupt.geometry.trajectory import Trajectory
@@ -57,6 +58,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.source import Source
     from odomcorrupt.study.io.topic_selection import Role
 
+_CONTINUED = 2.0
+"""Usual intervals within which the next file of a split recording begins."""
 _OTHER_TRACK = 0.01
 """Relative difference from which a given track is reported as different from the odometry's."""
 
@@ -93,6 +96,64 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
     odometry, truth = _read(source)
     wheels = _with_wheels(source, odometry)
     return _with_heading_source(source, imu, odometry, wheels.noted(_between_clock_steps(source, wheels, truth)))
+
+
+def read_study(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> list[Recording]:
+    """Return the recordings of several runs of one robot; of several, unusable ones are left out with an alert.
+
+    progress : as in `read_runs`
+
+    Raises
+    ------
+    TopicError, RecordingError
+        If none is usable; see `read_runs`.
+    """
+    found: list[Recording] = []
+    refused: list[RecordingError | TopicError] = []
+    for n, source in enumerate(sources):
+        if progress is not None:
+            progress("reading", n / len(sources))
+        try:
+            found += read_runs(source, progress and _nth(progress, n, len(sources)))
+        except (RecordingError, TopicError) as why:
+            refused.append(why)
+    if not found:
+        raise refused[0]
+    return one_study(found, [f"left out: {why}" for why in refused])
+
+
+def _nth(progress: Callable[[str, float], None], n: int, count: int) -> Callable[[str, float], None]:
+    """Return a progress callback for one of several recordings."""
+    return lambda stage, share: progress(stage, (n + share) / count)
+
+
+def one_study(recordings: Sequence[Recording], alerts: Sequence[str] = ()) -> list[Recording]:
+    """Return recordings with the clocks and places that they share; the first one with more alerts.
+
+    A recording that begins where another one ends, as files split while recording do, has its clock. If each run has
+    its truth begin at exactly zero, it has a frame of its own, and no place is common to them.
+    """
+    found = list(recordings)
+    for i in sorted(range(len(found)), key=lambda i: int(found[i].odometry.stamps_ns[0])):
+        before = next((r for r in found if r is not found[i] and _continues(r, found[i])), None)
+        if before is not None and not found[i].clock:
+            name = before.clock or f"{before.name} from {before.origin_ns}"
+            at = next(j for j, r in enumerate(found) if r is before)
+            found[at] = replace(before, clock=name)
+            found[i] = replace(found[i], clock=name, origin_ns=before.origin_ns)
+    if len(found) > 1 and all(not r.frame and not np.any(r.truth.xyt[0]) for r in found):
+        found = [replace(r, frame=r.name) for r in found]
+    found[0] = replace(found[0], alerts=(*found[0].alerts, *alerts))
+    return found
+
+
+def _continues(before: Recording, after: Recording) -> bool:
+    """Return whether both trajectories of a recording go on in another one: at most two usual intervals later."""
+    pairs = ((before.odometry, after.odometry), (before.truth, after.truth))
+    return all(
+        0 < int(b.stamps_ns[0]) - int(a.stamps_ns[-1]) <= _CONTINUED * float(np.median(np.diff(a.stamps_ns)))
+        for a, b in pairs
+    )
 
 
 def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
@@ -285,6 +346,7 @@ def recordings_of(
         If they cannot be of one run; the message gives the reason.
     """
     odometry, truth = in_order(odometry), in_order(truth)
+    recorded = odometry
     rounded_s = math.hypot(resolution_s(odometry.stamps_ns), resolution_s(truth.stamps_ns))
     odometry, truth = even_stamps(odometry), even_stamps(truth)
     if truth_shift_s:
@@ -328,10 +390,17 @@ def recordings_of(
                 pose_corrections=feedback.corrections,
                 yaw_dead_band_radps=dead_band_radps,
                 odometry_topic=odometry.name if odometry.name.startswith("/") else "",
+                sketch=_sketch(recorded, r),
             )
         )
         for r in recordings
     ]
+
+
+def _sketch(recorded: Samples, part: Recording) -> str:
+    """Return the `sketch_of` the poses as recorded in the time of a part of them."""
+    first, last = part.odometry.stamps_ns[[0, -1]]
+    return sketch_of(recorded.only((recorded.stamps_ns >= first) & (recorded.stamps_ns <= last)).trajectory())
 
 
 def _automatic_scan(source: Source) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.model.motion_model import Origin
+    from odomcorrupt.model.motion_model import MotionModel, Origin
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +86,7 @@ class Recording:
     odometry_topic : topic of the odometry; "" if it was no topic
     stamp_error_s : standard deviation of a clock offset hidden by rounded stamps, seconds
     stamp_jitter_s : standard deviation of stamps of arrival, seconds; they are late by about as much
+    sketch : see `sketch_of`, of the odometry as read; "" if it is computed from the present odometry
     """
 
     name: str
@@ -119,6 +120,11 @@ class Recording:
     drive_type: str = AUTO
     odometry_topic: str = ""
     alerts: tuple[str, ...] = ()
+    sketch: str = ""
+
+    def with_odometry(self, odometry: Trajectory) -> Recording:
+        """Return the recording with its odometry processed, and the content as read."""
+        return replace(self, odometry=odometry, sketch=content_of(self))
 
     @property
     def matched(self) -> bool:
@@ -166,3 +172,40 @@ def shared_frame(recordings: Sequence[Recording]) -> str | None:
     """Return the `frame` that all recordings have; None if they differ, so that no place is common to them."""
     frames = {recording.frame for recording in recordings}
     return frames.pop() if len(frames) == 1 else None
+
+
+_SKETCH, _DIGITS = 16, 8
+"""Number of hashes in a sketch, of which half a recording has none in one of 65 000 cases; digits of each."""
+
+
+def sketch_of(odometry: Trajectory) -> str:
+    """Return what identifies a recording, or a part of it, by its content: the least hashes of its moving poses.
+
+    Bottom-k sketch (Broder 1997, On the resemblance and containment of documents): two drives share no hash, a drive
+    and a part of it share some.
+    """
+    rows = np.column_stack((odometry.stamps_ns.view(np.uint64), np.ascontiguousarray(odometry.xyt).view(np.uint64)))
+    rows = rows[1:][(np.diff(odometry.xyt, axis=0) != 0.0).any(axis=1)]
+    hashes = np.zeros(len(rows), dtype=np.uint64)
+    for column in rows.T:  # the finaliser of SplitMix64 (Steele, Lea & Flood 2014) on each column
+        hashes = (hashes ^ column) + np.uint64(0x9E3779B97F4A7C15)
+        hashes = (hashes ^ (hashes >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        hashes = (hashes ^ (hashes >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        hashes ^= hashes >> np.uint64(31)
+    return "".join(f"{one:0{_DIGITS}x}" for one in np.unique(hashes >> np.uint64(32))[:_SKETCH].tolist())
+
+
+def content_of(recording: Recording) -> str:
+    """Return the `sketch_of` a recording's odometry as it was read."""
+    return recording.sketch or sketch_of(recording.odometry)
+
+
+def was_fitted(model: MotionModel, recording: Recording) -> bool:
+    """Return whether a model was fitted to a recording, or to one that shares a part with it, whatever their names."""
+    own = _hashes(content_of(recording))
+    fitted = model.source.get("fitted", [])
+    return any(not own.isdisjoint(_hashes(one)) for one in fitted) if isinstance(fitted, list) else False
+
+
+def _hashes(sketch: str) -> set[str]:
+    return {sketch[i : i + _DIGITS] for i in range(0, len(sketch), _DIGITS)}

@@ -1,9 +1,9 @@
 """Comparison of models on recordings: predicted and measured errors, lack of fit, and likelihood.
 
-Models are evaluated on recordings that they were not fitted to. A recording that a model was fitted to is split in two:
-the model is refitted on one half and evaluated on the other, both ways, and all other models are evaluated on the same
-halves. Stretches between resets of one run are split together. Clocks belong to a recording, not to a robot: they are
-estimated on each one, the same for every model; only a rejection has to remain with all clocks that the data allow.
+Models are evaluated on recordings that they were not fitted to. If a model was fitted to these recordings, which their
+content shows, it is cross-validated: refitted without a fold of them and evaluated on it, see `cross_validation`. All
+models are evaluated on the same pieces. Clocks belong to a recording, not to a robot: they are estimated on each one,
+the same for every model; only a rejection has to remain with all clocks that the data allow.
 
 Whether a model is better than another takes several measures, because a single one can mislead: on one drive the
 position error after 10 s fell to 95 % while the log likelihood fell by 24 nats per metre and the trajectory error
@@ -16,16 +16,21 @@ from dataclasses import dataclass, replace
 from math import degrees, isfinite
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
-from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.gauss_newton import fit_problem
+from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
 from odomcorrupt.study.io.message_rate import thinned
+from odomcorrupt.study.io.recording import was_fitted
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
-from odomcorrupt.study.validate.cross_validation import split_of
+from odomcorrupt.study.validate.cross_validation import HELD_BY, split_of
 from odomcorrupt.study.validate.evaluation import Evaluation, LogScore, evaluate_stretch, horizons_of, log_score_of
 from odomcorrupt.study.validate.evaluation_clocks import can_be_of_clocks, clocks_beside, own_clocks
 from odomcorrupt.study.validate.goodness_of_fit import Verdict, pits_of, verdict_of, whiteness_of
@@ -40,10 +45,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.stepwise import Learned
-    from odomcorrupt.study.validate.cross_validation import Pieces
+    from odomcorrupt.study.validate.cross_validation import Fold
     from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
 
-JudgedOn = Literal["recordings", "halves", "fitted data"]
+JudgedOn = Literal["recordings", "folds", "fitted data"]
 NOT_APPLIED = "not applied: learned in the frame of another truth (a laser's map)"
 """Why effects of places are left out of an evaluation."""
 
@@ -52,8 +57,8 @@ NOT_APPLIED = "not applied: learned in the frame of another truth (a laser's map
 class ModelEvaluation:
     """Evaluation of one model on the recordings.
 
-    judged_on : "recordings" that it was not fitted to; "halves": refitted on one half and evaluated on the other;
-        "fitted data" if those are too short to be split
+    judged_on : "recordings" that it was not fitted to; "folds": refitted without a fold (some recordings, or half
+        of the only one) and evaluated on it; "fitted data" if the only one is too short to be split
     ten_second_error_m : root mean square position error after 10 s
     nats : log likelihood per metre driven with its standard error, and its gain over the first model
     horizons : for the table; curve : more of them, for the plot
@@ -99,7 +104,7 @@ class Comparison:
 
     @property
     def judged_on(self) -> JudgedOn:
-        """Data of the evaluation: the fitted data or their halves if any model was fitted to them."""
+        """Data of the evaluation: the fitted data or their folds if any model was fitted to them."""
         return next((j.judged_on for j in self.evaluations if j.judged_on != "recordings"), "recordings")
 
 
@@ -116,22 +121,25 @@ def compare(
     approach = choose_approach(recordings)
     recordings = with_correlation_lengths(recordings, approach)
     found = clocks or clocks_beside(recordings, approach, list(models.values())[-1])
-    fitted = {name for model in models.values() for name in _fitted_on(model)}
     on_time = _on_time(recordings, found)
-    split = split_of(on_time, fitted, approach.spacing_s)
-    runs = split.pieces(on_time)
-    judged = {name: _evaluated(model, runs, approach) for name, model in models.items()}
+    known = {name: [was_fitted(model, r) for r in recordings] for name, model in models.items()}
+    split = split_of(on_time, [any(own) for own in zip(*known.values(), strict=True)], approach.spacing_s)
+    folds = split.folds(on_time)
+    judged = {name: _evaluated(model, folds, approach) for name, model in models.items()}
     first = next(iter(judged.values()))
-    evaluations = {name: _evaluation(name, models[name], own, first, split.notes) for name, own in judged.items()}
+    evaluations = {
+        name: _evaluation(name, models[name], own, first, split.notes, fitted=any(known[name]))
+        for name, own in judged.items()
+    }
     for name, evaluation in evaluations.items():
         if evaluation.verdict.fails and can_be_of_clocks(evaluation.horizons, recordings, found):
             own = own_clocks(recordings, approach, models[name], found)
-            pieces = _evaluated(models[name], split.pieces(_on_time(recordings, own)), approach)
-            again = _evaluation(name, models[name], pieces, pieces, split.notes)
+            pieces = _evaluated(models[name], split.folds(_on_time(recordings, own)), approach)
+            again = _evaluation(name, models[name], pieces, pieces, split.notes, fitted=any(known[name]))
             evaluations[name] = evaluation if again.verdict.fails else _with_own_clocks(evaluation, again, found, own)
     # A truth of positions only gets headings, because windows start at a pose.
-    raw = [piece for run in split.pieces([aligned(r, Clock()) for r in recordings]) for piece in run.all]
-    clock_right = [piece for run in runs for piece in run.all]
+    raw = [piece for fold in split.folds([aligned(r, Clock()) for r in recordings]) for piece in fold.test]
+    clock_right = [piece for fold in folds for piece in fold.test]
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
@@ -165,27 +173,26 @@ def _with_own_clocks(before: ModelEvaluation, after: ModelEvaluation, common: Cl
     )
 
 
-def _fitted_on(model: MotionModel) -> list[str]:
-    named = model.source.get("recordings", [])
-    return named if isinstance(named, list) else []
-
-
-def _evaluated(model: MotionModel, runs: Sequence[Pieces], approach: Approach) -> list[Evaluation]:
-    """Return a model's evaluations; runs that it was fitted to are evaluated half by half, refitted on the other."""
+def _evaluated(model: MotionModel, folds: Sequence[Fold], approach: Approach) -> list[Evaluation]:
+    """Return a model's evaluations on all folds; on those that it was fitted to, refitted on the others that it was."""
     found = []
-    for run in runs:
-        known = not run.names.isdisjoint(_fitted_on(model))
-        if not run.second:
-            found += [evaluate_stretch(piece, model, approach) for piece in run.first]
-            continue
-        for half, other in ((run.first, run.second), (run.second, run.first)):
-            own = _refit(model, other, approach) if known else model
-            found += [evaluate_stretch(piece, own, approach, refitted=known) for piece in half]
+    for fold in folds:
+        train = tuple(r for r in fold.train if was_fitted(model, r))
+        refitted = bool(train) and any(was_fitted(model, r) for r in fold.test)
+        own = _refit(model, train, approach) if refitted else model
+        inflation = replace(fold, train=train if refitted else ()).inflation
+        found += [evaluate_stretch(piece, own, approach, inflation=inflation) for piece in fold.test]
     return found
 
 
 def _evaluation(
-    name: str, model: MotionModel, pieces: Sequence[Evaluation], first: Sequence[Evaluation], notes: Sequence[str]
+    name: str,
+    model: MotionModel,
+    pieces: Sequence[Evaluation],
+    first: Sequence[Evaluation],
+    notes: Sequence[str],
+    *,
+    fitted: bool,
 ) -> ModelEvaluation:
     every = horizons_of(pieces, sorted({*HORIZONS_M, *CURVE_M}))
     horizons = tuple(h for h in every if h.distance_m in HORIZONS_M)
@@ -196,7 +203,7 @@ def _evaluation(
     localised = any(piece.recording.localised for piece in pieces)
     return ModelEvaluation(
         name=name,
-        judged_on=_judged_on(model, pieces),
+        judged_on="folds" if any(piece.refitted for piece in pieces) else "fitted data" if fitted else "recordings",
         ten_second_error_m=phased_rmse([piece.left for piece in pieces]),
         nats=log_score_of(pieces, first),
         horizons=horizons,
@@ -210,13 +217,6 @@ def _evaluation(
         pieces=tuple(pieces),
         unplaced=_unplaced(model, pieces),
     )
-
-
-def _judged_on(model: MotionModel, pieces: Sequence[Evaluation]) -> JudgedOn:
-    if any(piece.refitted for piece in pieces):
-        return "halves"
-    fitted = _fitted_on(model)
-    return "fitted data" if any(piece.recording.name in fitted for piece in pieces) else "recordings"
 
 
 def _all_failures(pieces: Sequence[Evaluation]) -> list[Failure]:
@@ -267,10 +267,16 @@ def _truth_words(piece: Evaluation) -> str:
 
 
 def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approach) -> MotionModel:
-    """Return the model with its parameters estimated on these recordings only and the same set of effects."""
-    effects = (*model.effects, *model.setup.effects)
-    recordings = [restore_lost(recording, effects) for recording in recordings]
-    refitted = fit(recordings, effects, approach=replace(approach, law_name=model.noise.law_name))
+    """Return the model with its parameters estimated on these recordings only and the same set of effects.
+
+    Parameters with a standard error are weakly held by their value in the model.
+    """
+    systematic = [e for e in (*model.effects, *model.setup.effects) if e.kind != "noise"]
+    recordings = [restore_lost(recording, systematic) for recording in recordings]
+    names = [f"{effect.name}.{p.name}" for effect in systematic for p in amplitudes(effect)]
+    held = np.array([HELD_BY * model.standard_errors.get(name, np.inf) for name in names])
+    problem = pose_problem(recordings, systematic, approach=replace(approach, law_name=model.noise.law_name))
+    refitted = fit_problem(problem, held=np.where(held > 0.0, held, np.inf))
     random = [e for e in model.effects if e.kind == "noise"]
     count = len(model.effects) - len(random)
     return replace(
@@ -290,7 +296,7 @@ def sequence_comparison(
 ) -> Comparison:
     """Return the comparison of the model before each inclusion and of the final one, named by the added term.
 
-    recordings : evaluation data; recordings used in the selection are split in halves, one fitted and one evaluated
+    recordings : evaluation data; recordings used in the selection are cross-validated
     first : name of the initial model
     clocks : of the recordings, as for `compare`
     """

@@ -1,6 +1,11 @@
-"""Splitting of fitted recordings in two halves for cross-validation: fit on one half, evaluate on the other.
+"""Folds of the fitted recordings for cross-validation: a model is refitted without a fold and evaluated on it.
 
-Stretches between resets still belong to one run: the run has one middle, and each half may have several stretches.
+All recordings of a robot are one study: folds are whole runs, and a refit uses all others together, because a single
+run may not show every effect (one that drives ahead only cannot tell the turn of its wheels from their scale). A single
+run has two folds, its halves. Folds depend neither on the names of the recordings nor on their order.
+
+Refits begin at the fit of all recordings and are weakly held by it, so that an effect that the remaining recordings do
+not show stays where it was instead of anywhere.
 """
 
 from __future__ import annotations
@@ -16,7 +21,7 @@ from odomcorrupt.study.estimate.interval_ends import LEAST_INTERVALS, count_inte
 from odomcorrupt.study.io.clock import clock_leaders
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -25,79 +30,109 @@ if TYPE_CHECKING:
 
 _MIN_FRACTION = 0.25
 """Least fraction of the distance in a half; with less (the robot rested or crept) a half is not informative."""
+_MOST_FOLDS = 5
+"""Number of folds of many runs (Hastie, Tibshirani & Friedman 2009, section 7.10: five or ten)."""
+HELD_BY = 10.0
+"""Standard deviations within which a refit is held by the fit of all recordings: a hundredth of their information."""
 
 
 @dataclass(frozen=True, slots=True)
-class Pieces:
-    """Evaluated parts of a run: each half has one or more stretches; the second is empty if the run is not split.
+class Fold:
+    """Recordings to evaluate on, and the others of the fitted ones; none: they were not fitted, or cannot be split."""
 
-    names : names of the run's recordings
-    """
-
-    names: frozenset[str]
-    first: tuple[Recording, ...]
-    second: tuple[Recording, ...] = ()
+    test: tuple[Recording, ...]
+    train: tuple[Recording, ...] = ()
 
     @property
-    def all(self) -> tuple[Recording, ...]:
-        """All stretches, those of the first half first."""
-        return (*self.first, *self.second)
-
-
-@dataclass(frozen=True, slots=True)
-class _Middle:
-    """Stamp of the truth at which the second half begins, and a note, if any."""
-
-    stamp_ns: int
-    note: str = ""
+    def inflation(self) -> float:
+        """Factor of the standard errors of a refit, which has fewer data than the fit of all recordings."""
+        if not self.train:
+            return 1.0
+        own, others = (sum(_seconds(r) for r in part) for part in (self.test, self.train))
+        return float(np.sqrt(1.0 + own / others))
 
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Split of recordings, independent of their clocks.
+    """Split of recordings into folds, independent of their clocks.
 
-    middles : of each run, None if it is evaluated as a whole
-    kept : indices of the runs that are long enough
+    groups : indices of the runs of each fold; a fold of a run that was not fitted has it alone
+    fitted : whether each fold was fitted
+    middle_ns : stamp of the truth at which the only fitted run is cut in halves; None if it is not
     spacing_s : length of the intervals
     notes : exceptions, for reports
     """
 
-    middles: tuple[_Middle | None, ...]
-    kept: tuple[int, ...]
+    groups: tuple[tuple[int, ...], ...]
+    fitted: tuple[bool, ...]
+    middle_ns: int | None
     spacing_s: float
     notes: tuple[str, ...]
 
-    def pieces(self, recordings: Sequence[Recording]) -> list[Pieces]:
-        """Return the evaluated parts of each run."""
+    def folds(self, recordings: Sequence[Recording]) -> list[Fold]:
+        """Return the folds of the recordings."""
         runs = _runs(recordings)
-        return [_pieces(runs[i], self.middles[i], self.spacing_s) for i in self.kept]
+        parts = [tuple(r for i in group for r in runs[i]) for group in self.groups]
+        found: list[Fold] = []
+        for part, fitted in zip(parts, self.fitted, strict=True):
+            if fitted and self.middle_ns is not None:
+                halves = _halves(part, self.middle_ns, self.spacing_s)
+                found += [Fold(halves[0], halves[1]), Fold(halves[1], halves[0])]
+            else:
+                others = [other for other, own in zip(parts, self.fitted, strict=True) if own and other is not part]
+                found.append(Fold(part, tuple(r for other in others for r in other) if fitted else ()))
+        return found
 
 
-def split_of(recordings: Sequence[Recording], fitted: Collection[str], spacing_s: float) -> Split:
-    """Return how to split recordings (clocks corrected): those named in `fitted` in halves, the others not at all.
-
-    If no run is long enough, all are evaluated as a whole, on the data that the model was fitted to.
-    """
+def split_of(recordings: Sequence[Recording], fitted: Sequence[bool], spacing_s: float) -> Split:
+    """Return how to split recordings (clocks corrected); `fitted` says which of them models were fitted to."""
     runs = _runs(recordings)
-    middles = tuple(_middle(run) if any(r.name in fitted for r in run) else None for run in runs)
-    kept, notes = [], [middle.note for middle in middles if middle is not None and middle.note]
-    for i, (run, middle) in enumerate(zip(runs, middles, strict=True)):
-        pieces = _pieces(run, middle, spacing_s)
-        if middle is None or (pieces.first and pieces.second):
-            kept.append(i)
+    known = _runs_of(recordings, fitted)
+    own = [i for i, is_known in enumerate(known) if is_known]
+    others = [(i,) for i, is_known in enumerate(known) if not is_known]
+    groups = _balanced({i: (-sum(_seconds(r) for r in runs[i]), *_content(runs[i][0])) for i in own})
+    middle, notes = None, list[str]()
+    if len(groups) == 1:
+        run = runs[own[0]]
+        middle, note = _middle(run)
+        sides = _halves(run, middle, spacing_s)
+        if all(sides):
+            notes += [note] if note else []
         else:
-            word = "second" if pieces.first else "first"
+            middle = None
             notes.append(
-                f"{run[0].name}: too short to be fitted on one half and evaluated on the other: its {word} half has no "
-                f"{LEAST_INTERVALS} stretches of {spacing_s:g} s with both odometry and truth"
+                f"{run[0].name}: too short to be fitted on one half and evaluated on the other: its "
+                f"{'second' if sides[0] else 'first'} half has no {LEAST_INTERVALS} stretches of {spacing_s:g} s with "
+                "both odometry and truth. Errors and likelihood are those on the fitted data, which every model "
+                "explains best: record longer, or evaluate on another recording"
             )
-    if not kept:
-        notes[-1] += (
-            ". Errors and likelihood are those on the fitted data, which every model explains best: record longer, or "
-            "evaluate on another recording"
-        )
-        return Split((None,) * len(runs), tuple(range(len(runs))), spacing_s, tuple(notes))
-    return Split(middles, tuple(kept), spacing_s, tuple(notes))
+    every = (*groups, *others)
+    return Split(every, tuple(known[group[0]] for group in every), middle, spacing_s, tuple(notes))
+
+
+def _seconds(recording: Recording) -> float:
+    """Return the duration of a recording's truth within its odometry, s."""
+    inside = recording.truth.stamps_ns[recording.within_odometry]
+    return float(inside[-1] - inside[0]) * 1e-9 if len(inside) else 0.0
+
+
+def _content(recording: Recording) -> tuple[float, ...]:
+    """Return what orders recordings of one duration: the last pose and the first stamp of their odometry."""
+    return (*recording.odometry.xyt[-1].tolist(), float(recording.odometry.stamps_ns[0]))
+
+
+def _balanced(runs: Mapping[int, tuple[float, ...]]) -> list[tuple[int, ...]]:
+    """Return at most `_MOST_FOLDS` groups of runs of about equal duration: the longest first, each to the shortest.
+
+    runs : minus the duration (s) of each run, and values that order runs of the same one
+    """
+    groups: list[list[int]] = [[] for _ in range(min(len(runs), _MOST_FOLDS))]
+    lengths = np.zeros(len(groups))
+    for i in sorted(runs, key=lambda i: runs[i]):
+        shortest = int(np.argmin(lengths))
+        groups[shortest].append(i)
+        lengths[shortest] -= runs[i][0]
+    return [tuple(sorted(group)) for group in groups]
 
 
 def _runs(recordings: Sequence[Recording]) -> list[list[Recording]]:
@@ -108,36 +143,43 @@ def _runs(recordings: Sequence[Recording]) -> list[list[Recording]]:
     return list(runs.values())
 
 
-def _middle(run: Sequence[Recording]) -> _Middle:
-    """Return the middle of a run in time, or in distance if one of its halves would hardly move."""
+def _runs_of(recordings: Sequence[Recording], fitted: Sequence[bool]) -> list[bool]:
+    """Return for each run whether any of its recordings was fitted."""
+    known: dict[int, bool] = {}
+    for leader, own in zip(clock_leaders(recordings), fitted, strict=True):
+        known[leader] = known.get(leader, False) or own
+    return list(known.values())
+
+
+def _middle(run: Sequence[Recording]) -> tuple[int, str]:
+    """Return the stamp of a run's middle in time, or in distance if one of its halves would hardly move, and a note."""
     stamps, distance_m = _distance(run)
     if not len(stamps):
         raise RecordingError(f"{run[0].name}: odometry and truth have no time in common; check the two clocks")
     middle = len(stamps) // 2
     share = distance_m[middle] / max(distance_m[-1], 1e-9)
     if distance_m[-1] <= 0.0 or _MIN_FRACTION <= share <= 1.0 - _MIN_FRACTION:
-        return _Middle(int(stamps[middle]))
+        return int(stamps[middle]), ""
     by_distance = int(np.searchsorted(distance_m, distance_m[-1] / 2.0))
     at_s = float(stamps[by_distance] - stamps[0]) * 1e-9
     still = "first" if share < _MIN_FRACTION else "second"
     note = f"{run[0].name}: hardly moves in the {still} half of its time: cut at half of its way, after {at_s:.0f} s"
-    return _Middle(int(stamps[by_distance]), note)
+    return int(stamps[by_distance]), note
 
 
-def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) -> Pieces:
-    """Return a run split at its middle, if it has one, without stretches of too few intervals of `spacing_s`."""
-    names = frozenset(recording.name for recording in run)
-    if middle is None:
-        return Pieces(names, tuple(run))
+def _halves(
+    run: Sequence[Recording], middle_ns: int, spacing_s: float
+) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
+    """Return the stretches of both halves of a run, without those of too few intervals of `spacing_s`."""
     sides: tuple[list[Recording], list[Recording]] = ([], [])
     for recording in run:
         truth = recording.truth
-        at = int(np.searchsorted(truth.stamps_ns, middle.stamp_ns))
+        at = int(np.searchsorted(truth.stamps_ns, middle_ns))
         for side, word, rows in zip(sides, ("first", "second"), (slice(at), slice(at, None)), strict=True):
             if len(truth.stamps_ns[rows]) > LEAST_INTERVALS:
                 side.append(replace(recording, name=f"{recording.name}, {word} half", truth=truth.only(rows)))
     first, second = (tuple(r for r in side if count_intervals(r, spacing_s) >= LEAST_INTERVALS) for side in sides)
-    return Pieces(names, first, second)
+    return first, second
 
 
 def _distance(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:

@@ -40,7 +40,6 @@ _MAX_NOISE_RATIO, _ROBUST_ROUNDS = 5.0, 6
 """Bound of a truth's noise relative to that of its samples (a tracker's filter hides some); rounds of the estimate."""
 _LEAST_SQUARE = 1e-12
 _HALF = float(np.sqrt(2.0))
-"""Factor of the standard errors of a fit to half of a drive."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +53,7 @@ class Evaluation:
     innovations : (3 K,) whitened residuals
     interval_nats : (K,) log likelihood of each interval given the preceding ones
     interval_metres : (K,) travel of the raw odometry, the same for all models
-    refitted : whether the model was refitted on the other half of the drive
+    inflation : factor of the model's standard errors, above 1 if it was refitted without this fold
     """
 
     recording: Recording
@@ -67,7 +66,12 @@ class Evaluation:
     innovations: Array
     interval_nats: Array
     interval_metres: Array
-    refitted: bool
+    inflation: float
+
+    @property
+    def refitted(self) -> bool:
+        """Whether the model was refitted without this fold."""
+        return self.inflation > 1.0
 
     @property
     def headed(self) -> bool:
@@ -111,7 +115,7 @@ class Evaluation:
         shared = np.concatenate(common, axis=2) if common else None
         errors = replace(errors, covariance=errors.covariance + more, shared=shared)
         return errors, uncertainty_of(
-            self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0, positions=positions
+            self.model, windows, errors, self.problem, inflate=self.inflation, positions=positions
         )
 
     def errors_of(self, windows: Intervals, positions: PositionWindows | None = None) -> WindowErrors:
@@ -124,11 +128,13 @@ class Evaluation:
 
 
 def evaluate_stretch(
-    recording: Recording, model: MotionModel, approach: Approach, *, refitted: bool = False
+    recording: Recording, model: MotionModel, approach: Approach, *, inflation: float = 1.0
 ) -> Evaluation:
     """Return the evaluation of a model on a recording with corrected clock.
 
     Effects of places that were learned in another frame are left out.
+
+    inflation : see `Evaluation`
     """
     model = model.in_frame(recording.frame)
     effects = (*model.effects, *model.setup.effects)
@@ -137,7 +143,7 @@ def evaluate_stretch(
     q = intervals.covariance(model.noise.law, model.noise.coefficients, problem.steps)
     headed = recording.headed
     truth = model.setup.truth or _robust_truth(intervals, q, recording)[0]
-    if model.setup.truth is not None and not refitted:
+    if model.setup.truth is not None and inflation == 1.0:
         truth = _own_truth(intervals, q, truth, recording)
     band = remainder_whitener(intervals, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
     random = [effect for effect in model.effects if effect.name in CORRELATED_NOISE]
@@ -159,7 +165,7 @@ def evaluate_stretch(
         innovations=innovations,
         interval_nats=-own.reshape(-1, 3).sum(axis=1),
         interval_metres=raw.distance_m,
-        refitted=refitted,
+        inflation=inflation,
     )
 
 

@@ -5,8 +5,9 @@ recording cannot apply to another drive: its mean is kept in its place, if it is
 support it, since tracks and radii stay about as they are.
 
 Each effect, dependence and random gain is removed in turn, the others are refitted, and both models are evaluated on
-the same windows and intervals of held-out data: other recordings of the robot, or the two halves of the fitted ones,
-each evaluated by a fit to the other. Differences are paired, so that difficult data count against neither.
+the same windows and intervals of held-out data: other recordings of the robot, or folds of the fitted ones, each
+evaluated by a fit to the others (`cross_validation`). Differences are paired, so that difficult data count against
+neither.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned, clock_leaders
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.confidence import EVEN_ODDS, confidence, evidence_of, noise_evidence
-from odomcorrupt.study.validate.cross_validation import split_of
+from odomcorrupt.study.validate.cross_validation import HELD_BY, Fold, split_of
 from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 
@@ -193,7 +194,7 @@ def _needed(one: HeldOut, others: Sequence[Recording]) -> HeldOut:
 
 def _unsupported(one: HeldOut, others: Sequence[Recording]) -> str:
     """Return that the held-out data do not support a part, with its gain of log likelihood there."""
-    data = "other drive does" if len(others) == 1 else "other drives do" if others else "halves of the drive do"
+    data = "other drive does" if len(others) == 1 else "other drives do" if others else "folds of the data do"
     return f"the {data} not support it: {one.nats:+.0f} +- {one.error:.0f} nats"
 
 
@@ -256,56 +257,48 @@ def _test(
     own = [not placed and all(part.reads_places for part in group) for group in groups]
     try:
         folds = {here: _folds(fitted, () if here else others, clocks) for here in set(own)}
-        whole = {here: [judged for fold in some for judged in fold.judged(fitted, ())] for here, some in folds.items()}
+        whole = {here: [judged for fold in some for judged in _judged(fitted, *fold)] for here, some in folds.items()}
+        lacking = [
+            (group, here, _without(fitted, group)) for group, here in zip(groups, own, strict=True) if folds[here]
+        ]
         return [
-            (group, _verdict(group, whole[here], [j for fold in folds[here] for j in fold.judged(fitted, group)]))
-            for group, here in zip(groups, own, strict=True)
-            if folds[here]
+            (group, _verdict(group, whole[here], [j for fold in folds[here] for j in _judged(without, *fold)]))
+            for group, here, without in lacking
         ]
     except FitError:
         return []
 
 
-@dataclass(frozen=True, slots=True)
-class _Fold:
-    """Recordings with corrected clocks to evaluate on, and others to fit on, as the problem of the whole model.
+def _judged(fitted: Fit, fold: Fold, trained: Problem | None) -> list[Evaluation]:
+    """Return the evaluations on a fold of a fit's model, refitted to the others if it was fitted to the fold.
 
-    train : None to keep the fit to all data
+    trained : problem of the others; None keeps the fit
     """
-
-    train: Problem | None
-    test: tuple[Recording, ...]
-
-    def judged(self, fitted: Fit, parts: Sequence[Effect]) -> list[Evaluation]:
-        """Return the evaluations on this fold of the model without some parts."""
-        if self.train is not None:
-            own = fit_problem(
-                self.train.at(_others(fitted.effects, parts)),
-                random=_others(fitted.random, parts),
-                start=fitted.noise.free,
-                nearly=True,
-            )
-        else:
-            own = _without(fitted, parts) if parts else fitted
-        model = model_of(own, own.random)
-        return [evaluate_stretch(r, model, fitted.problem.approach, refitted=self.train is not None) for r in self.test]
-
-
-def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) -> list[_Fold]:
-    if others:
-        return [_Fold(None, tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True)))]
     problem = fitted.problem
-    # both halves have the truth's own errors; what they leave of a drift of scale is not that of the wheels
+    if trained is None:
+        model = model_of(fitted, fitted.random)
+    else:
+        held = HELD_BY * fitted.standard_errors
+        refitted = fit_problem(
+            trained.at(fitted.effects),
+            random=fitted.random,
+            start=fitted.noise.free,
+            held=np.where(held > 0.0, held, np.inf),
+        )
+        model = model_of(refitted, refitted.random)
+    return [evaluate_stretch(r, model, problem.approach, inflation=fold.inflation) for r in fold.test]
+
+
+def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) -> list[tuple[Fold, Problem | None]]:
+    """Return the folds to test parts on, with the problem to refit on; none if there is one recording, too short."""
+    if others:
+        return [(Fold(tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True))), None)]
+    problem = fitted.problem
+    # all folds have the truth's own errors; what they leave of a drift of scale is not that of the wheels
     corrected = with_truths_corrected(problem.recordings, fitted)
     on_time = [aligned(r, c) for r, c in zip(corrected, problem.clocks, strict=True)]
-    split = split_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
-    pieces = [run for run in split.pieces(on_time) if run.second]
-    if not pieces:  # too short to be halved
-        return []
-    first = tuple(r for run in pieces for r in run.first)
-    second = tuple(r for run in pieces for r in run.second)
-    halves = ((first, second), (second, first))
-    return [_Fold(pose_problem(own, fitted.effects, approach=problem.approach), other) for own, other in halves]
+    folds = split_of(on_time, [True] * len(on_time), problem.approach.spacing_s).folds(on_time)
+    return [(fold, pose_problem(fold.train, fitted.effects, approach=problem.approach)) for fold in folds if fold.train]
 
 
 def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequence[Evaluation]) -> HeldOut:
