@@ -100,7 +100,8 @@ def compare(
 ) -> Comparison:
     """Compare models with measurements, and locate their lack of fit.
 
-    Recordings to which a model was fitted are split in halves: it is refitted to one and evaluated on the other.
+    Recordings to which a model was fitted, under any name, cross-validate it: it is refitted without each of them, or
+    without each half of the only one, and evaluated on it.
 
     Parameters
     ----------

@@ -48,7 +48,8 @@ def command(
 ) -> int:
     """Print the error measured and expected by length of path, whether each model is rejected, and where it fails.
 
-    Recordings that a model was fitted on are cut in halves: the model is refitted on one and evaluated on the other.
+    Recordings that a model was fitted on, under any name, cross-validate it: the model is refitted without each of
+    them, or each half of the only one, and evaluated on it.
     """
     from odomcorrupt.api.comparison import compare, named_models
 

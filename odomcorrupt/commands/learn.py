@@ -45,7 +45,8 @@ def command(
 ) -> None:
     """Learn which effects a robot has, write its model, and show how the error changes.
 
-    Without --validate, the models are cross-validated on halves of the recordings themselves.
+    RECORDINGS are bags, folders of them, or lists (*.list) with a path a line. Without --validate, models are
+    cross-validated: refitted without each recording, or each half of the only one, and evaluated on it.
     """
     from odomcorrupt.api.findings import learn
 

@@ -13,6 +13,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.text.comparison import comparison_text
+from odomcorrupt.study.io.recording import content_of
 from odomcorrupt.study.validate.compare import compare
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
@@ -26,7 +27,7 @@ def run():
 
 
 def test_a_model_without_effects_has_the_path_errors_of_the_odometry_though_it_is_judged_in_halves(run):
-    fitted_here = replace(RIGHT, source={"recordings": [run.name]})
+    fitted_here = replace(RIGHT, source={"fitted": [content_of(run)]})
     found = compare([run], {"own": fitted_here})
     assert found.evaluations[0].trajectory == found.clock_trajectory
     assert found.evaluations[0].ten_second_error_m == found.clock_error_m
@@ -56,7 +57,7 @@ def test_a_truth_of_positions_alone_shows_the_fall_that_headings_would_show():
     seen = recording(steps, noisy_path(turning, Coefficients(0.002, 0.001, 0.003, 0.001), 5), seed=5)
     no_yaw = np.column_stack((seen.truth.xyt[:, :2], np.full(len(seen.truth), np.nan)))
     blind = replace(seen, truth=Trajectory(seen.truth.stamps_ns, no_yaw))
-    known = {"recordings": [seen.name]}
+    known = {"fitted": [content_of(seen)]}
     plain = MotionModel(Noise("diffusion", PLANTED), source=known)
     biased = replace(plain, effects=(effect_from_values("gyro_bias", {"bias": 0.004}),))
     falls = []

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 class SearchReport(NamedTuple):
     """Input of a search's report.
 
-    sequence : models in the order of the search, evaluated on held-out halves, or the evaluation used instead
+    sequence : models in the order of the search, cross-validated, or the evaluation used instead
     next_command : suggested next command, or ""
     """
 

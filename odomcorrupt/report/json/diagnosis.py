@@ -46,7 +46,7 @@ def learned_json(
 ) -> dict[str, Any]:
     """Return the findings of a search in order: clocks, then effects, then noise.
 
-    sequence : models in the order of the search, evaluated on held-out halves, see `sequence_comparison`
+    sequence : models in the order of the search, cross-validated, see `sequence_comparison`
     evaluated : evaluation of the final model, if available: the last model of the sequence lacks noise terms
     fit : fit of the final model, if it is not that of the search
     """
