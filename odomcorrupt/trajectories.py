@@ -17,6 +17,7 @@ from odomcorrupt.corruption.odometry_source import (
     plain,
     side_of,
     stamps_or_log_ns,
+    tree_of,
 )
 from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, from_left, from_right
 from odomcorrupt.errors import ModelError, RecordingError, TopicError
@@ -262,7 +263,11 @@ def rewrite_path(
     messages = transforms = 0
     with open_reader(source) as reader, open_writer(target, reader, overwrite=overwrite) as writer:
         odometry = {c.id for c in reader.channels.values() if c.msgtype == ODOMETRY and c.topic == drive.topic}
-        channels = [c for c in reader.channels.values() if c.id in odometry or c.msgtype in TRANSFORMS]
+        every = reader.channels.values()
+        tree = tree_of(drive.topic, every)
+        channels = [
+            c for c in every if c.id in odometry or (c.msgtype in TRANSFORMS and tree_of(c.topic, every) == tree)
+        ]
         for block in reader.blocks():
             for channel in channels:
                 for layout in locate(block, channel):

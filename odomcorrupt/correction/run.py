@@ -143,9 +143,7 @@ def _sums(noise: Noise, undone: Undone, corrected_xyt: Array, origin_xy: Array) 
         bearing = np.arctan2(driven.dl_m, driven.ds_m)
     place = (corrected_xyt[:, :2] - origin_xy).T
     travel = corrected_xyt[:-1, 2] + driven.dtheta_rad / 2.0
-    terms = sum_terms(
-        NoiseSteps(v, place[:, :-1], place[:, 1:], travel, bearing, driven.ds_m, driven.dl_m, arc=noise.law.arc)
-    )
+    terms = sum_terms(NoiseSteps(v, place[:, :-1], place[:, 1:], travel, bearing, arc=noise.law.arc))
     return np.cumsum(np.concatenate((np.zeros((SUMS, 1)), terms), axis=1), axis=1)
 
 

@@ -1,6 +1,7 @@
 """The correction C(t): noisy pose composed with the inverse of the clean pose, a rigid motion of the odom frame.
 
-It is known at odometry stamps, interpolated in SE(2) between them and held constant before and after. A message uses
+It is known at odometry stamps (where several poses have one stamp, from the first of them), interpolated in SE(2)
+between them and held constant before and after. A message uses
 only odometry that arrived at most `PATIENCE_NS` of log time after it and at most `MEMORY_NS` before it, so the curve
 is the same for a file, a pipe and any division into blocks.
 """
@@ -78,6 +79,7 @@ class _Stretch:
         i = np.minimum(np.searchsorted(self.stamps_ns, inside_ns, side="right") - 1, last)
         xyt, sums = self.xyt[i], self.sums[:, i]
         past_ns = inside_ns - self.stamps_ns[i]
+        i = np.where(past_ns == 0, np.maximum(np.searchsorted(self.stamps_ns, inside_ns), oldest), i)
         between = np.flatnonzero(past_ns)
         if len(between):
             k = i[between]
@@ -88,7 +90,7 @@ class _Stretch:
 
     def _exactly_at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64] | slice | None:
         """Return which samples are at exactly these stamps; None where a message has none that it may use."""
-        i = np.maximum(np.searchsorted(self.stamps_ns, stamps_ns, side="right") - 1, 0)
+        i = np.minimum(np.searchsorted(self.stamps_ns, stamps_ns), len(self.stamps_ns) - 1)
         ahead_ns = self.time_ns[i] - time_ns
         exact = (self.stamps_ns[i] == stamps_ns) & (ahead_ns <= PATIENCE_NS) & (ahead_ns >= -MEMORY_NS)
         if not exact.all():

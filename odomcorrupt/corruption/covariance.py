@@ -26,7 +26,7 @@ _FIRST, _SECOND = np.triu_indices(5)
 RANDOM_SUMS = len(_FIRST)
 """Rows of the running sums: covariances of the five, row by row of the upper triangle."""
 
-_BODY_FIRST, _BODY_SECOND = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
+_STEP_FIRST, _STEP_SECOND = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
 
 
 class _Memory(NamedTuple):
@@ -40,11 +40,11 @@ class Grown(NamedTuple):
     """Covariance terms of n intervals.
 
     path : (RANDOM_SUMS, n) increments of the running sums
-    body : (6, n) covariance of each interval's own error, body frame: xx, xy, yy, x-yaw, y-yaw, yaw-yaw
+    step : (6, n) covariance of each interval's own error, odom axes: xx, xy, yy, x-yaw, y-yaw, yaw-yaw
     """
 
     path: Array
-    body: Array
+    step: Array
 
 
 def has_random_part(effect: Effect, track_m: float | None) -> bool:
@@ -77,7 +77,7 @@ class RandomEffectCovariance:
         if not self._memories:
             self._memories = [_Memory(gain.start, np.zeros(5)) for gain in gains]
         c, s = np.cos(travel_rad), np.sin(travel_rad)
-        path, body = np.zeros((RANDOM_SUMS, len(dt_s))), np.zeros((6, len(dt_s)))
+        path, step = np.zeros((RANDOM_SUMS, len(dt_s))), np.zeros((6, len(dt_s)))
         memories = []
         for gain, memory in zip(gains, self._memories, strict=True):
             along, left, yaw = (gain.f * dt_s[:, None]).T
@@ -89,12 +89,11 @@ class RandomEffectCovariance:
             ])  # fmt: skip
             old = gain.keep * with_sums[:, :-1]
             path += own[_FIRST] * old[_SECOND] + own[_SECOND] * old[_FIRST] + own[_FIRST] * own[_SECOND] * variance
-            error = np.stack((along, left, yaw))
-            body += error[_BODY_FIRST] * error[_BODY_SECOND] * variance
+            step += own[_STEP_FIRST] * own[_STEP_SECOND] * variance
             last = float(variance[-1]) if len(variance) else memory.variance
             memories.append(_Memory(last, with_sums[:, -1].copy()))
         self._memories = memories
-        return Grown(path, body)
+        return Grown(path, step)
 
 
 def random_effect_covariance(sums: NDArray[np.float64], xy_m: Array) -> Array:
@@ -110,14 +109,15 @@ def random_effect_covariance(sums: NDArray[np.float64], xy_m: Array) -> Array:
     return (grown + grown.transpose(0, 2, 1)) / 2.0
 
 
-SUMS = 15
-"""Rows of the running sums: nine for the pose (1, x, y, xx, xy, yy; translation xx, xy, yy), six for the body.
+SUMS = 16
+"""Rows of the running sums: nine for the pose (1, x, y, xx, xy, yy; translation xx, xy, yy), six of the other
+errors of the increments, each at its own mid heading, and the number of noisy increments. All are in odom axes.
 
-Where effects draw, the rows of `wander` follow; the body's six hold both.
+Where effects draw, RANDOM_SUMS rows follow; the six hold both.
 """
 
-BODY_SUMS = slice(9, SUMS)
-"""Those of the body."""
+STEP_SUMS = slice(6, SUMS)
+"""Those that the error of an interval's own motion follows from."""
 
 FLOOR = 1e-9
 """Added to every variance, m^2 or rad^2: filters invert covariances, and a robot that has not moved has none.
@@ -135,7 +135,6 @@ class NoiseSteps(NamedTuple):
     start_xy, end_xy : (2, n) noisy positions, metres from the path's start
     travel_rad : (n,) direction of the body's x axis during the translation
     bearing_rad : (n,) direction of the trans noise relative to the body's x axis; None: along it
-    along_m, across_m : (n,) noisy travel along and across the body's x axis, metres
     arc : whether rot1 is spread evenly over the translation
     """
 
@@ -144,8 +143,6 @@ class NoiseSteps(NamedTuple):
     end_xy: Array
     travel_rad: Array
     bearing_rad: Array | None
-    along_m: Array
-    across_m: Array
     arc: bool
 
 
@@ -153,11 +150,11 @@ def sum_terms(steps: NoiseSteps) -> Array:
     """Return the terms that each increment adds to the running sums, (SUMS, n)."""
     v = steps.variances
     (x1, y1), (x2, y2) = (steps.start_xy + steps.end_xy) / 2.0 if steps.arc else steps.start_xy, steps.end_xy
-    body = 0.0 if steps.bearing_rad is None else steps.bearing_rad
-    world = steps.travel_rad + body
-    c, s, cb, sb = np.cos(world), np.sin(world), np.cos(body), np.sin(body)
+    world = steps.travel_rad if steps.bearing_rad is None else steps.travel_rad + steps.bearing_rad
+    c, s = np.cos(world), np.sin(world)
+    moved_x, moved_y = steps.end_xy - steps.start_xy
     heading = v.rot1 + v.rot2
-    # in the body frame at mid heading, the step rotates by half of rot1 less half of rot2; an arc's rot1 by nothing
+    # relative to the mid heading, the step rotates by half of rot1 less half of rot2; an arc's rot1 by nothing
     first, last = 0.0 if steps.arc else 0.5, -0.5
     shear, both = first**2 * v.rot1 + last**2 * v.rot2, first * v.rot1 + last * v.rot2
     terms = np.empty((SUMS, len(c)))
@@ -170,12 +167,13 @@ def sum_terms(steps: NoiseSteps) -> Array:
     terms[6] = v.trans * c * c + v.across * s * s
     terms[7] = (v.trans - v.across) * c * s
     terms[8] = v.trans * s * s + v.across * c * c
-    terms[9] = shear * steps.across_m * steps.across_m + v.trans * cb * cb + v.across * sb * sb
-    terms[10] = -shear * steps.along_m * steps.across_m + (v.trans - v.across) * cb * sb
-    terms[11] = shear * steps.along_m * steps.along_m + v.trans * sb * sb + v.across * cb * cb
-    terms[12] = -both * steps.across_m
-    terms[13] = both * steps.along_m
+    terms[9] = shear * moved_y * moved_y
+    terms[10] = -shear * moved_x * moved_y
+    terms[11] = shear * moved_x * moved_x
+    terms[12] = -both * moved_y
+    terms[13] = both * moved_x
     terms[14] = heading
+    terms[15] = heading > 0.0
     return terms
 
 
@@ -197,9 +195,30 @@ def pose_covariance(sums: Array, xy_m: Array) -> Array:
     return noise if len(sums) == SUMS else noise + random_effect_covariance(sums[SUMS:], xy_m)
 
 
-def twist_covariance(grown: Array, dt_s: Array) -> Array:
-    """Return covariances (n, 3, 3) of vx, vy, yaw rate over intervals dt_s (n,) with body sums (6, n)."""
-    return _symmetric(*grown / (dt_s * dt_s))
+def twist_covariance(grown: Array, dt_s: Array, heading_rad: Array, body_xy_m: Array) -> Array:
+    """Return covariances (n, 3, 3) of vx, vy, yaw rate over intervals.
+
+    Over several increments a heading that errs like a random walk turns the displacement from its end's mean heading
+    with the variance of the integral of a Brownian bridge, a twelfth of that of the heading.
+
+    grown : (10, n) increments of the running sums of `STEP_SUMS`
+    dt_s : (n,) lengths of the intervals, seconds
+    heading_rad : (n,) mid heading of the body, in whose axes the twists are
+    body_xy_m : (2, n) displacement in these axes, metres
+    """
+    xx, xy, yy = grown[:3] + grown[3:6]
+    x_yaw, y_yaw, yaw, count = grown[6:]
+    c, s, (along, across) = np.cos(heading_rad), np.sin(heading_rad), body_xy_m
+    bridge = yaw / 12.0 * (1.0 - 1.0 / np.maximum(count, 1.0) ** 2)
+    body = (
+        c * c * xx + 2.0 * c * s * xy + s * s * yy + bridge * across * across,
+        c * s * (yy - xx) + (c * c - s * s) * xy - bridge * along * across,
+        s * s * xx - 2.0 * c * s * xy + c * c * yy + bridge * along * along,
+        c * x_yaw + s * y_yaw,
+        c * y_yaw - s * x_yaw,
+        yaw,
+    )
+    return _symmetric(*np.stack(body) / (dt_s * dt_s))
 
 
 def _symmetric(*upper: Array) -> Array:

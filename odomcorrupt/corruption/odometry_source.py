@@ -10,12 +10,11 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.reorder import Arrivals
-from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, inverted
+from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, inverted, planar_poses
 from odomcorrupt.errors import TopicError
-from odomcorrupt.geometry.se2 import yaw_from_quaternion
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
@@ -43,6 +42,25 @@ class Frames(NamedTuple):
 def plain(name: str) -> str:
     """Return a frame or topic name without leading slashes, for comparisons."""
     return name.lstrip("/")
+
+
+def tree_of(topic: str, channels: Iterable[Channel]) -> str:
+    """Return the namespace of the TF topic whose tree contains the frames of a topic's messages, without slashes.
+
+    Of a bag's TF topics it is the one with the longest namespace that the topic is in, "" if there is none; a topic
+    outside all namespaces belongs to the only TF topic.
+
+    channels : all channels of the bag
+    """
+    spaces = {_space(c.topic) for c in channels if c.msgtype in TRANSFORMS}
+    space = _space(topic)
+    if not space and len(spaces) == 1:
+        return spaces.pop()
+    return max((one for one in spaces if f"{space}/".startswith(f"{one}/") and one), key=len, default="")
+
+
+def _space(topic: str) -> str:
+    return plain(topic).rpartition("/")[0]
 
 
 _TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)|mocap|vicon|optitrack|motion_capture|qualisys")
@@ -168,6 +186,8 @@ class OdometrySource:
         self.zero_stamps = 0
         self.faults = PoseFaults()
         self._edges: set[str] = set()
+        self._edge_topics: set[str] = set()
+        self._channels: Mapping[int, Channel] = {}
 
     @property
     def elsewhere(self) -> str:
@@ -193,6 +213,7 @@ class OdometrySource:
         TopicError
             If there is none, or several, or the channels of a pipe do not decide it yet.
         """
+        self._channels = reader.channels
         if not reader.complete:
             if self._asked is None:
                 raise TopicError(
@@ -218,6 +239,14 @@ class OdometrySource:
         """Return whether a channel carries the odometry source."""
         return channel.msgtype == ODOMETRY and self.topic is not None and plain(channel.topic) == plain(self.topic)
 
+    def shares_tree(self, channel: Channel) -> bool:
+        """Return whether a channel's frames are those of the source: of the same TF tree, not of another robot's."""
+        topic = next(iter(self._edge_topics), self.topic) if self.by_edge else self.topic
+        if topic is None or plain(topic) == plain(channel.topic):
+            return True
+        channels = self._channels.values()
+        return tree_of(topic, channels) == tree_of(channel.topic, channels)
+
     def read(self, block: Block, parts: list[tuple[Channel, Layout]], time_ns: NDArray[np.int64]) -> Arrivals:
         """Return the source's poses in a block, in the order of its messages."""
         if self.frames is None and not self.by_edge:
@@ -228,6 +257,8 @@ class OdometrySource:
                 self._edges |= {f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}" for item in layout.items}
                 asked = self._asked is None or plain(channel.topic) == plain(self._asked)
                 items = [(number, item) for number, item in enumerate(layout.items) if asked and self._is_edge(item)]
+                if items:
+                    self._require_tree(channel)
             else:
                 items = [(0, layout.items[0])] if self.is_odometry(channel) else []
             found += [(layout.rows, self._poses(block, layout, number, time_ns)) for number, _ in items]
@@ -255,6 +286,13 @@ class OdometrySource:
             if any(channel.msgtype in TRANSFORMS and plain(channel.topic) == asked for channel, _ in parts):
                 self._use_edge()
 
+    def _require_tree(self, channel: Channel) -> None:
+        """Raise TopicError where the source's edge is in several TF trees: of several robots, with equal frames."""
+        if not self.shares_tree(channel):
+            topics = ", ".join(sorted({*self._edge_topics, channel.topic}))
+            raise TopicError(f"{self.name}: is on {topics}, of several robots; name one of these with --odom-topic")
+        self._edge_topics.add(channel.topic)
+
     def _is_edge(self, item: Item) -> bool:
         """Return whether a transform is the edge between odom and base, in either direction."""
         frames = self.frames
@@ -268,8 +306,7 @@ class OdometrySource:
         poses = SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
         if self.frames is not None and side_of(item.frame_id, item.child_frame_id, self.frames) == "right":
             poses = inverted(poses)
-        x, y, _ = poses.position.T
-        xyt = np.stack((x, y, yaw_from_quaternion(poses.quat_xyzw)), axis=1)
+        xyt = planar_poses(poses)
         self.faults.take(poses.position, poses.quat_xyzw)
         stamps_ns = gather_stamps_ns(block, layout, item)
         self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(stamps_ns))

@@ -10,11 +10,20 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_columns, scatter_stamps_ns
 from odomcorrupt.corruption.correction import Correction
-from odomcorrupt.corruption.covariance import BODY_SUMS, has_random_part, pose_covariance, twist_covariance
+from odomcorrupt.corruption.covariance import STEP_SUMS, has_random_part, pose_covariance, twist_covariance
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.odometry_source import ODOMETRY, plain
-from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, finite_rows, from_left, from_right
-from odomcorrupt.geometry.se2 import rotated, wrap, yaw_from_quaternion
+from odomcorrupt.corruption.se2_on_se3 import (
+    SpatialPoses,
+    finite_rows,
+    from_left,
+    from_right,
+    in_level_frame,
+    planar_poses,
+    tilted_rows,
+    tilts,
+)  # fmt: skip
+from odomcorrupt.geometry.se2 import rotated, wrap
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,98 +43,188 @@ it moves as much as is lost."""
 class TwistChange(NamedTuple):
     """Changes of n twists.
 
-    known : (n,) whether the message has a predecessor at another stamp; others are not changed
-    added : (n, 3) noisy minus clean, forward and leftward m/s, yaw rad/s, in the body at mid heading
+    known : (n,) whether there is a motion up to the message; others are not changed
+    added : (n, 3) noisy minus clean, forward and leftward m/s, yaw rad/s, in the body's level frame at mid heading
     covariance : (n, 3, 3) of these
-    clean : (n, 3) rates of the clean poses themselves since the message before, likewise
+    clean : (n, 3) rates of the clean poses themselves, likewise
+    odom_axes : (n,) whether the topic's twists are in the axes of the odom frame; all others then are, too
     """
 
     known: NDArray[np.bool_]
     added: Array
     covariance: Array
     clean: Array
+    odom_axes: NDArray[np.bool_]
+
+    def take(self, rows: NDArray[np.int64]) -> TwistChange:
+        """Return the changes of some twists."""
+        return TwistChange._make(column[rows] for column in self)
+
+
+class Motions(NamedTuple):
+    """Clean poses and twists of n messages of one topic: stamps (n,), xyt (n, 3), quat_xyzw (n, 4), twist (n, 6)."""
+
+    stamps_ns: NDArray[np.int64]
+    xyt: Array
+    quat_xyzw: Array
+    twist: Array
+
+    def take(self, rows: slice | NDArray[np.int64]) -> Motions:
+        """Return some of them."""
+        return Motions._make(column[rows] for column in self)
+
+
+_SLOWER = 0.25
+"""Square of the part of its speed below which a robot has stopped, where its pose stays the same."""
 
 
 class TopicTwist:
     """Twist changes of one topic, from messages in the order of arrival.
 
-    A message that arrives after a later stamp gets the rates of the interval that contains its own.
+    The error of a twist is the mean derivative of the error of the poses over the last interval in which the pose was
+    measured. A message without a new measurement gets that of the message before: one with the same or an earlier
+    stamp, one whose pose is not a number, or one whose pose is repeated while its twist moves on.
+
+    Whether twists are in the axes of the child frame, as the message type requires, or in those of the odom frame
+    follows from the squared differences so far to the rates of the poses in both; odom_axes is
+    the answer at the last message.
     """
 
     def __init__(self) -> None:
         self._stretch = -1
+        self.odom_axes = False
+        self._misfit = np.zeros(3)  # sums of squares, (m/s)^2: misfit in the body, misfit in odom axes, motion
 
     def _begin(self, stretch: int) -> None:
         self._stretch = stretch
+        self._reach_ns = int(np.iinfo(np.int64).min)
+        self._pose, self._speed2 = np.full((1, 3), np.nan), np.zeros(1)
         self._stamps_ns: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._clean, self._correction, self._sums = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 0))
         self._known, self._added, self._covariance = False, np.zeros(3), np.zeros((3, 3))
-        self._rate = np.zeros(3)
+        self._rate, self._swing = np.zeros(3), np.zeros(2)
 
-    def change(self, stamps_ns: NDArray[np.int64], clean_xyt: Array, at: Correction) -> TwistChange:
-        """Return the changes of the twists of the next n messages.
-
-        stamps_ns : (n,) header stamps
-        clean_xyt : (n, 3) their clean poses, metres and radians
-        at : the correction at these stamps
-        """
-        n = len(stamps_ns)
+    def change(self, own: Motions, at: Correction) -> TwistChange:
+        """Return the changes of the twists of the next n messages; `at` is the correction at their stamps."""
+        n = len(own.stamps_ns)
         edges = np.flatnonzero(np.diff(at.stretch)) + 1
-        if n and not len(edges):
-            if at.stretch[0] != self._stretch:
-                self._begin(int(at.stretch[0]))
-            return self._within_stretch(stamps_ns, clean_xyt, at.xyt, at.sums)
-        out = TwistChange(np.zeros(n, dtype=bool), np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3)))
+        parts = []
         for start, stop in zip([0, *edges], [*edges, n], strict=True):
-            if start == stop:
-                continue
             if at.stretch[start] != self._stretch:
                 self._begin(int(at.stretch[start]))
             rows = slice(int(start), int(stop))
-            part = self._within_stretch(stamps_ns[rows], clean_xyt[rows], at.xyt[rows], at.sums[:, rows])
-            out.known[rows], out.added[rows], out.covariance[rows] = part.known, part.added, part.covariance
-            out.clean[rows] = part.clean
-        return out
+            parts.append(self._within_stretch(own.take(rows), _rows(at, rows)))
+        if len(parts) == 1:
+            return parts[0]
+        return TwistChange._make(np.concatenate(column) for column in zip(*parts, strict=True))
 
-    def _within_stretch(
-        self, stamps_ns: NDArray[np.int64], clean_xyt: Array, correction_xyt: Array, sums: Array
-    ) -> TwistChange:
-        sums = sums[BODY_SUMS]
+    def _measured(self, own: Motions) -> NDArray[np.int64] | slice:
+        """Return which messages have a measurement of their own; nearly always all, and need not be picked out."""
+        reach = np.maximum.accumulate(np.concatenate(([self._reach_ns], own.stamps_ns)))
+        self._reach_ns = int(reach[-1])
+        fresh = (own.stamps_ns > reach[:-1]) & finite_rows(own.xyt)
+        rows = np.flatnonzero(fresh)
+        if not len(rows):
+            return rows
+        poses = np.concatenate((self._pose, own.xyt[rows]))
+        changed = (poses[1:] != poses[:-1]).any(axis=1)
+        speed2 = np.square(own.twist[rows]).sum(axis=1)
+        # the twist with which the present pose was measured
+        first = np.concatenate((self._speed2, speed2[changed]))[np.cumsum(changed)]
+        repeated = ~changed & (speed2 > 0.0) & (speed2 >= _SLOWER * first)
+        self._pose, self._speed2 = poses[-1:], first[-1:]
+        return slice(None) if fresh.all() and not repeated.any() else rows[~repeated]
+
+    def _within_stretch(self, own: Motions, at: Correction) -> TwistChange:
+        n, sums = len(own.stamps_ns), at.sums[STEP_SUMS]
         if not len(self._stamps_ns):
             self._sums = sums[:, :0]
-        floor = self._stamps_ns[-1] if len(self._stamps_ns) else np.iinfo(np.int64).min
-        reach = np.maximum.accumulate(np.concatenate(([floor], stamps_ns)))
-        beyond = stamps_ns > reach[:-1]
-        # nearly always all of them are, and need not be picked out
-        ahead = slice(None) if beyond.all() else np.flatnonzero(beyond)
-        at_ns = np.concatenate((self._stamps_ns, stamps_ns[ahead]))
-        clean = np.concatenate((self._clean, clean_xyt[ahead]))
-        correction = np.concatenate((self._correction, correction_xyt[ahead]))
-        every_sum = np.concatenate((self._sums, sums[:, ahead]), axis=1)
+        measured = self._measured(own)
+        at_ns = np.concatenate((self._stamps_ns, own.stamps_ns[measured]))
+        clean = np.concatenate((self._clean, own.xyt[measured]))
+        correction = np.concatenate((self._correction, at.xyt[measured]))
+        every_sum = np.concatenate((self._sums, sums[:, measured]), axis=1)
         dt_s = np.diff(at_ns) * np.float64(1e-9)
 
-        # row 0 is the state before this batch, row k that of the k-th message that is ahead
+        # row 0 is the state before this batch, row k that of its k-th measurement
         count = len(at_ns) - len(self._stamps_ns)
         fresh = count - len(dt_s)
         known = np.concatenate(([self._known], np.arange(count) >= fresh))
-        added, rate = np.zeros((len(known), 3)), np.zeros((len(known), 3))
-        covariance = np.zeros((3, 3, len(known))).transpose(2, 0, 1)
-        added[0], covariance[0], rate[0] = self._added, self._covariance, self._rate
+        added, rate, swing = np.zeros((count + 1, 3)), np.zeros((count + 1, 3)), np.zeros((count + 1, 2))
+        covariance = np.zeros((3, 3, count + 1)).transpose(2, 0, 1)
+        added[0], covariance[0], rate[0], swing[0] = self._added, self._covariance, self._rate, self._swing
         difference, body = _body_difference(clean, correction)
         for column in range(3):
             added[1 + fresh :, column], rate[1 + fresh :, column] = difference[:, column] / dt_s, body[:, column] / dt_s
-        covariance[1 + fresh :] = twist_covariance(np.diff(every_sum, axis=1), dt_s)
+        # headings of the clean and of the noisy body at the middle of the interval
+        swing[1 + fresh :, 0] = clean[1:, 2] - body[:, 2] / 2.0
+        swing[1 + fresh :, 1] = swing[1 + fresh :, 0] + (correction[:-1, 2] + correction[1:, 2]) / 2.0
+        covariance[1 + fresh :] = twist_covariance(
+            np.diff(every_sum, axis=1), dt_s, swing[1 + fresh :, 1], body[:, :2].T
+        )
 
-        self._stamps_ns, self._clean, self._correction = at_ns[-1:], clean[-1:], correction[-1:]
-        self._sums = every_sum[:, -1:]
-        self._known, self._added, self._covariance, self._rate = bool(known[-1]), added[-1], covariance[-1], rate[-1]
-        if isinstance(ahead, slice):
-            return TwistChange(known[1:], added[1:], covariance[1:], rate[1:])
-        latest = np.zeros(len(stamps_ns), dtype=np.int64)
-        latest[ahead] = np.arange(1, count + 1)
-        latest = np.maximum.accumulate(latest)
-        known = known[latest] & (stamps_ns != reach[:-1])
-        return TwistChange(known, added[latest], covariance[latest], rate[latest])
+        if len(at_ns):
+            self._stamps_ns, self._clean, self._correction = at_ns[-1:], clean[-1:], correction[-1:]
+            self._sums = every_sum[:, -1:]
+        self._known, self._added, self._covariance = bool(known[-1]), added[-1], covariance[-1]
+        self._rate, self._swing = rate[-1], swing[-1]
+        if isinstance(measured, slice):
+            rows: slice | NDArray[np.int64] = slice(1, None)
+        else:
+            rows = np.zeros(n, dtype=np.int64)
+            rows[measured] = np.arange(1, count + 1)
+            rows = np.maximum.accumulate(rows)
+        found = TwistChange(known[rows], added[rows], covariance[rows], rate[rows], np.zeros(n, dtype=bool))
+        return self._in_their_axes(own, at, found, swing[rows])
+
+    def _in_their_axes(self, own: Motions, at: Correction, found: TwistChange, heading_rad: Array) -> TwistChange:
+        """Return the changes in the axes that the topic's twists are in.
+
+        heading_rad : (n, 2) of the clean and of the noisy body
+        """
+        rate = found.clean
+        moving = found.known & (np.hypot(rate[:, 0], rate[:, 1]) > _MOVING_MPS) & finite_rows(own.twist)
+        odom = np.stack(rotated(rate[:, 0], rate[:, 1], heading_rad[:, 0]), axis=1)
+        # roll and pitch rates, which a planar motion has not, tell the axes of tilted bodies apart
+        still = np.zeros((len(rate), 2))
+        level, stated = (one[:, _SEEN] for one in (in_level_frame(own.twist, own.quat_xyzw, own.xyt[:, 2]), own.twist))
+        terms = np.stack([
+            np.where(moving, np.square(one).sum(axis=1), 0.0)
+            for one in (level - np.hstack((rate[:, :2], still)), stated - np.hstack((odom, still)), rate[:, :2])
+        ])  # fmt: skip
+        misfit = np.cumsum(np.concatenate((self._misfit[:, None], terms), axis=1), axis=1)
+        self._misfit, (in_body, in_odom, motion) = misfit[:, -1], misfit[:, 1:]
+        # as the latest message decides that tells them apart
+        decides = [
+            (_FITS * bad > good) & (bad > _MISFIT * motion) for bad, good in ((in_body, in_odom), (in_odom, in_body))
+        ]
+        latest = np.maximum.accumulate(np.where(decides[0] | decides[1], np.arange(1, len(rate) + 1), 0))
+        axes = np.concatenate(([self.odom_axes], decides[0]))[latest]
+        self.odom_axes = bool(axes[-1])
+        if not axes.any():
+            return found
+        rows = np.flatnonzero(axes)
+        added, covariance, clean = found.added.copy(), found.covariance.copy(), rate.copy()
+        noisy_rad = heading_rad[rows, 1]
+        forward, left = (rate + added)[rows, :2].T
+        noisy = np.stack(rotated(forward, left, noisy_rad), axis=1)
+        added[rows, :2], clean[rows, :2] = noisy - odom[rows], odom[rows]
+        turn = np.zeros((len(rows), 3, 3))
+        turn[:, 0, 0] = turn[:, 1, 1] = np.cos(noisy_rad)
+        turn[:, 1, 0] = np.sin(noisy_rad)
+        turn[:, 0, 1], turn[:, 2, 2] = -turn[:, 1, 0], 1.0
+        # an error of the heading turns the velocity
+        aside = np.stack((-noisy[:, 1], noisy[:, 0], np.zeros(len(rows))), axis=1)
+        yaw = pose_covariance(at.sums[:, rows], np.zeros((2, len(rows))))[:, 2, 2]
+        covariance[rows] = turn @ covariance[rows] @ turn.transpose(0, 2, 1)
+        covariance[rows] += yaw[:, None, None] * aside[:, :, None] * aside[:, None, :]
+        return TwistChange(found.known, added, covariance, clean, axes)
+
+
+_MOVING_MPS = 0.05
+_SEEN = np.array([0, 1, 3, 4])
+_FITS, _MISFIT = 0.25, 0.01
+"""Parts of sums of squares: below the first one axes fit better than others, above the second those do not fit."""
 
 
 def _body_difference(clean_xyt: Array, correction_xyt: Array) -> tuple[Array, Array]:
@@ -174,11 +273,13 @@ class Changes:
     """Counts of moved messages: by topic, by edge "parent -> child", and those stamped after the end of C(t).
 
     static : edges on /tf_static, which cannot follow a drift
+    odom_axes : topics whose twists are in the axes of the odom frame
     """
 
     odometry: Counter[str] = field(default_factory=Counter)
     edges: Counter[str] = field(default_factory=Counter)
     static: set[str] = field(default_factory=set)
+    odom_axes: set[str] = field(default_factory=set)
     held: int = 0
 
 
@@ -222,11 +323,12 @@ class Patcher:
                 self._patch_odometry(block, topic, parts)
 
     def _patch_odometry(self, block: Block, topic: str, parts: list[tuple[Target, Correction]]) -> None:
-        clean = []
+        motions = []
         for target, at in parts:
             poses = _poses(block, target)
-            x, y, _ = poses.position.T
-            clean.append(np.stack((x, y, yaw_from_quaternion(poses.quat_xyzw)), axis=1))
+            if self._twist:
+                twist = gather(block, target.layout, target.item, "twist")
+                motions.append(Motions(target.stamps_ns, planar_poses(poses), poses.quat_xyzw, twist))
             noisy = _move(block, target, at.xyt, poses)
             if self._covariance:
                 x, y, _ = noisy.position.T
@@ -237,37 +339,48 @@ class Patcher:
         # one topic's messages may have several layouts: twists are processed in the order of arrival
         follower = self._twists.setdefault(topic, TopicTwist())
         if len(parts) == 1:
-            (target, at), change = parts[0], follower.change(parts[0][0].stamps_ns, clean[0], parts[0][1])
-            self._patch_twist(block, target, change)
-            return
-        order = np.argsort(np.concatenate([target.layout.rows for target, _ in parts]))
-        back = np.argsort(order)
-        every = _rows(_together([at for _, at in parts]), order)
-        stamps = np.concatenate([target.stamps_ns for target, _ in parts])[order]
-        change = follower.change(stamps, np.concatenate(clean)[order], every)
-        start = 0
-        for target, _ in parts:
-            own = back[start : start + len(target.stamps_ns)]
-            start += len(own)
-            part = TwistChange(change.known[own], change.added[own], change.covariance[own], change.clean[own])
-            self._patch_twist(block, target, part)
+            change = follower.change(motions[0], parts[0][1])
+            self._patch_twist(block, parts[0][0], motions[0], change)
+        else:
+            order = np.argsort(np.concatenate([target.layout.rows for target, _ in parts]))
+            back = np.argsort(order)
+            every = Motions._make(np.concatenate(column) for column in zip(*motions, strict=True))
+            change = follower.change(every.take(order), _rows(_together([at for _, at in parts]), order))
+            start = 0
+            for (target, _), own in zip(parts, motions, strict=True):
+                rows = back[start : start + len(own.stamps_ns)]
+                start += len(rows)
+                self._patch_twist(block, target, own, change.take(rows))
+        if follower.odom_axes:
+            self.changes.odom_axes.add(topic)
 
-    def _patch_twist(self, block: Block, target: Target, change: TwistChange) -> None:
-        added = change.added
+    def _patch_twist(self, block: Block, target: Target, own: Motions, change: TwistChange) -> None:
+        added, yaw = change.added, own.xyt[:, 2]
+        tilted = tilted_rows(own.quat_xyzw)
+        if len(tilted):
+            tilted = tilted[~change.odom_axes[tilted] & np.isfinite(yaw[tilted])]
+        turn = tilts(own.quat_xyzw[tilted], yaw[tilted])
         moved = change.known & _nonzero(added) & finite_rows(added)
         if moved.any():
-            twist = gather(block, target.layout, target.item, "twist")
+            twist = own.twist
             if self._restores or self._steps:
-                has = _has_already(twist[:, PLANAR] - change.clean, added)
+                level = np.where(change.odom_axes[:, None], twist, in_level_frame(twist, own.quat_xyzw, yaw))
+                has = _has_already(level[:, PLANAR] - change.clean, added)
                 loss = np.sum(added**2, axis=1) >= _LOSS**2 * np.sum(change.clean**2, axis=1)
                 moved &= ~(has & (loss | self._steps))
             rows = slice(None) if moved.all() else np.flatnonzero(moved)
-            for column, place in enumerate(PLANAR):
-                twist[rows, place] += added[rows, column]
+            more = np.zeros_like(twist)
+            more[:, PLANAR] = added
+            more[tilted] = (_planar_axes(turn) @ added[tilted, :, None])[:, :, 0]
+            twist[rows] += more[rows]
             scatter(block, target.layout, target.item, "twist", twist)
         if self._covariance:
-            known = slice(None) if change.known.all() else change.known
-            _set_planar(block, target, "twist_covariance", change.covariance, known)
+            upright = change.known.copy()
+            upright[tilted] = False
+            _set_planar(block, target, "twist_covariance", change.covariance, slice(None) if upright.all() else upright)
+            keep = change.known[tilted]
+            if keep.any():
+                _set_tilted(block, target, tilted[keep], _planar_axes(turn[keep]), change.covariance[tilted[keep]])
 
     def _shift_stamps(self, block: Block, target: Target, first_ns: int) -> None:
         t_s = (target.stamps_ns - first_ns) * np.float64(1e-9)
@@ -331,3 +444,32 @@ def _set_planar(block: Block, target: Target, name: str, covariance: Array, whic
     """Replace the entries of x, y and yaw in a 6 x 6 covariance."""
     planar = [covariance[:, row, column] for row in range(3) for column in range(3)]
     scatter_columns(block, target.layout, target.item, name, PLANAR_BLOCK, planar, which)
+
+
+def _planar_axes(turn: Array) -> Array:
+    """Return the maps (n, 6, 3) of planar twists in level frames to twists in child frames; turn as of `tilts`."""
+    out = np.zeros((len(turn), 6, 3))
+    out[:, :3, :2] = turn[:, :2].transpose(0, 2, 1)
+    out[:, 3:, 2] = turn[:, 2]
+    return out
+
+
+def _set_tilted(block: Block, target: Target, rows: NDArray[np.int64], axes: Array, covariance: Array) -> None:
+    """Replace the planar part of the 6 x 6 covariances of twists in tilted child frames.
+
+    Of the covariance as it was, each axis keeps the part that lies outside the plane of motion.
+
+    axes : (n, 6, 3) as of `_planar_axes`
+    covariance : (n, 3, 3) in level frames
+    """
+    flat = gather(block, target.layout, target.item, "twist_covariance")
+    before = flat[rows].reshape(-1, 6, 6)
+    outside = np.sqrt(np.maximum(1.0 - np.square(axes).sum(axis=2), 0.0))
+    both = outside[:, :, None] * outside[:, None, :]
+    planar = axes @ covariance @ axes.transpose(0, 2, 1)
+    after = planar + np.where(both > 0.0, both * before, 0.0)
+    diagonal = np.arange(6)
+    # a negative variance means "unknown" there, and lowers none here
+    after[:, diagonal, diagonal] = np.fmax(after[:, diagonal, diagonal], planar[:, diagonal, diagonal])
+    flat[rows] = after.reshape(-1, 36)
+    scatter(block, target.layout, target.item, "twist_covariance", flat)

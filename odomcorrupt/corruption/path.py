@@ -299,8 +299,7 @@ class NoisyPath:
         sums = np.broadcast_to(self._sums, (len(self._sums), n + 1))
         if self._covariance:
             noisy = poses.T[:2] + error.T[:2] - self._origin[:, None]
-            moved = (steps.ds_m + along, steps.dl_m + across)
-            stepped = NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, *moved, arc=self._law.arc)
+            stepped = NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, arc=self._law.arc)
             sums = np.concatenate((self._sums, self._sum_terms(stepped, driven_s)), axis=1)
             np.cumsum(sums, axis=1, out=sums)
         travelled = np.cumsum(np.concatenate(([self._travelled_m], np.where(jump, 0.0, length))))
@@ -320,7 +319,7 @@ class NoisyPath:
             return terms
         middle_xy = (stepped.start_xy + stepped.end_xy) / 2.0
         grown = self._random_covariance.grow(self._effects.gains, driven_s, middle_xy, stepped.travel_rad)
-        terms[9:] += grown.body
+        terms[9:15] += grown.step
         return np.concatenate((terms, grown.path))
 
 

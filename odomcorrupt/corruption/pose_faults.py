@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
+ZERO = "orientations are quaternions of four zeros"
+
 FAR_M = 1e9
 """Where no robot is: a pose so far away is no number of use."""
 
@@ -192,7 +194,7 @@ class PoseFaults:
         said = [W_FIRST] if self.order.w_first else []
         said += self.twists.sentences()
         if self.no_orientation:
-            said.append(f"{self.no_orientation} orientations are zero: their heading is taken as 0")
+            said.append(f"{self.no_orientation} {ZERO}: not used, and left unchanged")
         if self.upright:
             said.append(f"{self.upright} poses pitch beyond 85 deg: their heading is undefined")
         if self.far:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.geometry.se2 import rotate, rotated
+from odomcorrupt.geometry.se2 import rotate, rotated, yaw_from_quaternion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,6 +25,15 @@ def finite_rows(values: Array) -> NDArray[np.bool_]:
     """Return a mask (n,) of the rows of values (n, k) that are finite; fast where all are."""
     finite = np.isfinite(values)
     return np.ones(len(values), dtype=bool) if finite.all() else np.asarray(finite.all(axis=1))
+
+
+def planar_poses(poses: SpatialPoses) -> Array:
+    """Return x, y and heading (n, 3) of poses; the heading of a quaternion of four zeros is NaN."""
+    x, y, _ = poses.position.T
+    yaw = yaw_from_quaternion(poses.quat_xyzw)
+    if not poses.quat_xyzw.any(axis=1).all():
+        yaw = np.where(poses.quat_xyzw.any(axis=1), yaw, np.nan)
+    return np.stack((x, y, yaw), axis=1)
 
 
 def from_left(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
@@ -53,6 +62,33 @@ def inverted(poses: SpatialPoses) -> SpatialPoses:
     """Return the inverse transforms."""
     back = poses.quat_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
     return SpatialPoses(-_turned(back, poses.position), back)
+
+
+def tilted_rows(quat_xyzw: Array) -> NDArray[np.int64]:
+    """Return the rows of orientations (n, 4) whose z axis is not vertical, or points down."""
+    return np.flatnonzero((quat_xyzw[:, 0] != 0.0) | (quat_xyzw[:, 1] != 0.0))
+
+
+def tilts(quat_xyzw: Array, yaw_rad: Array) -> Array:
+    """Return the rotations (n, 3, 3) from the child frames into their level frames, which have the same heading.
+
+    Columns are the axes of the child frame. `yaw_rad` (n,) is the heading of orientations quat_xyzw (n, 4).
+    """
+    half = yaw_rad / 2.0
+    c, s = np.cos(half), np.sin(half)
+    x, y, z, w = quat_xyzw.T
+    tilt = np.stack((c * x + s * y, c * y - s * x, c * z - s * w, c * w + s * z), axis=1)
+    return np.stack([_turned(tilt, np.broadcast_to(axis, (len(tilt), 3))) for axis in np.eye(3)], axis=2)
+
+
+def in_level_frame(twist: Array, quat_xyzw: Array, yaw_rad: Array) -> Array:
+    """Return twists (n, 6) of the child frame in the axes of its level frame; parameters as of `tilts`."""
+    rows = tilted_rows(quat_xyzw)
+    if not len(rows):
+        return twist
+    turn, out = tilts(quat_xyzw[rows], yaw_rad[rows]), twist.copy()
+    out[rows] = (turn[:, None] @ twist[rows].reshape(-1, 2, 3, 1)).reshape(-1, 6)
+    return out
 
 
 def _turned(quat_xyzw: Array, vector: Array) -> Array:

@@ -316,7 +316,7 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
     late : how messages were treated that came too late, or whose stamps lie far ahead
     """
     changes = outcome.changes
-    numberless = outcome.unusable - outcome.faults.far
+    numberless = outcome.unusable - outcome.faults.far - outcome.faults.no_orientation
     counted = {
         f"The correction was held for {changes.held} of these, beyond the odometry's last stamp.": changes.held,
         f"Time jumped back {outcome.restarts} times: {restart}.": outcome.restarts,
@@ -328,6 +328,10 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
     static = [
         f"/tf_static holds {edge}: published once for all time, it cannot follow {follow}."
         for edge in sorted(changes.static)
+    ]
+    static += [
+        f"Twists of {topic} are in the axes of {outcome.frames.odom}, not of the child frame: changed in these."
+        for topic in sorted(changes.odom_axes)
     ]
     remarks = [f"{remark}." for remark in outcome.remarks]
     lost = [f"Lost: {loss}." for loss in outcome.losses]

@@ -31,7 +31,7 @@ from odomcorrupt.corruption.odometry_source import (
 )  # fmt: skip
 from odomcorrupt.corruption.patch import Patcher, Target
 from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.corruption.pose_faults import FAR_M, W_FIRST
+from odomcorrupt.corruption.pose_faults import FAR_M, W_FIRST, ZERO
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.corruption.unmodified_topics import frame_of, may_be_placed
 from odomcorrupt.errors import TopicError
@@ -182,7 +182,9 @@ class Transform:
         if self._first_ns is None:
             if not self.odometry.by_edge:
                 find_odometry(reader.channels.values(), self.odometry.topic, name)
-            raise TopicError(f"{name}: {self.odometry.name} has no message with a pose{self.odometry.elsewhere}")
+            zero = self.odometry.faults.no_orientation
+            why = f" ({zero} {ZERO})" if zero else ""
+            raise TopicError(f"{name}: {self.odometry.name} has no message with a pose{why}{self.odometry.elsewhere}")
 
     def _take(self, block: Block, reader: BagReader) -> _Held:
         """Read the odometry of a block and extend C(t)."""
@@ -247,11 +249,13 @@ class Transform:
     def _find_targets(self, held: _Held, frames: Frames) -> list[Target]:
         found = []
         for channel, layout in held.parts:
+            shares = self.odometry.shares_tree(channel)
             for number, item in enumerate(layout.items):
-                self.frame_met |= frames.odom in (plain(item.frame_id), plain(item.child_frame_id))
-                side = self._side(channel, item, frames)
+                self.frame_met |= shares and frames.odom in (plain(item.frame_id), plain(item.child_frame_id))
+                side = self._side(channel, item, frames) if shares else None
                 if side is None and channel.msgtype in TRANSFORMS:
-                    self.stayed.add(f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}")
+                    edge = f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}"
+                    self.stayed.add(edge if shares else f"{edge} on {channel.topic}")
                 if side is not None:
                     stamps_ns = stamps_or_log_ns(held.block, layout, number)
                     found.append(Target(channel, layout, item, side, stamps_ns, held.time_ns[layout.rows]))

@@ -12,8 +12,8 @@ from odomcorrupt.bags.messages import Layout, gather, gather_stamps_ns, locate
 from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS, plain, stamps_or_log_ns
 from odomcorrupt.corruption.patch import PLANAR
 from odomcorrupt.corruption.pose_faults import PoseFaults
+from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, planar_poses
 from odomcorrupt.corruption.unmodified_topics import frame_of
-from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.inspection.covariance_check import CovarianceCheck
 
 if TYPE_CHECKING:
@@ -163,8 +163,9 @@ def _count(topics: dict[str, TopicRecord], channel: Channel, block: Block) -> No
 
 def _xyt(block: Block, layout: Layout, number: int) -> Array:
     item = layout.items[number]
-    yaw = yaw_from_quaternion(gather(block, layout, item, "orientation"))
-    return np.column_stack((gather(block, layout, item, "position")[:, :2], yaw))
+    return planar_poses(
+        SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+    )
 
 
 def _take_odometry(taken: _Odometry, block: Block, layout: Layout) -> None:

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.corruption.odometry_source import GLOBAL_FRAMES, Frames, plain, side_of
+from odomcorrupt.corruption.odometry_source import GLOBAL_FRAMES, Frames, plain, says_truth, side_of, tree_of
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS, leaks_line
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
@@ -19,7 +19,7 @@ from odomcorrupt.standard_streams import visible
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 SCHEMA = 2
 """Version of the schema of `summarise`."""
@@ -43,11 +43,23 @@ def summarise(
     """
     source = _source(scan, odom_topic)
     frames = _frames(source, odom_frame, base_frame)
-    drives = scan.odometry
+    drives, home = scan.odometry, None if source is None else source.topic
     if not drives and frames is not None:
-        drives = _edge_that_drives(scan, frames, odom_topic)
+        edge = _edge_that_drives(scan, frames, odom_topic)
+        drives, home = ((), None) if edge is None else ((_as_odometry(edge, frames),), edge.topic)
         source = drives[0] if drives else None
-    moved = {o.topic for o in drives if frames is not None and (o is source or plain(o.frame) == frames.odom)}
+
+    def shares(topic: str, with_topic: str | None = home) -> bool:
+        """Return whether two topics have the same TF tree; without a source there is no other robot."""
+        return with_topic is None or tree_of(topic, scan.channels) == tree_of(with_topic, scan.channels)
+
+    moved = {
+        o.topic
+        for o in drives
+        if frames is not None
+        and (o is source or (plain(o.frame) == frames.odom and shares(o.topic) and not says_truth(o.topic)))
+    }
+    edges = [_edge(e, frames if shares(e.topic) else None) for e in scan.edges]
     return {
         "schema": SCHEMA,
         "odometry_source": None if source is None else source.topic,
@@ -63,10 +75,15 @@ def summarise(
             }
             for t in scan.topics.values()
         ],
-        "odometry": [_odometry(o, scan, frames, moved=o.topic in moved) for o in drives],
-        "edges": [_edge(e, frames) for e in scan.edges],
+        "odometry": [
+            _odometry(
+                o, () if frames is None else [e for e in scan.edges if shares(e.topic, o.topic)], moved=o.topic in moved
+            )
+            for o in drives
+        ],
+        "edges": edges,
         "still_true": [] if frames is None else topics_with_true_motion(scan.channels, moved, scan.placed, frames.odom),
-        "remarks": _remarks(scan, source, frames, asked_frame=odom_frame),
+        "remarks": _remarks(scan, source, frames, [e for e in scan.edges if shares(e.topic)], asked_frame=odom_frame),
     }
 
 
@@ -134,27 +151,28 @@ def _frames(source: OdometryRecord | None, odom: str | None, base: str | None) -
     return Frames(stated if odom is None else plain(odom), child or None)
 
 
-def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> tuple[OdometryRecord, ...]:
-    """Return the TF edge between odom and base as odometry; empty if there is none."""
+def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> EdgeRecord | None:
+    """Return the TF edge between odom and base; None if there is none."""
     for edge in scan.edges:
         asked = "static" not in edge.topic if topic is None else plain(edge.topic) == plain(topic)
         if asked and {edge.parent, edge.child} == {frames.odom, frames.base}:
-            xyt = edge.xyt if edge.parent == frames.odom else inverse(edge.xyt)
-            name = f"TF {frames.odom} -> {frames.base}"
-            return (
-                OdometryRecord(
-                    name, frames.odom, frames.base or "", edge.stamps_ns, xyt, None,
-                    CovarianceCheck(), CovarianceCheck(), edge.zero_stamps,
-                ),
-            )  # fmt: skip
-    return ()
+            return edge
+    return None
 
 
-def _odometry(record: OdometryRecord, scan: BagScan, frames: Frames | None, *, moved: bool) -> dict[str, Any]:
+def _as_odometry(edge: EdgeRecord, frames: Frames) -> OdometryRecord:
+    xyt = edge.xyt if edge.parent == frames.odom else inverse(edge.xyt)
+    name = f"TF {frames.odom} -> {frames.base}"
+    return OdometryRecord(
+        name, frames.odom, frames.base or "", edge.stamps_ns, xyt, None, CovarianceCheck(), CovarianceCheck(),
+        edge.zero_stamps,
+    )  # fmt: skip
+
+
+def _odometry(record: OdometryRecord, edges: Sequence[EdgeRecord], *, moved: bool) -> dict[str, Any]:
     found = findings(record)
     ends = {plain(record.frame), plain(record.child)}
-    own = (e for e in scan.edges if {e.parent, e.child} == ends and "static" not in e.topic)
-    edge = None if frames is None else next(own, None)
+    edge = next((e for e in edges if {e.parent, e.child} == ends and "static" not in e.topic), None)
     off = None if edge is None else disagreement_m(record, edge, turned=edge.parent != plain(record.frame))
     return {
         "topic": record.topic, "frame": record.frame, "child": record.child, "moved": moved,
@@ -171,7 +189,12 @@ def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:
 
 
 def _remarks(
-    scan: BagScan, source: OdometryRecord | None, frames: Frames | None, *, asked_frame: str | None
+    scan: BagScan,
+    source: OdometryRecord | None,
+    frames: Frames | None,
+    edges: Sequence[EdgeRecord],
+    *,
+    asked_frame: str | None,
 ) -> list[str]:
     said = []
     if not scan.odometry and source is not None:
@@ -187,14 +210,14 @@ def _remarks(
     elif frames is None and asked_frame is None:
         said.append(f"{source.topic} is in frame {source.frame!r}: name the frame that is to drift with --odom-frame")
     odom, base = (None, None) if frames is None else (frames.odom, frames.base)
-    said += frame_faults([(e.parent, e.child) for e in scan.edges], odom, base)
+    said += frame_faults([(e.parent, e.child) for e in edges], odom, base)
     if frames is not None:
         said += [
             f"/tf_static holds {e.parent} -> {e.child}: published once for all time, it cannot follow a drift"
-            for e in scan.edges
+            for e in edges
             if "static" in e.topic and side_of(e.parent, e.child, frames) is not None
         ]
-        if not any(side_of(e.parent, e.child, frames) for e in scan.edges):
+        if not any(side_of(e.parent, e.child, frames) for e in edges):
             said.append(f"no transform from or to {frames.odom} would move")
     return said
 

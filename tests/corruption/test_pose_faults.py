@@ -81,7 +81,7 @@ def odd(tmp_path):
 
 
 SAID = (
-    "1 orientations are zero: their heading is taken as 0",
+    "1 orientations are quaternions of four zeros: not used, and left unchanged",
     "1 poses pitch beyond 85 deg: their heading is undefined",
     "1 poses are beyond 1e+09 m: not used, and left unchanged",
     "TF gives base_link 2 parents (map, odom): a frame can have only one",

@@ -1,0 +1,333 @@
+"""After corruption every topic states the same noisy motion: generated bags, read by another library, judged by SE(3).
+
+The bags differ in storage, encoding, namespaces, attitude of the child frame, axes of the twists and repetition of
+messages. Nothing here uses the product but its call.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+import odomcorrupt
+
+ODOMETRY, TRANSFORMS, TEXT = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
+STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
+STORES[1].register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", TRANSFORMS))
+S = np.sqrt(0.5)
+STORAGES = ("ros1", "mcap", "sqlite3", "mcap zstd", "mcap big-endian")
+LAYOUTS = ("root", "namespace", "two robots", "prefixes")
+ATTITUDES = {
+    "level": (0.0, 0.0, 0.0, 1.0),
+    "ramp": (0.0, np.sin(np.pi / 18), 0.0, np.cos(np.pi / 18)),
+    "on its side": (S, 0.0, 0.0, S),
+    "upside down": (1.0, 0.0, 0.0, 0.0),
+    "optical": (-0.5, 0.5, -0.5, 0.5),
+    "leaning": (0.02, -0.013, 0.0, np.sqrt(1.0 - 0.02**2 - 0.013**2)),
+}
+REPEATS = ("none", "same stamp", "0.1 ms later", "held", "ten per stamp", "10 ms stamps")
+AXES = ("child", "odom")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One combination; `number` is the seed of the drive and of the noise."""
+
+    number: int
+    storage: str
+    layout: str
+    attitude: str
+    repeats: str
+    axes: str
+    every: ClassVar = tuple(itertools.product(STORAGES, LAYOUTS, ATTITUDES, REPEATS, AXES))
+
+    @property
+    def ros(self) -> int:
+        """Generation of the messages."""
+        return 1 if self.storage == "ros1" else 2
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Odometry and TF topic of the robot that is corrupted."""
+        space = "/robot1" if self.layout in ("namespace", "two robots") else ""
+        return f"{space}/odom", f"{space}/tf"
+
+    @property
+    def frames(self) -> tuple[str, str]:
+        """Odom and base frame."""
+        return ("robot1/odom", "robot1/base") if self.layout == "prefixes" else ("odom", "base_link")
+
+
+def kinds(count: int) -> list[Kind]:
+    """Return combinations, spread evenly over all."""
+    rows = np.random.default_rng(5).permutation(len(Kind.every))
+    return [Kind(i, *Kind.every[rows[i % len(rows)]]) for i in range(count)]
+
+
+def product(p, q):
+    (a, b, c, d), (e, f, g, h) = np.moveaxis(np.asarray(p), -1, 0), np.moveaxis(np.asarray(q), -1, 0)
+    return np.stack(
+        np.broadcast_arrays(
+            a * h + d * e + b * g - c * f, b * h + d * f + c * e - a * g, c * h + d * g + a * f - b * e,
+            d * h - a * e - b * f - c * g,
+        ),
+        axis=-1,
+    )  # fmt: skip
+
+
+def matrix(quat):
+    """Rotation matrices (n, 3, 3) of quaternions xyzw."""
+    x, y, z, w = np.asarray(quat).T
+    return np.moveaxis(
+        np.array([
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]), 2, 0,
+    )  # fmt: skip
+
+
+def rates(t_s, position, quat, axes):
+    """Twists (n - 1, 6) between poses: the constant one, at the middle of each interval."""
+    conjugate = quat[:-1] * (-1, -1, -1, 1)
+    step = product(conjugate, quat[1:])
+    step *= np.sign(step[:, 3:] + 1e-300)
+    half = np.arctan2(np.linalg.norm(step[:, :3], axis=1), step[:, 3])
+    turn = step[:, :3] * (2.0 / np.sinc(half / np.pi))[:, None]
+    middle = product(quat[:-1], np.column_stack((np.sinc(half / 2 / np.pi)[:, None] * turn / 4, np.cos(half / 2))))
+    dt = np.diff(t_s)[:, None]
+    world = np.diff(position, axis=0) / dt
+    if axes == "odom":
+        return np.hstack((world, np.einsum("nij,nj->ni", matrix(middle), turn / dt)))
+    return np.hstack((np.einsum("nji,nj->ni", matrix(middle), world), turn / dt))
+
+
+@dataclass
+class Drive:
+    """Messages of one robot: stamps and log times (ns), position (n, 3), quat (n, 4), twist (n, 6).
+
+    measured : rows of the messages with a stamp and a pose of their own
+    """
+
+    stamps: np.ndarray
+    logs: np.ndarray
+    position: np.ndarray
+    quat: np.ndarray
+    twist: np.ndarray
+    measured: np.ndarray
+
+
+def drive(kind: Kind, start_rad: float) -> Drive:
+    rng = np.random.default_rng([kind.number, int(start_rad * 10)])
+    n, dt = 150, 0.05
+    v = 0.5 + 0.2 * np.sin(np.arange(n) * 0.03 + rng.uniform(0, 6))
+    w = 0.5 * np.sin(np.arange(n) * 0.05 + rng.uniform(0, 6))
+    yaw = start_rad + np.concatenate(([0.0], np.cumsum(w[1:] * dt)))
+    middle = yaw - w * dt / 2
+    steps = np.column_stack((v * dt * np.cos(middle), v * dt * np.sin(middle), np.zeros(n)))
+    steps[0] = rng.uniform(-5, 5, 3)
+    position = np.cumsum(steps, axis=0)
+    flat = np.column_stack((np.zeros((n, 2)), np.sin(yaw / 2), np.cos(yaw / 2)))
+    quat = product(flat, np.array(ATTITUDES[kind.attitude]))
+    t = 1_700_000_000 * 10**9 + np.round(np.arange(n) * dt * 1e9).astype(np.int64)
+    stamps, logs, rows = t, t + 2_000_000, np.arange(n)
+    measured = np.arange(n)
+    if kind.repeats in ("same stamp", "0.1 ms later"):
+        rows, later = np.repeat(rows, 2), np.tile([0, 100_000 * (kind.repeats != "same stamp")], n)
+        stamps, logs, measured = t[rows] + later, t[rows] + 2_000_000 + np.tile([0, 100_000], n), measured * 2
+    elif kind.repeats == "held":
+        rows, later = np.repeat(rows, 5), np.tile(np.arange(5) * 10_000_000, n)
+        stamps, logs, measured = t[rows] + later, t[rows] + later + 2_000_000, measured * 5
+    elif kind.repeats == "ten per stamp":
+        stamps, measured = t[rows // 10 * 10], measured[::10]
+    elif kind.repeats == "10 ms stamps":
+        t = t[0] + (t - t[0]) * 7 // 40  # 8.75 ms apart
+        stamps, logs = t // 10**7 * 10**7, t + 2_000_000
+        measured = np.flatnonzero(np.diff(stamps, prepend=0))
+    # twists are those of the stamps, as a driver computes them
+    twist = np.zeros((len(rows), 6))
+    own = rates(stamps[measured] * 1e-9, position[rows[measured]], quat[rows[measured]], kind.axes)
+    latest = np.searchsorted(measured, np.arange(len(rows)), side="right") - 1
+    twist[:] = own[np.maximum(latest - 1, 0)]
+    return Drive(stamps, logs, position[rows], quat[rows], twist, measured)
+
+
+def geometry(store, kind, values):
+    return store.types[f"geometry_msgs/msg/{kind}"](*map(float, values))
+
+
+def header(store, stamp, frame):
+    seconds, nanoseconds = divmod(int(stamp), 10**9)
+    words = {"seq": 0} if "seq" in store.types["std_msgs/msg/Header"].__dataclass_fields__ else {}
+    time = store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame, **words)
+
+
+def robot(store, kind: Kind, start_rad: float, space: str):
+    """Yield (topic, type, log time, message) of one robot."""
+    odom, base = kind.frames
+    d = drive(kind, start_rad)
+    g = lambda name, values: geometry(store, name, values)  # noqa: E731
+    outer = np.random.default_rng(kind.number).uniform(0.1, 1.0, (6, 6))
+    covariance = np.diag([1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-3]) + 1e-5 * (outer + outer.T)
+    for i, (stamp, log) in enumerate(zip(d.stamps, d.logs, strict=True)):
+        place, turn = d.position[i], d.quat[i]
+        pose = store.types["geometry_msgs/msg/Pose"](g("Point", place), g("Quaternion", turn))
+        twist = store.types["geometry_msgs/msg/Twist"](g("Vector3", d.twist[i, :3]), g("Vector3", d.twist[i, 3:]))
+        with_covariance = (
+            store.types["geometry_msgs/msg/PoseWithCovariance"](pose, covariance.ravel()),
+            store.types["geometry_msgs/msg/TwistWithCovariance"](twist, covariance.ravel()),
+        )
+        message = store.types[ODOMETRY](header(store, stamp, odom), base, *with_covariance)
+        yield f"{space}/odom", ODOMETRY, int(log), message
+        edge = store.types["geometry_msgs/msg/Transform"](g("Vector3", place), g("Quaternion", turn))
+        wheel = store.types["geometry_msgs/msg/Transform"](g("Vector3", (0.1, 0.2, 0)), g("Quaternion", (0, 0, 0, 1)))
+        edges = [
+            store.types["geometry_msgs/msg/TransformStamped"](header(store, stamp, odom), base, edge),
+            store.types["geometry_msgs/msg/TransformStamped"](header(store, stamp, base), "laser", wheel),
+        ]
+        yield f"{space}/tf", TRANSFORMS, int(log) + 1000, store.types[TRANSFORMS](edges)
+        if i % 20 == 0:
+            yield "/note", TEXT, int(log) + 2000, store.types[TEXT](f"note {i}")
+
+
+def write(kind: Kind, path) -> None:
+    store = STORES[kind.ros]
+    space = kind.names[0].removesuffix("/odom")
+    rows = list(robot(store, kind, 0.4, space))
+    if kind.layout == "two robots":
+        rows += robot(store, kind, 2.0, "/robot2")
+    rows.sort(key=lambda row: row[2])
+    if kind.ros == 1:
+        writer = Writer1(path)
+    else:
+        plugin = StoragePlugin.SQLITE3 if kind.storage == "sqlite3" else StoragePlugin.MCAP
+        writer = Writer2(path, version=9, storage_plugin=plugin)
+        if kind.storage == "mcap zstd":
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        connections = {}
+        for topic, name, log, message in rows:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=store)
+            if kind.ros == 1:
+                data = store.serialize_ros1(message, name)
+            else:
+                data = store.serialize_cdr(message, name, little_endian="big-endian" not in kind.storage)
+            writer.write(connections[topic], log, data)
+
+
+def read(path, store):
+    with AnyReader([path], default_typestore=store) as reader:
+        return [
+            (c.topic, t, bytes(raw), reader.deserialize(raw, c.msgtype) if c.msgtype != TEXT else None)
+            for c, t, raw in reader.messages()
+        ]
+
+
+def numbers(messages):
+    """Return stamps, position, quat, twist, pose and twist covariances of Odometry messages."""
+    v = lambda one: (one.x, one.y, one.z)  # noqa: E731
+    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages])
+    position = np.array([v(m.pose.pose.position) for m in messages])
+    quat = np.array([(*v(m.pose.pose.orientation), m.pose.pose.orientation.w) for m in messages])
+    twist = np.array([(*v(m.twist.twist.linear), *v(m.twist.twist.angular)) for m in messages])
+    covariances = [np.array([getattr(m, name).covariance for m in messages]) for name in ("pose", "twist")]
+    return stamps, position, quat, twist, *(one.reshape(-1, 6, 6) for one in covariances)
+
+
+def edges_at(messages):
+    """Return the moving edge's poses by stamp, and whether the others are as written."""
+    at, stay = {}, True
+    for one in itertools.chain.from_iterable(m.transforms for m in messages):
+        q, p, time = one.transform.rotation, one.transform.translation, one.header.stamp
+        if one.child_frame_id == "laser":
+            stay &= (p.x, p.y, q.w) == (0.1, 0.2, 1.0)
+        else:
+            at.setdefault(time.sec * 10**9 + time.nanosec, []).append((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+    return at, stay
+
+
+def violations(kind: Kind, folder) -> list[str]:
+    """Return what an independent reader finds wrong after the corruption of a bag of this kind."""
+    source, target = (folder / f"{name}{kind.number}{'.bag' if kind.ros == 1 else ''}" for name in ("in", "out"))
+    write(kind, source)
+    odom, tf = kind.names
+    noise = odomcorrupt.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
+    odomcorrupt.corrupt(source, target, seed=kind.number, odom_topic=odom, model=noise)
+    store = STORES[kind.ros]
+    before, after = read(source, store), read(target, store)
+    wrong = []
+
+    def claim(holds, sentence):
+        if not holds:
+            wrong.append(f"{kind}: {sentence}")
+
+    claim([m[:2] for m in before] == [m[:2] for m in after], "topics and log times are as they were")
+    claim([len(m[2]) for m in before] == [len(m[2]) for m in after], "lengths are as they were")
+    claim(all(a[2] == b[2] for a, b in zip(before, after, strict=True) if a[0] not in (odom, tf)), "other topics stay")
+    was, now = ([m[3] for m in bag if m[0] == odom] for bag in (before, after))
+    heads = [[repr((m.header, m.child_frame_id)) for m in one] for one in (was, now)]
+    claim(heads[0] == heads[1], "headers stay")
+    t, place0, quat0, twist0, pose_cov0, twist_cov0 = numbers(was)
+    _, place, quat, twist, pose_cov, twist_cov = numbers(now)
+
+    at, stay = edges_at([m[3] for m in after if m[0] == tf])
+    claim(stay, "other edges stay")
+    for stamp in np.unique(t):
+        rows = np.flatnonzero(t == stamp)
+        off = np.array(at[stamp]) - np.hstack((place[rows], quat[rows]))
+        claim(np.abs(off).max() < 1e-9, f"TF is the odometry at {stamp}")
+
+    # C is a planar motion of the odom frame
+    claim(np.array_equal(place[:, 2], place0[:, 2]), "heights stay")
+    up = [np.einsum("nij->nj", matrix(q)[:, 2:3]) for q in (quat0, quat)]
+    claim(np.abs(up[0] - up[1]).max() < 1e-9, "tilts stay")
+    claim(np.hypot(*(place - place0)[-1, :2]) > 1e-4, "there is noise")
+
+    # twist = motion of the poses
+    d = drive(kind, 0.4)
+    m = d.measured
+    noisy, clean = (rates(t[m] * 1e-9, p[m], q[m], kind.axes) for p, q in ((place, quat), (place0, quat0)))
+    latest = np.searchsorted(m, np.arange(len(t)), side="right") - 1
+    moving = np.arange(len(t)) >= m[1] + (5 if kind.axes == "odom" else 0)
+    expected = (noisy - clean)[latest[moving] - 1]
+    off = np.abs((twist - twist0)[moving] - expected).max()
+    claim(off < 1e-4, f"twists are the motion of the poses: off by {off:.2g}")
+    claim((np.abs((twist - twist0)[moving]).max(axis=1) > 0.0).all(), "no moving twist stays true")
+
+    # covariances: positive, and as large as what was injected
+    for name, C, C0, e in (
+        ("pose", pose_cov, pose_cov0, np.column_stack((place - place0, np.zeros((len(t), 3))))),
+        ("twist", twist_cov[moving], twist_cov0[moving], (twist - twist0)[moving]),
+    ):
+        claim(np.linalg.eigvalsh(C)[:, 0].min() > -1e-4, f"{name} covariances are positive")
+        claim(np.diagonal(C, axis1=1, axis2=2).min() > 0.0, f"no {name} variance is zero")
+        ratio = np.square(e) / np.diagonal(C, axis1=1, axis2=2)
+        claim(ratio.max() < 36.0, f"{name} variances are those of the noise: {np.sqrt(ratio.max()):.2g} sigma")
+        upright = kind.attitude in ("level", "leaning", "ramp")
+        claim((C[:, 2, 2] > 1e3).all() or not upright, f"{name}: unknown stays unknown")
+        if kind.attitude == "level":
+            rest = np.ones((6, 6), dtype=bool)
+            rest[np.ix_([0, 1, 5], [0, 1, 5])] = False
+            claim(np.array_equal(C[:, rest], C0[:, rest]), f"{name} covariances of other axes stay")
+    return wrong
+
+
+@pytest.mark.parametrize("kind", kinds(16), ids=lambda kind: str(kind.number))
+def test_every_topic_states_the_same_noisy_motion(kind, tmp_path):
+    assert violations(kind, tmp_path) == []
+
+
+@pytest.mark.slow
+def test_every_topic_of_500_bags_states_the_same_noisy_motion(tmp_path):
+    assert [said for kind in kinds(500) for said in violations(kind, tmp_path)] == []
