@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike, fspath
@@ -69,7 +70,10 @@ class Corruption(Result):
     @property
     def moved(self) -> dict[str, int]:
         """Number of modified messages per topic, and of modified transforms per TF edge "parent -> child"."""
-        return {**self.outcome.changes.odometry, **self.outcome.changes.edges}
+        moved: Counter[str] = Counter()
+        for robot in (self.outcome, *self.outcome.others):
+            moved += robot.changes.odometry + robot.changes.edges
+        return dict(moved)
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -144,6 +148,7 @@ def corrupt(
     seed: int | None = None,
     run: int = 0,
     within: MapCondition | str | PathLike[str] | None = None,
+    also: Sequence[str] = (),
     watch: Callable[[Block], None] = lambda _: None,
     **options: Unpack[BagOptions],
 ) -> Corruption:
@@ -162,6 +167,8 @@ def corrupt(
     within : MapCondition or path of a map's .yaml, optional
         Draw poses in free space only, as a particle filter does; the odom frame is then the map's. See
         `odomcorrupt.mapping.map_condition.read_condition` for other robots and frames.
+    also : sequence of str
+        Odometry topics of other robots in the bag, each corrupted with a drift of its own in the same pass.
     watch : callable
         Called with every block written.
     **options
@@ -201,7 +208,7 @@ def corrupt(
         metadata = {} if condition is None else condition.provenance()
         outcome = corrupt_bag(
             bag, bag_path(target), chosen.motion_model, seed=drawn, run=run, options=moved, container=container,
-            watch=watcher, path=path, metadata=metadata,
+            watch=watcher, path=path, metadata=metadata, also=also,
         )  # fmt: skip
     account = "" if path is None else path.account()
     return Corruption(fspath(source), fspath(target), chosen, outcome, account, watcher.provenance(bag_path(source)))

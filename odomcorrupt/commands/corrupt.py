@@ -42,6 +42,10 @@ def keep_freed_memory() -> None:
 @click.option(
     "--run", type=click.IntRange(0), default=0, metavar="N", help="Number of the run under this seed. [default: 0]"
 )
+@click.option(
+    "--also", multiple=True, metavar="TOPIC",
+    help="Odometry of another robot in the bag, corrupted with a drift of its own (repeatable).",
+)  # fmt: skip
 @moving_options
 @map_options
 @container_options
@@ -65,7 +69,7 @@ def command(input_: str, output: str | None, output_option: str | None, *, conso
     condition = choose_condition_of_run(given, source, split_options(options)[0], model.motion_model)
     keep_freed_memory()
     with Progress(quiet=console.quiet) as progress:
-        asked = {"seed": given["seed"], "run": given["run"], "within": condition, "watch": progress}
+        asked = {name: given[name] for name in ("seed", "run", "also")} | {"within": condition, "watch": progress}
         done = corrupt(input_, target, model=model, **asked, **options)
     console.show(done, err=True)
     return 3 if done.losses else 0

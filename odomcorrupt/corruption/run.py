@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 import odomcorrupt
@@ -15,9 +15,10 @@ from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.model.model_file import format_model
+from odomcorrupt.rng import SEED_LIMIT, stream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
@@ -176,6 +177,7 @@ class Outcome:
     stayed : TF edges that are not moved, "parent -> child"
     faults : counts of unusable odometry poses
     remarks : what the output's message types cannot hold, in sentences
+    others : results of the other robots corrupted in the same pass
     """
 
     model: MotionModel
@@ -198,6 +200,12 @@ class Outcome:
     stayed: frozenset[str] = frozenset()
     faults: PoseFaults = field(default_factory=PoseFaults)
     remarks: tuple[str, ...] = ()
+    others: tuple[Outcome, ...] = ()
+
+    @property
+    def moved_topics(self) -> set[str]:
+        """Odometry topics that are moved, of all robots."""
+        return set(self.changes.odometry).union(*(other.changes.odometry for other in self.others))
 
 
 def corrupt_bag(
@@ -212,6 +220,7 @@ def corrupt_bag(
     watch: Callable[[Block], None] = lambda _: None,
     path: PathSource | None = None,
     metadata: Mapping[str, str] | None = None,
+    also: Sequence[str] = (),
 ) -> Outcome:
     """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
@@ -223,6 +232,7 @@ def corrupt_bag(
     watch : called with every block written
     path : corrupted path, instead of the noisy path that the model draws
     metadata : further metadata for the output, besides model, seed, run and version
+    also : odometry topics of other robots, each with a drift of its own, whose seed follows from `seed`
 
     Raises
     ------
@@ -234,6 +244,11 @@ def corrupt_bag(
         If an effect is too strong for this drive.
     """
     transform = Transform(model, seed, run, options, path=path)
+    robots = [transform]
+    for ordinal, topic in enumerate(also, 1):
+        own = int(stream(seed, run, "robot", ordinal).integers(SEED_LIMIT))
+        kept = options._replace(odom_topic=topic, odom_frame=None, base_frame=None, keep_truth=None)
+        robots.append(Transform(model, own, run, kept))
     is_identity = model.noise.coefficients.noise_free and not any(acts(effect) for effect in model.effects)
     adds = options.keep_truth is not None or options.new_odom_frame is not None
     tape = TeeReader() if source is None and is_identity and not adds and container.as_it_was else None
@@ -244,22 +259,35 @@ def corrupt_bag(
     ):
         output = container.target(target, raw)
         reader = output.reader
-        transform.odometry.prepare(reader, reader.name)
+        for robot in robots:
+            robot.odometry.prepare(reader, reader.name)
         writer = container.writer(target, output, workers)
         if is_identity and not adds and container.as_it_was and reader is raw and may_stay(source, reader, output.form):
-            blocks = transform.blocks(reader, reader.name)
+            blocks = _chained(robots, reader)
             write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
         else:
             if tape is not None:
                 tape.stop()
             with writer:
-                for block in transform.blocks(reader, reader.name, writer):
+                for block in _chained(robots, reader, writer):
                     writer.write(block)
                     watch(block)
-                transform.require_source()
+                for robot in robots:
+                    robot.require_source()
                 if not is_identity:
-                    writer.provenance("odomcorrupt", provenance(model, seed=seed, run=run) | dict(metadata or {}))
-        return outcome_of(transform, reader, model, seed=seed, run=run)
+                    more = dict(metadata or {}) | ({"also": " ".join(also)} if also else {})
+                    writer.provenance("odomcorrupt", provenance(model, seed=seed, run=run) | more)
+        first, *others = (outcome_of(robot, reader, model, seed=robot.seed, run=run) for robot in robots)
+        return replace(first, others=tuple(others))
+
+
+def _chained(robots: Sequence[Transform], reader: BagReader, writer: BagWriter | None = None) -> Iterator[Block]:
+    """Return the blocks of a bag, changed by the transform of one robot after the other."""
+    blocks = None
+    for robot in robots:
+        blocks = robot.blocks(reader, reader.name, writer, blocks)
+    assert blocks is not None  # noqa: S101 - there is at least one
+    return blocks
 
 
 def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, seed: int, run: int) -> Outcome:

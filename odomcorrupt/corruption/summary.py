@@ -66,8 +66,12 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
             "plain" if outcome.changes.edges or outcome.added else "warning",
         )
     )
+    lines += [
+        Line("also", f"{_counted(other)}: {size_words(other.drift.end_drawn_m, other.drift.end_drawn_rad)} off")
+        for other in outcome.others
+    ]
     odd = [sentence for sentence in oddities(outcome) if not sentence.startswith("Lost: ")]
-    true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
+    true = topics_with_true_motion(outcome.channels, outcome.moved_topics, outcome.placed, outcome.frames.odom)
     if true and not is_identity:
         lines.append(leaks_line(true))
     lines += [Line("note", remark, "warning") for remark in remarks if remark]
@@ -129,8 +133,9 @@ def summary(outcome: Outcome, origin: str) -> str:
     ]
     if not is_identity:
         parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.noise_free), *_rate(outcome)]
+    parts += [f"Also moved: {moved_words(other)} ({travel_words(other)})." for other in outcome.others]
     parts += [*_faster(outcome.drift), *oddities(outcome)]
-    true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
+    true = topics_with_true_motion(outcome.channels, outcome.moved_topics, outcome.placed, outcome.frames.odom)
     if true and not is_identity:
         parts.append(f"Unchanged, so that a filter which reads them still gets the true motion: {', '.join(true)}.")
     return " ".join(parts)

@@ -112,6 +112,7 @@ class Transform:
     ) -> None:
         self.options = Options() if options is None else options
         self.model = model
+        self.seed = seed
         self.order = TimeOrder()
         self.drift = DriftMeter()
         self.watchers: list[PathWatcher] = [self.drift]
@@ -150,11 +151,14 @@ class Transform:
         """Counts of the messages changed so far."""
         return self._patcher.changes
 
-    def blocks(self, reader: BagReader, name: str, writer: BagWriter | None = None) -> Iterator[Block]:
+    def blocks(
+        self, reader: BagReader, name: str, writer: BagWriter | None = None, before: Iterator[Block] | None = None
+    ) -> Iterator[Block]:
         """Yield the blocks of a bag with changed messages, in file order.
 
         name : name of the bag in messages
         writer : receives added channels, if options request some
+        before : blocks that the transform of another robot has changed, instead of the bag's own
 
         Raises
         ------
@@ -172,7 +176,8 @@ class Transform:
             only = {
                 number for number, channel in reader.channels.items() if _may_move(channel) or may_be_placed(channel)
             }
-        for block in joined(reader.blocks(only)):
+        given = joined(reader.blocks(only)) if before is None else before
+        for block in given:
             waiting.append(self._take(block, reader))
             while waiting and self._ready(waiting[0]):
                 yield self._patch(waiting.popleft())
@@ -287,7 +292,8 @@ class Transform:
         targets = self._targets(held)
         # all rows of the patched topics, although a patch may leave some of their bytes unchanged
         rows = [target.layout.rows for target in targets]
-        held.block.changed = np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
+        own = np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
+        held.block.changed = own if held.block.changed is None else np.union1d(held.block.changed, own)
         if not targets or self._first_ns is None:
             return held.block
         self._curve.forget(int(min(target.time_ns[0] for target in targets)))
