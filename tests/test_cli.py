@@ -65,11 +65,11 @@ def test_the_top_help_shows_the_default_commands_options_and_every_command(capsy
     assert not any(name.startswith("_") for name in commands)
 
 
-def test_help_names_every_law_and_preset():
+def test_help_names_every_law_and_where_presets_are_listed():
     default = cli.get_command(click.Context(cli), "corrupt")
     help_of = {option.name: option.help for option in default.params if isinstance(option, click.Option)}
     assert all(name in help_of["law"] for name in LAWS)
-    assert all(name in help_of["preset"] for name in PRESETS)
+    assert "odomcorrupt presets" in help_of["preset"]
 
 
 def test_help_needs_none_of_the_heavy_libraries():
@@ -213,7 +213,7 @@ def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(cor
         (["--twist-noise", "-1", "0"], "coefficient white_v: -1.0"),
         (["--law", "linear"], "--law linear: what coefficients mean depends on the law"),
         (["--alpha", "0", "0", "0", "0", "--law", "cubic"], "no law is called 'cubic'; there are diffusion"),
-        (["--preset", "ideal"], "no preset is called 'ideal'; there are typical, article"),
+        (["--preset", "ideal"], "no preset is called 'ideal'; there are typical, turtlebot3-burger"),
         (["--preset", "article", "--alpha", "0", "0", "0", "0"], "--alpha and --preset both define noise"),
         (["--step", "0.25m,0.2rad"], "the law diffusion is the same at every step: leave --step out"),
         (["--preset", "article", "--step", "often"], "step: 'often'; write message"),

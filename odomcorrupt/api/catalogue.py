@@ -143,39 +143,40 @@ def _range(p: Parameter) -> str:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class PresetList(Result):
-    """Ready-made noise models with law, numbers and source; `Model.preset` returns one of them.
-
-    presets : the noise models
-    """
+    """Ready-made models with law, numbers, ranges and source; `Model.preset` returns one of them."""
 
     presets: tuple[Preset, ...]
 
     def summary(self) -> Summary:
-        """Return the names, fitted presets on a separate line."""
-        fitted = [p.name for p in self.presets if p.source.startswith("fitted")]
-        stated = [p.name for p in self.presets if p.name not in fitted]
-        first = self.presets[0].name
-        count = f"{len(self.presets)} noise models; -v has their laws, numbers and sources"
-        lines = [Line("PRESETS", count, "good"), Line("stated", ", ".join(stated)), Line("fitted", ", ".join(fitted))]
-        lines.append(Line("use", f"odomcorrupt INPUT OUTPUT --preset {first}"))
-        return Summary((*lines, command_line(f"odomcorrupt presets {first} > robot.toml")))
+        """Return the names: robots, qualities of a differential drive, and noise without a range."""
+        kinds: dict[str, list[str]] = {"robots": [], "qualities": [], "noise": []}
+        for p in self.presets:
+            kinds["noise" if not p.spread else "robots" if p.marks else "qualities"].append(p.name)
+        count = f"{len(self.presets)} models; -v has their numbers, ranges and sources"
+        lines = [Line("PRESETS", count, "good"), *(Line(kind, ", ".join(names)) for kind, names in kinds.items())]
+        lines.append(Line("use", "odomcorrupt batch in.mcap runs/ --runs 40 --preset rosbot"))
+        return Summary((*lines, command_line("odomcorrupt presets rosbot > robot.toml")))
 
     def details(self) -> str:
-        """Return law, numbers and source of each."""
+        """Return law, numbers, ranges and source of each."""
         lines = []
         for row in self._values():
-            numbers = "  ".join(f"{key} {value:.4g}" for key, value in row["coefficients"].items())
+            ranges = row["ranges"]
+            numbers = "  ".join(
+                f"{key} {value:.4g}" + (f" +- {ranges[key]:.2g}" if key in ranges else "")
+                for key, value in (row["coefficients"] | {k: 0.0 for k in ranges if "." in k}).items()
+            )
             lines.append(f"{row['name']}\n  law {row['law']}: {numbers}\n  {row['source']}\n")
         use = "odomcorrupt INPUT OUTPUT --preset NAME uses it; odomcorrupt presets NAME > robot.toml writes a file"
         return "\n".join([*lines, use])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return name, law, coefficients and source of each."""
+        """Return name, law, coefficients, ranges and source of each."""
         return {"schema": 2, "presets": self._values()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the presets, with a column for every coefficient."""
-        return [{**row, **row.pop("coefficients")} for row in self._values()]
+        return [{**row, **row.pop("coefficients"), "ranges": len(row["ranges"])} for row in self._values()]
 
     def _values(self) -> list[dict[str, Any]]:
         found = []
@@ -183,7 +184,10 @@ class PresetList(Result):
             noise = preset.noise
             numbers = dataclasses.asdict(noise.coefficients)
             shown = {key: value for key, value in numbers.items() if value or key in noise.law.alphas}
-            found.append({"name": preset.name, "law": noise.law_name, "coefficients": shown, "source": preset.source})
+            found.append(
+                {"name": preset.name, "law": noise.law_name, "coefficients": shown, "ranges": dict(preset.spread),
+                 "track_m": preset.track_m, "drive_type": preset.drive_type, "source": preset.source}
+            )  # fmt: skip
         return found
 
 
@@ -232,7 +236,7 @@ def describe_effect(name: str) -> EffectDescription:
 
 
 def list_presets() -> PresetList:
-    """Return the ready-made noise models with law, numbers and source.
+    """Return the ready-made models with law, numbers, ranges and source.
 
     Returns
     -------
@@ -243,6 +247,6 @@ def list_presets() -> PresetList:
     --------
     >>> import odomcorrupt as oc
     >>> [row["name"] for row in oc.list_presets().rows()][:2]
-    ['typical', 'article']
+    ['typical', 'turtlebot3-burger']
     """
     return PresetList(tuple(PRESETS.values()))

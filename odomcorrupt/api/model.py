@@ -101,29 +101,27 @@ class Model:
 
     @classmethod
     def preset(cls, name: str = "typical") -> Model:
-        """Return ready-made noise by the name of its preset.
+        """Return a ready-made robot, or noise, by the name of its preset.
 
         Parameters
         ----------
         name : str
-            Preset: `typical`, `article`, or one fitted to a real robot; `list_presets` has them all.
+            Preset, as `typical` or `turtlebot3-burger`; `list_presets` has them all.
 
         Returns
         -------
         Model
-            Noise without effects.
+            Noise; of a robot also effects of zero with a range, which `batch` draws for each run.
 
         Raises
         ------
         ModelError
             If there is no such preset.
         """
-        from odomcorrupt.model.motion_model import MotionModel
         from odomcorrupt.model.presets import preset_named
 
         preset = preset_named(name)
-        robot = MotionModel(preset.noise, source={"preset": preset.name, "from": preset.source})
-        return cls.of(robot, f"preset {preset.name}: {preset.source}")
+        return cls.of(preset.model, f"preset {preset.name}: {preset.source}")
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the model as human-readable TOML; return the path.

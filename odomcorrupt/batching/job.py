@@ -161,6 +161,8 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     """
     _require_inputs(inputs, target, spec)
     stated = frozenset[str]() if spec.model_file is None else stated_spreads(spec.model_file)
+    if "preset" in spec.model.source:
+        stated |= spec.model.standard_errors.keys()
     jobs = []
     for source in inputs:
         if spec.split:

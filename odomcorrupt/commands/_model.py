@@ -56,7 +56,7 @@ def _model_options(default: str) -> Decorator:
         ),
         setting(
             "--preset", metavar="NAME", shell_complete=_completing("model.presets", "PRESETS"),
-            help="Ready-made noise: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
+            help="Ready-made robot or noise, as turtlebot3-burger; odomcorrupt presets lists them. "
             f"[default: {default}]",
         ),
         setting(

@@ -13,6 +13,7 @@ from odomcorrupt.corruption.odometry_source import ODOMETRY, plain, says_truth
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.effects.effect import choices, parameters
+from odomcorrupt.model.presets import DEFAULT, suggested
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -74,6 +75,9 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     true = topics_with_true_motion(outcome.channels, outcome.moved_topics, outcome.placed, outcome.frames.odom)
     if true and not is_identity:
         lines.append(leaks_line(true))
+    named = suggested(name for c in outcome.channels for name in (c.topic, c.msgtype))
+    if named and outcome.model.source.get("preset") == DEFAULT:
+        remarks = (*remarks, f"looks like a {named}: --preset {named} has its numbers")
     lines += [Line("note", remark, "warning") for remark in remarks if remark]
     lines += [Line("anomaly", sentence, "warning") for sentence in odd]
     if not is_identity and per_message(outcome.model.noise):

@@ -15,6 +15,7 @@ from odomcorrupt.geometry.se2 import inverse
 from odomcorrupt.inspection.checks import disagreement_m, findings
 from odomcorrupt.inspection.covariance_check import CovarianceCheck
 from odomcorrupt.inspection.scan import BagScan, EdgeRecord, OdometryRecord
+from odomcorrupt.model.presets import suggested
 from odomcorrupt.standard_streams import visible
 from odomcorrupt.summary import Line, Summary, command_line
 
@@ -100,7 +101,12 @@ def brief(values: dict[str, Any], name: str) -> Summary:
             drive = f"{o['distance_m']:.4g} m in {o['duration_s']:.4g} s{rate}"
             lines.append(Line("ODOMETRY", f"{o['topic']} ({o['frame']} -> {o['child']}): {drive}", "good"))
     if not lines:
-        lines.append(Line("NO CHOICE", "several odometry topics: name one, see below", "bad"))
+        several = len(values["odometry"]) > 1
+        lines.append(
+            Line("NO CHOICE", "several odometry topics: name one, see below", "bad")
+            if several
+            else Line("NO ODOMETRY", "no nav_msgs/Odometry topic with messages, see below", "bad")
+        )
     lines += [Line("corrupted", provenance_words(one), "warning") for one in values.get("provenance", ())]
     edges = [f"{e['parent']} -> {e['child']}" for e in values["edges"] if e["moved"]]
     topics = [o["topic"] for o in values["odometry"] if o["moved"]]
@@ -113,7 +119,14 @@ def brief(values: dict[str, Any], name: str) -> Summary:
         for t in values["topics"]
         if t["type"] in SCANS and t["rate_hz"] and t["longest_gap_s"] > max(_GAP_S, _GAP_PERIODS / t["rate_hz"])
     ]
+    lines += [
+        Line("truth", f"{t['topic']}: odomcorrupt learn finds what makes the odometry drift from it")
+        for t in values["topics"]
+        if says_truth(t["topic"]) and t["type"].endswith(("Odometry", "Stamped")) and t["topic"] not in topics
+    ]
     lines += [Line("note", remark, "warning") for remark in values["remarks"]]
+    named = suggested([name for t in values["topics"] for name in (t["topic"], t["type"])])
+    lines += [Line("robot", f"looks like a {named}: --preset {named}")] if named else []
     words = ["odomcorrupt", "preview", name]
     return Summary((*lines, *((command_line(words),) if values["odometry_source"] is not None else ())))
 

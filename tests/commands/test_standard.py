@@ -71,9 +71,7 @@ def test_colours_are_for_terminals_whose_user_wants_them(monkeypatch):
 
 def test_defaults_come_from_a_file_and_what_is_typed_wins(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    Path("odomcorrupt.toml").write_text(
-        'seed = 5\n[corrupt]\nalpha = [0.1, 0.1, 0.1, 0.1]\n[learn]\nscan = "/scan"\n'
-    )
+    Path("odomcorrupt.toml").write_text('seed = 5\n[corrupt]\nalpha = [0.1, 0.1, 0.1, 0.1]\n[learn]\nscan = "/scan"\n')
     assert run([OFFICE, "a.mcap"]) == 0
     said = capsys.readouterr().err
     assert "defaults from odomcorrupt.toml: alpha, seed" in said
