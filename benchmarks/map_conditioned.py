@@ -7,8 +7,7 @@ import time
 
 import numpy as np
 
-from odomcorrupt.mapping.free_space import CHECKS, Constraint, free_space
-from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid
+from odomcorrupt.mapping.occupancy_grid import CHECKS, OCCUPIED, Constraint, Grid, free_space
 
 COUNT = 1_000_000
 

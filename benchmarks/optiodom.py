@@ -31,8 +31,7 @@ import numpy as np
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.se2 import between
+from odomcorrupt.geometry.se2 import Increments, accumulate, between
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.problem import undo

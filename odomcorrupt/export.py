@@ -17,7 +17,7 @@ import numpy as np
 from odomcorrupt.corruption.covariance import FLOOR
 from odomcorrupt.effects.gains import UnequalWheels, Wheelbase, WheelScale
 from odomcorrupt.errors import ModelError
-from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import variances
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ import numpy as np
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.effect import Motion, amplitudes, check_bounds, choices, parameters
-from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.rng import stream

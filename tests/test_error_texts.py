@@ -14,7 +14,7 @@ from odomcorrupt.api.bag_options import BagOptions
 from odomcorrupt.api.batch import BatchOptions
 from odomcorrupt.cli import run
 from odomcorrupt.errors import COMMAND_LINE_ONLY, BagError, TopicError
-from odomcorrupt.mapping.map_condition import read_condition
+from odomcorrupt.mapping.conditioned import read_condition
 
 ROOT = Path(__file__).parents[1]
 OFFICE = ROOT / "fixtures" / "office.mcap"

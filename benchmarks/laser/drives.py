@@ -11,7 +11,7 @@ from laser.caster import LASERS, Laser, ranges_of, walkers
 from laser.world import world_around
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.laser.sweep import Sweep, Sweeps
+from odomcorrupt.laser.scans import Sweep, Sweeps
 from odomcorrupt.simulation import simulate
 from odomcorrupt.simulation.sensors import Tracker
 from odomcorrupt.study.io.laser_truth import LaserRun, match_run, truth_of

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.convert.message_types import Generation
     from odomcorrupt.corruption.run import Container
     from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.mapping.conditioned import MapCondition
 
 
 class BagOptions(TypedDict, total=False):
@@ -78,7 +78,7 @@ def bag_path(path: str | PathLike[str]) -> Path | None:
 def as_condition(within: MapCondition | str | PathLike[str] | None) -> MapCondition | None:
     """Return a map condition unchanged, or read it from the path of a map; None without a map."""
     if isinstance(within, str | PathLike):
-        from odomcorrupt.mapping.map_condition import read_condition
+        from odomcorrupt.mapping.conditioned import read_condition
 
         return read_condition(fspath(within))
     return within

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.estimate import Need
     from odomcorrupt.batching.job import Format, Output
     from odomcorrupt.batching.runner import Failure
-    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.mapping.conditioned import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
 _NAMED = 8

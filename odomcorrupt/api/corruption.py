@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block
     from odomcorrupt.correction.run import Corrected
     from odomcorrupt.corruption.drift import Drift
-    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.mapping.conditioned import MapCondition
     from odomcorrupt.summary import Summary
 
 
@@ -166,7 +166,7 @@ def corrupt(
         Number of the run under this seed.
     within : MapCondition or path of a map's .yaml, optional
         Draw poses in free space only, as a particle filter does; the odom frame is then the map's. See
-        `odomcorrupt.mapping.map_condition.read_condition` for other robots and frames.
+        `odomcorrupt.mapping.conditioned.read_condition` for other robots and frames.
     also : sequence of str
         Odometry topics of other robots in the bag, each corrupted with a drift of its own in the same pass.
     watch : callable
@@ -251,13 +251,13 @@ class Correction(Result):
 
     def summary(self) -> Summary:
         """Return the effects removed, how far that moved the odometry, and the remaining error."""
-        from odomcorrupt.correction.summary import brief as correction_brief
+        from odomcorrupt.correction.run import brief as correction_brief
 
         return correction_brief(self.outcome, self.target)
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        from odomcorrupt.correction.summary import correction_summary
+        from odomcorrupt.correction.run import correction_summary
 
         return correction_summary(self.outcome)
 

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
-    from odomcorrupt.mapping.free_space import FreeSpace
-    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.mapping.conditioned import MapCondition
+    from odomcorrupt.mapping.occupancy_grid import FreeSpace
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.density import DensityGrid

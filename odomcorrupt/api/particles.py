@@ -13,10 +13,10 @@ from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.summary import model_brief
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.mapping.conditioned_runs import free_paths
+from odomcorrupt.mapping.conditioned import free_paths
 from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.rng import draw_seed
-from odomcorrupt.sampling.particles import (
+from odomcorrupt.sampling.samples import (
     brief,
     csv_text,
     particles_at,
@@ -30,9 +30,9 @@ from odomcorrupt.trajectories import read_drive
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.mapping.free_space import FreeSpace
-    from odomcorrupt.mapping.map_condition import MapCondition
-    from odomcorrupt.sampling.particles import ParticleSet
+    from odomcorrupt.mapping.conditioned import MapCondition
+    from odomcorrupt.mapping.occupancy_grid import FreeSpace
+    from odomcorrupt.sampling.samples import ParticleSet
     from odomcorrupt.summary import Summary
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block
     from odomcorrupt.forecasting.forecast import Forecast
-    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.mapping.conditioned import MapCondition
     from odomcorrupt.summary import Summary
 
 

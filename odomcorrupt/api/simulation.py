@@ -169,10 +169,9 @@ def simulate(
     >>> run.answer["cause"]
     'wheelbase'
     """
-    from odomcorrupt.simulation.bag import write_mcap
     from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
     from odomcorrupt.simulation.routes import read_commands
-    from odomcorrupt.simulation.run import Scenario, fingerprint, format_answer
+    from odomcorrupt.simulation.run import Scenario, fingerprint, format_answer, write_mcap
     from odomcorrupt.simulation.run import simulate as simulate_run
 
     path = None if target is None else Path(fspath(target))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.mapping.conditioned import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
 Output = Literal["full", "overlay", "trajectories"]

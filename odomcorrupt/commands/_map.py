@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.mapping.conditioned import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
 
@@ -48,7 +48,7 @@ def choose_condition(
     given: Mapping[str, Any], bag: Path | None, odom_frame: str, *, recover: bool = False
 ) -> MapCondition | None:
     """Return the map condition of the options, None if they name no map."""
-    from odomcorrupt.mapping.map_condition import is_map_file, read_condition
+    from odomcorrupt.mapping.conditioned import is_map_file, read_condition
 
     name = given["map_"]
     if name is None:
@@ -76,7 +76,7 @@ def choose_condition_of_run(
     if name is None:
         _refuse_alone(given)
         return None
-    from odomcorrupt.mapping.map_condition import is_map_file, read_odom_frame
+    from odomcorrupt.mapping.conditioned import is_map_file, read_odom_frame
 
     if options.keep_localisation:
         raise click.UsageError(

@@ -1,20 +1,28 @@
-"""Removal of systematic errors from an odometry path: u = u' + f(u'), over the whole drive at once."""
+"""Removal of learned effects from a trajectory: the inverse of a corruption, the bias at rest, corrections of poses.
+
+Source: Foxlin 2005, Pedestrian tracking with shoe-mounted inertial sensors (zero-velocity updates); Rauch, Tung and
+Striebel 1965 (smoother).
+
+Between two pose updates the output of a filter that fuses poses (as robot_localization) follows wheels and gyro;
+at an update it steps. Wheels never step sideways: their sideways speed is zero, or changes slowly because of inertia if
+the robot drives sideways. Without the steps the errors of wheels and gyro accumulate as in free odometry, so that a
+model of them can be learned and corrected.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.correction.bias_at_rest import bias_seen_at_rest
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
 from odomcorrupt.effects.compensation import corrected_increments, corrected_twist
 from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError
+from odomcorrupt.effects.random_processes import GyroBiasWalk
 from odomcorrupt.errors import EffectError
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import is_rough, motion_of
-from odomcorrupt.geometry.se2 import compose, rotate
+from odomcorrupt.geometry.se2 import Increments, accumulate, compose, increments, rotate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,6 +30,108 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+
+
+STILL_MPS = 1e-3
+"""Speed below which wheels stand, m/s: less than a tick of usual encoders per message."""
+TURNING_RADPS = 0.05
+"""Yaw rate beyond which a robot without travel turns on the spot; the bias of a MEMS gyro is below 0.02 rad/s."""
+REST_S, SETTLED_S = 0.6, 0.15
+"""Shortest rest that is read, and the part at either end that is left out, because the body sways on its wheels."""
+_START_RADPS = 0.05
+"""Standard deviation of the bias before its first reading."""
+_OUTLIER = 5.0
+"""Difference from the neighbouring readings, in standard deviations, beyond which a robot turned slowly instead."""
+
+
+class Readings(NamedTuple):
+    """Mean yaw rates (k,) of k rests, rad/s, with their variances, at times (k,) after the start, s."""
+
+    rate: Array
+    variance: Array
+    t_s: Array
+
+
+def bias_seen_at_rest(effects: Sequence[Effect], motion: Motion, omega: Array) -> Array:
+    """Return the gyro's bias (n,), rad/s: read in rests, smoothed as a `gyro_bias_walk` between them; zero without one.
+
+    effects : of the model
+    motion : of the odometry, n intervals
+    omega : (n,) yaw rates after the removal of systematic effects, rad/s
+    """
+    walk = next((effect for effect in effects if isinstance(effect, GyroBiasWalk) and effect.acts), None)
+    readings = _readings(motion, omega)
+    if walk is None or not len(readings.t_s):
+        return np.zeros(len(motion))
+    readings = _without_turns(walk, readings)
+    return _between(walk, readings.t_s, _smoothed(walk, readings), np.cumsum(motion.dt_s) - motion.dt_s / 2.0)
+
+
+def _readings(motion: Motion, omega: Array) -> Readings:
+    """Return the mean yaw rate of each rest."""
+    still = np.hypot(motion.v, motion.vy) < STILL_MPS
+    still &= (np.abs(omega) < TURNING_RADPS) & (motion.dt_s > 0.0)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(int)))
+    ends_s = np.concatenate(([0.0], np.cumsum(motion.dt_s)))
+    found = []
+    for first, last in edges.reshape(-1, 2).tolist():
+        begin_s, end_s = ends_s[first], ends_s[last]
+        if end_s - begin_s < REST_S:
+            continue
+        inner = slice(*np.searchsorted(ends_s, (begin_s + SETTLED_S, end_s - SETTLED_S)).tolist())
+        rates, dt_s = omega[inner], motion.dt_s[inner]
+        if len(rates) > 1:
+            found.append((np.average(rates, weights=dt_s), np.var(rates) / len(rates), (begin_s + end_s) / 2.0))
+    return Readings(*np.array(found).reshape(-1, 3).T)
+
+
+def _without_turns(walk: GyroBiasWalk, readings: Readings) -> Readings:
+    """Return the readings without those that differ from what both neighbours predict: slow turns on the spot."""
+    if len(readings.t_s) < 3:
+        return readings
+    rate, variance, t_s = readings
+    before, after = np.diff(t_s)[:-1], np.diff(t_s)[1:]
+    share = after / (before + after)  # of the earlier neighbour
+    predicted = share * rate[:-2] + (1.0 - share) * rate[2:]
+    bridge = walk.density**2 * before * after / (before + after)
+    allowed = variance[1:-1] + share**2 * variance[:-2] + (1.0 - share) ** 2 * variance[2:] + bridge
+    off = np.concatenate(([0.0], (rate[1:-1] - predicted) ** 2 / np.maximum(allowed, 1e-18), [0.0]))
+    most = np.maximum(np.concatenate((off[1:], [0.0])), np.concatenate(([0.0], off[:-1])))
+    kept = (off <= _OUTLIER**2) | (off < most)
+    return Readings(rate[kept], variance[kept], t_s[kept])
+
+
+def _smoothed(walk: GyroBiasWalk, readings: Readings) -> Array:
+    """Return the expected bias (k,) at each reading, given all of them."""
+    keep, kick = walk.kept(np.diff(readings.t_s))
+    means, variances, predicted = [], [], []
+    mean, variance = 0.0, _START_RADPS**2
+    for i, (rate, noise) in enumerate(zip(readings.rate.tolist(), readings.variance.tolist(), strict=True)):
+        if i:
+            mean, variance = keep[i - 1] * mean, keep[i - 1] ** 2 * variance + kick[i - 1]
+        predicted.append((mean, variance))
+        gain = variance / (variance + noise)
+        mean, variance = mean + gain * (rate - mean), (1.0 - gain) * variance
+        means.append(mean)
+        variances.append(variance)
+    for i in range(len(means) - 2, -1, -1):
+        ahead, spread = predicted[i + 1]
+        if spread > 0.0:
+            means[i] += variances[i] * keep[i] / spread * (means[i + 1] - ahead)
+    return np.array(means)
+
+
+def _between(walk: GyroBiasWalk, t_s: Array, bias: Array, at_s: Array) -> Array:
+    """Return the expected bias (n,) at times (n,), given that (k,) at the readings (k,)."""
+    if not walk.tau:
+        return np.interp(at_s, t_s, bias)
+    after = np.searchsorted(t_s, at_s)
+    low, high = np.maximum(after - 1, 0), np.minimum(after, len(t_s) - 1)
+    since, until = (np.exp(-np.abs(at_s - t_s[side]) / walk.tau) for side in (low, high))
+    whole = np.exp(-np.maximum(t_s[high] - t_s[low], 1e-9) / walk.tau)
+    inside = (since * (1.0 - until**2) * bias[low] + until * (1.0 - since**2) * bias[high]) / (1.0 - whole**2)
+    return np.where(low == high, since * bias[low], inside)
+
 
 ROUNDS = 60
 """Iterations of the clock inversion: a clock is at most a tenth too fast, so each one gains a digit."""
@@ -72,7 +182,6 @@ def true_stamps(clocks: Sequence[Effect], stamps_ns: NDArray[np.int64], first_ns
 
 PLACE_TOLERANCE = 1e-10
 """Convergence limit of the positions that effects depend on: largest change per iteration, metres or radians."""
-
 MAX_ROUNDS = 100
 
 
@@ -170,3 +279,50 @@ def _error(raw: Array, added: Array, world: Array, measured_xyt: Array) -> Array
     more = np.stack((less * world[:, 0] - s * world[:, 1], s * world[:, 0] + less * world[:, 1]), axis=1)
     shift = np.cumsum(more + rotate(added[:, :2], middle + swing), axis=0)
     return np.column_stack((np.concatenate((np.zeros((1, 2)), shift)), heading))
+
+
+_DETECTION_MEDIANS = 10.0
+"""Detection threshold as a multiple of the median sideways step: 6.7 standard deviations of normal ones."""
+_LEAST_M = 2e-5
+"""Least detection threshold, m: positions are written in micrometres, and single precision resolves 1e-6 at 10 m."""
+_VISIBLE_RATIO = 5.0
+"""Least ratio of the median detected step to the threshold: of normally distributed steps one in ten is hidden then."""
+
+
+class PoseCorrections(NamedTuple):
+    """Number of filter steps in odometry, and the change (n, 3) of its poses by their removal, m and rad."""
+
+    steps: int
+    error_xyt: Array
+
+
+def pose_corrections(t_s: Array, xyt: Array) -> PoseCorrections:
+    """Return the sudden sideways steps of odometry and the change of the poses without them.
+
+    The motion over a removed step is interpolated between its neighbours. Pose resets are kept, as in any correction.
+    If steps are not much larger than the usual sideways motion, most of them are hidden, and none is removed.
+
+    t_s : (n,) ascending times, seconds
+    xyt : (n, 3) poses in the odom frame, metres and radians
+    """
+    steps, dt_s = increments(xyt), np.diff(t_s)
+    moved = steps.rows
+    driven = (dt_s > 0.0) & (np.hypot(moved[:, 0], moved[:, 1]) <= JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S))
+    rows = np.flatnonzero(driven)
+    if len(rows) < 3:
+        return PoseCorrections(0, np.zeros_like(xyt))
+    rate = moved[rows] / dt_s[rows, None]
+    sideways = np.zeros(len(rows))
+    sideways[1:-1] = np.abs(rate[1:-1, 1] - 0.5 * (rate[:-2, 1] + rate[2:, 1])) * dt_s[rows[1:-1]]
+    beside = np.maximum(np.append(0.0, sideways[:-1]), np.append(sideways[1:], 0.0))
+    least_m = max(_LEAST_M, _DETECTION_MEDIANS * float(np.median(sideways)))
+    # a step raises the values of its two neighbours by half of its size
+    sudden = (sideways > least_m) & (sideways >= beside)
+    if not sudden.any() or np.median(sideways[sudden]) < _VISIBLE_RATIO * least_m:
+        return PoseCorrections(0, np.zeros_like(xyt))
+    middle_s = 0.5 * (t_s[:-1] + t_s[1:])[rows]
+    for column in range(3):
+        rate[sudden, column] = np.interp(middle_s[sudden], middle_s[~sudden], rate[~sudden, column])
+    moved[rows[sudden]] = rate[sudden] * dt_s[rows[sudden], None]
+    free = accumulate(xyt[0], Increments.of_rows(moved))
+    return PoseCorrections(int(sudden.sum()), free - np.column_stack((xyt[:, :2], np.unwrap(xyt[:, 2]))))

@@ -22,9 +22,8 @@ from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, RandomCoefficient, State
-    from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.motion import Accelerations, SpeedMemory
-    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.se2 import Array, Increments
     from odomcorrupt.model.motion_model import MotionModel
 
 

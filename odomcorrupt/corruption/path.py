@@ -15,8 +15,7 @@ import numpy as np
 from odomcorrupt.corruption.covariance import RANDOM_SUMS, SUMS, NoiseSteps, RandomEffectCovariance, sum_terms
 from odomcorrupt.corruption.inverse import Drive, EffectInverse, Slowed, SystematicEffects
 from odomcorrupt.errors import ModelError
-from odomcorrupt.geometry.increments import Increments
-from odomcorrupt.geometry.se2 import rotated, wrap
+from odomcorrupt.geometry.se2 import Increments, rotated, wrap
 from odomcorrupt.model.noise_laws import Variances, variances
 from odomcorrupt.rng import stream
 

@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 __all__ = ["GROUP", "Effect", "effect_at", "effect_from_values", "effect_named", "effect_of", "registry"]
-
 imported_from: dict[str, str] = {}
 """Modules that `import_from` has imported, and their folders; workers of a batch import them again."""
-
 GROUP = "odomcorrupt.effects"
 """Entry point group in which other packages register effect classes."""
 

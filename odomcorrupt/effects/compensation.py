@@ -9,8 +9,8 @@ import numpy as np
 
 from odomcorrupt.effects.effect import Effect, Motion
 from odomcorrupt.errors import EffectError
-from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import SMOOTHING_S, TRAIL_S, LocalSlopes, accelerations
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
@@ -20,13 +20,10 @@ if TYPE_CHECKING:
 
 TOLERANCE = 1e-12
 """Largest change of an increment between two rounds at convergence of a correction, metres or radians."""
-
 MAX_ROUNDS = 2000
 """Large, because if an effect switches on and off for seconds, each round advances only to the next switch."""
-
 _NUDGE = 0.5
 """Step of the numerical derivative with respect to the acceleration, m/s^2 and rad/s^2."""
-
 _RUNAWAY = 1e6
 """Change of an increment, metres, at which the iteration counts as diverged."""
 

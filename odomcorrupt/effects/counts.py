@@ -31,7 +31,7 @@ from odomcorrupt.effects.wheels import (
     rims_of,
     track_parameter,
 )
-from odomcorrupt.geometry.speed_steps import lost_parts, speed_steps
+from odomcorrupt.geometry.motion import lost_parts, speed_steps
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,22 +107,14 @@ class Quantization(Effect):
 
 
 _LONG_S = 3600.0
-
 _STILL = 0.02
-
 """Speed, m/s and rad/s, over which the sign of a speed fades: a standing robot sways by about as much. With a tenth of
 it, noise of the odometry biased the fitted steps of clean drives by two standard errors."""
-
 _STILL_MEAN = 0.002
-
 """The same for mean speeds, which have less noise: below the steps of serial protocols."""
-
 _NEAR_S = 0.5
-
 """Window of the mean speed that a correction reads, seconds: slow turns are reported as single steps among zeros."""
-
 _TICKS = (0.15, 1.0, 0.01)
-
 """Trial ticks: least and largest, as multiples of the ticks that equal a step, and their relative spacing, by which the
 beats of two neighbours hardly differ within the tens of steps of usual speeds."""
 
@@ -240,57 +232,31 @@ def _mean_around(speed: Array, dt_s: Array) -> Array:
 
 
 _ROUNDING = 1e-9
-
 """Largest increment that counts as zero (rounding), metres or radians."""
-
 _MOVING_MPS = 0.05
-
 _ARM_M = 0.2
-
 """Assumed distance of the wheels from the middle if the track is unknown, metres: a turn on the spot moves them."""
-
 _MOST_IN_A_ROW = 3
-
 _LONGEST_S = 0.25
-
 """Longest gap that counts as a loss, seconds; a longer rest may be a real stop."""
-
 _CAUGHT_UP = 1.35
-
 _FAST_SHARE = 0.125
-
 """Least share of losses at speeds above the median: half is expected, and none of a driver that cuts off low speeds."""
-
 _FREQUENT = 0.005
-
 """Rate of single losses above which losses of several increments in a row are plausible."""
-
 _NEIGHBOURS = 2
-
 """Number of increments on each side whose mean is the expected size of a pair of neighbours."""
-
 _LEAST_TICKS, LEAST_WHEEL_TICKS = 1.5, 2.5
-
 """Smallest neighbour of a lost increment, in ticks: two whole ones; three in evidence that a single wheel loses any."""
-
 _USUAL_QUANTILE, _ROUNDING_M = 0.8, 1e-7
-
 """Quantile of the changes between increments taken as the usual change; change that counts as zero, metres."""
-
 _ALIKE = 1e-3
-
 """Relative difference of increments of equal length: a chord is shorter than its arc by a 24th of the turn squared."""
-
 _TRACKS_M, _TRACK_RANGE = (0.03, 3.0), (0.7, 1.4)
-
 """Tracks that a driver may compute the odometry with: of any robot, and as a multiple of a robot's known track."""
-
 _FEWEST = 5
-
 """Fewest lost increments of a wheel that show the track: their ratios of travel to turn are the same."""
-
 _STEADY = 0.25
-
 """Largest relative change of the other wheel's speed at such a loss."""
 
 
@@ -543,7 +509,6 @@ def _around(way: Array) -> Array:
 
 
 _SPEEDS = (0.4, 0.6, 0.75, 0.88)
-
 """Trial values of the speed limit, as fractions of a drive's highest rim speed."""
 
 

@@ -46,10 +46,8 @@ __all__ = [
     "shapes",
     "stacked",
 ]
-
 Kind = Literal["effect", "setup", "noise", "event"]
 """Kinds of effects. An event happens once, at a time stated in the model; it is applied to bags, but not diagnosed."""
-
 Layer = Literal["motion", "record", "draws"]
 State = Any
 _AT_BOUND = 1e-6

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter, stacked
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, rims_of, turning
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -182,7 +182,6 @@ def _increments(steps: Array) -> Increments:
 
 
 _BURST = 1e-3
-
 """Duration of the burst as a fraction of the delay; above zero, so that stamps still ascend."""
 
 

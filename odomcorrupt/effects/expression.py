@@ -87,17 +87,13 @@ class _Dimension(NamedTuple):
 
 
 _PURE = _Dimension()
-
 _SPEED, _TURN = _Dimension(m=1, s=-1), _Dimension(rad=1, s=-1)
-
 _OF = {
     "v": _SPEED, "vy": _SPEED, "omega": _TURN, "a": _Dimension(m=1, s=-2), "alpha": _Dimension(rad=1, s=-2),
     "t": _Dimension(s=1), "x": _Dimension(m=1), "y": _Dimension(m=1), "distance": _Dimension(m=1),
     "theta": _Dimension(rad=1),
 }  # fmt: skip
-
 _UNIT_PRESERVING = ("abs", "min", "max", "hypot")
-
 """Functions with a value in the unit of their arguments; the value of any other has no unit."""
 
 
@@ -184,29 +180,17 @@ def _power(unit: str, power: int) -> str:
 
 
 CHANNELS = ("along", "across", "yaw")
-
 SIDES = ("left", "right", "wheels")
-
 """Further targets of a statement: the rim speeds of single wheels, or of both."""
-
 TRUTH_VARIABLES = ("a", "alpha", "x", "y", "theta", "distance")
-
 """Variables of the true motion; the others are the odometry's."""
-
 PLACES = ("x", "y", "theta")
-
 ACCELERATIONS = ("a", "alpha")
-
 VARIABLES = ("v", "vy", "omega", "t", *TRUTH_VARIABLES)
-
 PAST = " before"
-
 """Suffix of a variable's name for its value in the previous interval, if that is supplied."""
-
 _ZERO_BELOW = 1e-9
-
 """Magnitude below which a number counts as zero in sign(), because its sign may be rounding."""
-
 CONSTANTS = {"pi": np.pi}
 
 
@@ -241,23 +225,19 @@ FUNCTIONS: Mapping[str, tuple[int, int, Callable[..., Array]]] = {
     "max": (2, 8, lambda *x: _folded(np.maximum, x)),
     "where": (3, 3, _chosen),
 }
-
 """Name: fewest arguments, most arguments, numpy function."""
-
 _BINARY: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: np.divide,
 }
-
 _COMPARE: Mapping[type[ast.cmpop], Callable[[Array, Array], Array]] = {
     ast.Lt: np.less,
     ast.LtE: np.less_equal,
     ast.Gt: np.greater,
     ast.GtE: np.greater_equal,
 }
-
 _MOST_CHARACTERS, _MOST_NODES, _MOST_DEPTH, _HIGHEST_POWER, _LARGEST_NUMBER = 1000, 200, 60, 8.0, 1e12
 
 
@@ -442,11 +422,8 @@ def _two(
 
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}")
-
 _TAKEN = {*VARIABLES, *CONSTANTS, *FUNCTIONS, *CHANNELS, *SIDES, "name", "expression", "heading"}
-
 LARGEST = 1e9
-
 """Bound of a user's parameter, whose physical limits are unknown; it keeps the numbers finite."""
 
 

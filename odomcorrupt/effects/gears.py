@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 
 SWAY_M = 1e-4
-
 """Smallest backward travel of a wheel that counts as a reversal, metres: parked robots sway and cross no play."""
 
 
@@ -51,7 +50,6 @@ class _Gear(NamedTuple):
 
 
 AT_REST = _Gear(0.0, 0.0)
-
 """State before the first wheel motion."""
 
 
@@ -183,11 +181,8 @@ def _bounded(start: float, travel: Array, top: float) -> Array:
 
 
 _SPEEDS = (0.1, 0.25, 0.5)
-
 """Trial values of the band's upper end, as fractions of a drive's usual speed."""
-
 _RISE = 1.25
-
 """With beyond = full: ratio of the speed from which commands are followed fully to the band's upper end."""
 
 
@@ -271,13 +266,9 @@ class DeadBand(Effect):
 
 
 _ROUNDS, _SOLVED_M = 100, 1e-15
-
 _CONCENTRATION = 4.0
-
 """Concentration of the spot (von Mises shape): half of it lies within a seventh of a turn."""
-
 _MEAN = float(np.i0(_CONCENTRATION) * np.exp(-_CONCENTRATION))
-
 """Mean of the von Mises shape over a turn."""
 
 

@@ -23,17 +23,11 @@ if TYPE_CHECKING:
 
 
 _MOST_DISCS = 400
-
 _ANGLES = (1e-3, np.pi / 6.0, np.pi / 3.0)
-
 """Of the first rectangles, rad; not exactly 0, at which an optional parameter is held."""
-
 _RESTS_M = 1e-12
-
 """Ways shorter than this are at one place, m."""
-
 _LEAST_SHARE, _MOST_SHARE = 0.01, 0.8
-
 """Fractions of the path inside a disc below and above which its slip cannot be estimated."""
 
 
@@ -268,7 +262,6 @@ class Slope(Effect):
 
 
 _SWING_TRAVELS_M = (0.05, 0.1, 0.2)
-
 """Trial travels of the swing, metres: castors trail by 10 to 50 mm and swing round within two to four times that."""
 
 

@@ -149,7 +149,6 @@ def _normal_cdf(z: Array) -> Array:
 
 
 _TIMES_S = (0.0, 1.0, 3.0, 10.0)
-
 """Trial time constants, seconds: from a compass that is read directly to one that slowly corrects a gyro."""
 
 
@@ -212,7 +211,6 @@ class HardIron(Effect):
 
 
 _CROSSOVERS_S = (1.0, 3.0, 10.0, 30.0)
-
 """Trial time constants, seconds: at 1 s nearly all turns come from the wheels, at 30 s nearly all from the gyro."""
 
 

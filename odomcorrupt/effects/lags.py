@@ -18,15 +18,10 @@ if TYPE_CHECKING:
 
 
 _SPEEDS = ("v", "vy", "omega")
-
 _COLUMNS = {"along": [0], "yaw": [2], "all": [0, 1, 2]}
-
 _UNSEEN_RATE = 10.0
-
 """Largest acceleration assumed during the delay at the end of a recording, m/s^2 and rad/s^2."""
-
 _SMOOTHER = 0.5
-
 """Roughness of increments over that of speeds, below which a filter acted on increments."""
 
 
@@ -185,7 +180,6 @@ class _DelayState:
 
 
 _SUBSTEPS = 4
-
 """Backward Euler steps in one interval between messages, during which the command is held.
 
 Their mean delay is tau for any number of them. The time constant of the decay is longer by half a substep, which a

@@ -46,7 +46,6 @@ def autoregression(start: float, keep: Array, kick: Array) -> Array:
 
 
 _MOST = 0.9
-
 """Limit of the gain: beyond 1 the robot would stand or reverse while its wheels roll forwards."""
 
 
@@ -228,11 +227,8 @@ class HeavyTails(Effect):
 
 
 _BOTH, _SINGLE = ((1.0, 1.0),), ((1.0, 0.0), (0.0, 1.0))
-
 """Share of a burst's slip at the right wheel and at the left."""
-
 _MOST_SLIP = 0.75
-
 """Largest slip: a wheel that loses more is not distinguishable from one that spins on the spot."""
 
 

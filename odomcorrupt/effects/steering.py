@@ -33,23 +33,14 @@ if TYPE_CHECKING:
 
 
 CREEP_MPS = 0.05 - 1e-9
-
 """Speed below which a path does not show the steering angle, m/s; just below a round 0.05, which rounding may reach."""
-
 _STEEP = (0.3, 0.55)
-
 """Tangents of the largest steering angle that give trial distances between the axles: 17 and 29 degrees."""
-
 _STEEPER = (0.55, 2.0)
-
 """The same where the steered wheel is driven, which turns further: 29 and 63 degrees."""
-
 _TIGHTEST = 0.99
-
 _LOCK_RAD = 1.4
-
 """Steering angle beyond which its tangent is no path of a car."""
-
 E = TypeVar("E", bound=Effect)
 
 
@@ -205,20 +196,13 @@ class SteeringScale(Effect):
 
 
 _ROLLS_MPS = 0.01 - 1e-9
-
 """Speed from which a path shows the wheels' angle, m/s; just below a round one, which rounding may reach. Wheels turn
 quickest at the low speeds of starts and reversals, where odometry from a steering angle has the exact ratio."""
-
 _ONE_WAY = 0.5
-
 """Least part of the recent travel that is in one direction where a path rolls; noise of a robot at rest has none."""
-
 _SHARE_S = 2.0
-
 """Time over which the share of noise in the changes of the turn rate is averaged."""
-
 _STEADY, _SMOOTH_S = 0.1, 1.0
-
 """Share that steering itself may have, when it turns back, and time constant (s) per share beyond it: 0.3 s for poses
 with so much noise that it is all that their turn rate shows."""
 
@@ -375,19 +359,12 @@ def _within(value: float, middle: float, reach: float) -> float:
 
 
 _ELASTIC = 0.05
-
 """Elastic range before the play opens, as a fraction of the play, so that jitter of the steering does not cross it."""
-
 _AVERAGED_S = 2.0
-
 """Time over which the noise of the steering angle is averaged."""
-
 _RANGE = 4.0
-
 """Range of a noise over its mean second difference: 8 standard deviations, and the mean is 1.95 of them."""
-
 _STEERED = 4.0
-
 """Second difference over the mean beyond which it is no noise: steering begins or ends, or play is crossed."""
 
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 _STILL_MPS = 1e-6
 TRACKS_M = (0.12, 0.22, 0.4, 0.7, 1.2)
 """Trial tracks of an effect of single wheels, metres, if the robot's track is unknown."""
-
 E = TypeVar("E", bound=Effect)
 
 

@@ -1,4 +1,9 @@
-"""Trajectories: planar poses with stamps, and their interpolation."""
+"""Trajectories: stamped poses, and stamps that were rounded.
+
+Drivers and loggers round stamps to milliseconds or to hundredths of a second. Speeds and accelerations from such stamps
+flicker, and so do effects that depend on them (a threshold of the acceleration). Learning and correction therefore both
+restore the even grid of a periodic publisher.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+
 
 UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
 """Variance along an axis from which a pose counts as unknown, m^2; least fraction of poses that must be known."""
@@ -88,3 +94,103 @@ class Trajectory:
         own = self.seconds_since(origin_ns)
         left = np.clip(np.searchsorted(own, t_s, side="right") - 1, 0, len(own) - 2)
         return left, (t_s - own[left]) / (own[left + 1] - own[left])
+
+
+_ROUNDED_NS = (100_000_000, 50_000_000, 20_000_000, 10_000_000, 5_000_000, 2_000_000, 1_000_000)
+_ALL = 0.999
+"""Least fraction of the stamps that are multiples of the resolution."""
+_FLOAT_NS = 1_000
+"""Tolerance of a multiple, nanoseconds, for stamps stored as float seconds since 1970 (steps of 238 ns)."""
+_GAP = 1.5
+"""Intervals longer than the median by this factor are gaps."""
+_MIN_VARY = 0.02
+"""Least fraction of deviating intervals if stamps are rounded; those of a regular clock do not deviate."""
+_RANDOM = 0.5
+"""Least relative standard deviation of the distances between long intervals if messages were lost: it is 0.7 to 1 for
+random losses of up to half of the messages, and at most 0.4 if a slightly longer period is rounded."""
+_LEAST_PERIOD = 1.5
+"""Shortest period, in units of the resolution, at which an even grid can be recognised in rounded stamps."""
+_WINDOW, _TOLERANCE, _MIN_IN = 101, 1.0, 0.99
+"""Samples over which the rate is constant; largest deviation from the even grid in units of the resolution, because
+rounding errors differ by less than that from their mean; and the least fraction of stamps within it."""
+
+
+def resolution_s(stamps_ns: NDArray[np.int64]) -> float:
+    """Return the resolution to which stamps (n,) are rounded, seconds; 0 if not rounded or not determinable.
+
+    Stamps of a regular clock lie on a grid without being rounded, so intervals must vary for rounding to show. Those of
+    such a clock with lost messages are whole periods.
+    """
+    steps = np.diff(stamps_ns)
+    whole = next((r for r in _ROUNDED_NS if np.mean(_off(stamps_ns, r) <= _FLOAT_NS) >= _ALL), 0) if len(steps) else 0
+    if not whole:
+        return 0.0
+    usual = steps[steps < _GAP * np.median(steps) + whole]
+    varied = float(np.mean(np.abs(usual - np.median(usual)) > whole / 2)) > _MIN_VARY
+    return whole * 1e-9 if varied and not _lost(steps, whole) else 0.0
+
+
+def _lost(steps: NDArray[np.int64], whole_ns: int) -> bool:
+    """Return whether intervals (n,) are those of a timer of period `whole_ns`, longer where messages were lost.
+
+    Rounding makes a longer period of equal and double intervals at even distances, and jitter also makes shorter ones.
+    """
+    periods = np.rint(steps / whole_ns)
+    if np.median(periods) != 1.0 or periods.min() < 1.0:
+        return False
+    between = np.diff(np.flatnonzero(periods > 1.0))
+    return len(between) == 0 or bool(np.std(between) > _RANDOM * np.mean(between))
+
+
+def _off(stamps_ns: NDArray[np.int64], whole_ns: int) -> NDArray[np.int64]:
+    """Return the distances (n,) of stamps from the nearest multiple, nanoseconds."""
+    past = stamps_ns % whole_ns
+    return np.minimum(past, whole_ns - past)
+
+
+def evened(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    """Return rounded stamps (n,) of a periodic publisher restored to an even grid with slowly varying period.
+
+    None if stamps are not rounded, or differ from such a grid by more than rounding explains.
+    """
+    rounded_s = resolution_s(stamps_ns)
+    if not rounded_s or len(stamps_ns) < 2 * _WINDOW:
+        return None
+    t_s = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
+    steps = np.diff(t_s)
+    usual = steps[steps < _GAP * np.median(steps) + rounded_s]
+    period_s = float(np.mean(usual))
+    if period_s < _LEAST_PERIOD * rounded_s:
+        return None
+    off = np.zeros(len(t_s))
+    for _ in range(2):  # the first mean includes intervals with a missing message and the first stamp's rounding
+        count = _periods(t_s, period_s, float(np.median(off[:_WINDOW])))
+        period_s = float(t_s[-1] / count[-1])
+        off = t_s - count * period_s
+    half = _WINDOW // 2
+    # Extrapolated by a line fit at each end, because a single sample has the full rounding error.
+    row = np.arange(_WINDOW)
+    before = np.polyval(np.polyfit(row, off[:_WINDOW], 1), np.arange(-half, 0))
+    after = np.polyval(np.polyfit(row, off[-_WINDOW:], 1), np.arange(_WINDOW, _WINDOW + half))
+    padded = np.concatenate((before, off, after))
+    smooth = np.convolve(padded, np.full(_WINDOW, 1.0 / _WINDOW), "valid")
+    if np.mean(np.abs(off - smooth) < _TOLERANCE * rounded_s) < _MIN_IN:
+        return None
+    even = stamps_ns[0] + np.round((count * period_s + smooth) * 1e9).astype(np.int64)
+    return even if np.all(np.diff(even) > 0) else None
+
+
+def _periods(t_s: NDArray[np.float64], period_s: float, grid_s: float) -> NDArray[np.float64]:
+    """Return the number of periods (n,) from `grid_s` to each stamp; messages may be missing.
+
+    Stamps are compared with a grid that follows their mean, because a single interval differs from the period by up to
+    the resolution, which may be half of the period.
+    """
+    count = np.zeros(len(t_s))
+    for i, stamp_s in enumerate(t_s.tolist()):
+        passed = round((stamp_s - grid_s) / period_s)
+        passed = max(passed, 1) if i else passed
+        count[i] = count[i - 1] + passed if i else passed
+        grid_s += passed * period_s
+        grid_s += 2.0 / _WINDOW * (stamp_s - grid_s)
+    return count

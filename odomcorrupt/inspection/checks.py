@@ -10,8 +10,7 @@ import numpy as np
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
 from odomcorrupt.corruption.pose_faults import FAR_M
 from odomcorrupt.corruption.reorder import WINDOW_NS
-from odomcorrupt.geometry.increments import increments
-from odomcorrupt.geometry.se2 import interpolate, inverse, wrap
+from odomcorrupt.geometry.se2 import increments, interpolate, inverse, wrap
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -15,16 +15,15 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.laser.deskewing import Deskewing, Motion
-from odomcorrupt.laser.icp import best_guess, match, surface_of, thinned
-from odomcorrupt.laser.surface import lines_of
+from odomcorrupt.laser.icp import best_guess, lines_of, match, surface_of, thinned
+from odomcorrupt.laser.scans import Deskewing, Motion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.laser.sweep import Sweeps
+    from odomcorrupt.laser.scans import Sweeps
 
 _PAIRS = 240
 _APART_M, _APART_RAD = 0.25, 0.15

@@ -9,15 +9,14 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.laser.calibrate import calibrate
-from odomcorrupt.laser.icp import WEAK, best_guess, match, surface_of, thinned
-from odomcorrupt.laser.surface import lines_of
+from odomcorrupt.laser.icp import WEAK, best_guess, lines_of, match, surface_of, thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.laser.sweep import Sweeps
+    from odomcorrupt.laser.scans import Sweeps
     from odomcorrupt.laser.trajectory import LaserRun
 
 _SWEEPS = 5

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 SCAN = "sensor_msgs/msg/LaserScan"
 GRID = "nav_msgs/msg/OccupancyGrid"
 CLOUD = "sensor_msgs/msg/PointCloud2"
-
 _CLOUD_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _LITTLE_CDR, _BIG_CDR = (0x01, 0x07, 0x11), (0x00, 0x06, 0x10)
 

@@ -18,8 +18,7 @@ import numpy as np
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.geometry.increments import increments
-from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.se2 import increments, rotate
 from odomcorrupt.mapping.frames import FrameTree, Mount
 from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_scan
 from odomcorrupt.mapping.occupancy_grid import Canvas, canvas_for, draw_map
@@ -131,14 +130,11 @@ def _rays(scans: list[ScanMessage], mount: Mount, frame: str) -> Rays:
 
 WINDOW_M = 1.0
 """Side of the square of neighbours, metres; walls more than half of it apart are separate walls."""
-
 MIN_NEIGHBOURS = 8
 _MARKS = 8
 """Number of distances at which the walls are measured."""
-
 _CELL_M = 0.02
 """Side of the cells into which points are binned, metres."""
-
 _FLAT = 0.1
 """Ratio of the smaller to the larger variance above which points are not a wall and have no normal."""
 

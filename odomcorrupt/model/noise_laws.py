@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.geometry.increments import Increments, rot_trans_rot
+from odomcorrupt.geometry.se2 import Increments, rot_trans_rot
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import MapError, ModelError
-from odomcorrupt.geometry.increments import Increments
-from odomcorrupt.geometry.se2 import rotate, wrap
+from odomcorrupt.geometry.se2 import Increments, rotate, wrap
 from odomcorrupt.model.noise_laws import variances as variances_of
 from odomcorrupt.sampling.samples import Move, with_noise
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.free_space import Constraint
+    from odomcorrupt.mapping.occupancy_grid import Constraint
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
 

@@ -9,10 +9,9 @@ A fault is a change of the *machine* (a radius, a track, a tyre, a gyro, a clock
 formula for the resulting odometry error, so it is an independent test of the diagnosis.
 """
 
-from odomcorrupt.simulation.bag import write_mcap
 from odomcorrupt.simulation.faults import CAUSES, OUTSIDE
 from odomcorrupt.simulation.routes import ROUTES, Commands, Segment, read_commands
-from odomcorrupt.simulation.run import SimulatedRun, simulate, simulate_without
+from odomcorrupt.simulation.run import SimulatedRun, simulate, simulate_without, write_mcap
 from odomcorrupt.simulation.sensors import TRACKERS, Rig, Tracker
 
 __all__ = ["CAUSES", "OUTSIDE", "ROUTES", "TRACKERS", "Commands", "Rig", "Segment", "SimulatedRun", "Tracker",

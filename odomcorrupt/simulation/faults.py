@@ -12,8 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from odomcorrupt.errors import EffectError
-from odomcorrupt.simulation.robot import Bursts, Disc, Robot, Slippery, Strip
-from odomcorrupt.simulation.streams import stream
+from odomcorrupt.simulation.robot import Bursts, Disc, Robot, Slippery, Strip, stream
 
 Parameters: TypeAlias = Mapping[str, float | str]
 Drawn: TypeAlias = dict[str, float | str]
@@ -259,8 +258,6 @@ OUTSIDE: dict[str, Cause] = {
     "wet_patch": Cause(0.03, 0.1, positive("slip"), _wet_patch, place=on_path, depends_on="position"),
     "wet_strip": Cause(0.03, 0.1, positive("slip"), _wet_strip, place=_across, depends_on="position"),
 }  # fmt: skip
-
-
 EVERY = {**CAUSES, **OUTSIDE}
 """All causes, those of the effects library and those outside it."""
 SIZES = {"weak": 0.5, "medium": 1.0, "strong": 2.0}

@@ -4,9 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odomcorrupt.simulation.kinematics import Drive, add_up_steps, attach, sample
-from odomcorrupt.simulation.robot import Robot
-from odomcorrupt.simulation.streams import Streams, gauss_markov_noise
+from odomcorrupt.simulation.robot import Drive, Robot, Streams, add_up_steps, attach, gauss_markov_noise, sample
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.effects.gains import WheelScale
 from odomcorrupt.effects.heading_sensors import GyroBias
 from odomcorrupt.effects.random_processes import GyroBiasWalk
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 
 HZ = 50.0
 LEG_S = 20.0

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from test_undo import SILENT, drive
 
-from odomcorrupt.correction.pose_corrections import pose_corrections
 from odomcorrupt.correction.run import corrected_samples
+from odomcorrupt.correction.undo import pose_corrections
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.increments import accumulate, increments
-from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.geometry.se2 import accumulate, increments, wrap
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Setup
 

@@ -15,8 +15,7 @@ from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import BagError
-from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.se2 import compose, inverse
+from odomcorrupt.geometry.se2 import Increments, accumulate, compose, inverse
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 

@@ -16,8 +16,8 @@ from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.effect import Effect, TwistError, parameter, stacked
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import EffectError
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 
 STRONG = (
     effect_from_values("wheel_scale", {"e": 0.05}),

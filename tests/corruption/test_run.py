@@ -16,8 +16,7 @@ from odomcorrupt.corruption.summary import holonomic_words, summary
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
-from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.se2 import wrap, yaw_from_quaternion
+from odomcorrupt.geometry.se2 import Increments, accumulate, wrap, yaw_from_quaternion
 from odomcorrupt.model.noise_laws import Coefficients
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"

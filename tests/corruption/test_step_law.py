@@ -7,7 +7,7 @@ import pytest
 from drives import LAW_COEFFICIENTS, textbook_sigmas
 
 from odomcorrupt.corruption.path import StepGrowth, noise_variances
-from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.motion_model import Noise, Step
 
 

@@ -28,8 +28,7 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
-from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.se2 import between, compose, inverse, wrap, yaw_from_quaternion
+from odomcorrupt.geometry.se2 import Increments, accumulate, between, compose, inverse, wrap, yaw_from_quaternion
 
 EFFECTS = (effect_from_values("unequal_wheels", {"curvature": 0.02}), effect_from_values("gyro_bias", {"bias": 0.01}))
 CHANNELS = {c.id: c for c in (ODOM, TF, IMU)}

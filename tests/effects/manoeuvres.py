@@ -7,8 +7,8 @@ import numpy as np
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import Motion
-from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import accelerations
+from odomcorrupt.geometry.se2 import Increments, accumulate
 
 RATE_HZ = 50.0
 

@@ -10,8 +10,8 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import EffectError
-from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import TRAIL_S, accelerations, motion_of
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients

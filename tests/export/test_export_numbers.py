@@ -13,7 +13,7 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import ModelError
 from odomcorrupt.export import Steady, amcl_alphas, message_noise, twist_variances, wheel_multipliers
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from odomcorrupt.geometry.increments import BEARING_MIN_M, Increments, accumulate, increments, rot_trans_rot
-from odomcorrupt.geometry.se2 import compose, wrap
+from odomcorrupt.geometry.se2 import BEARING_MIN_M, Increments, accumulate, compose, increments, rot_trans_rot, wrap
 
 RNG = np.random.default_rng(2)
 

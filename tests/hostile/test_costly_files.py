@@ -11,7 +11,7 @@ import pytest
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import ModelError
-from odomcorrupt.mapping.free_space import _inflated
+from odomcorrupt.mapping.occupancy_grid import _inflated
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients
 

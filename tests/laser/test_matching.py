@@ -6,11 +6,9 @@ import pytest
 from odomcorrupt.geometry.se2 import between, compose, inverse, rotate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.laser.calibrate import calibrate
-from odomcorrupt.laser.deskewing import Deskewing, Motion
-from odomcorrupt.laser.icp import WEAK, match, surface_of
-from odomcorrupt.laser.pose_graph import Edges, optimise
-from odomcorrupt.laser.surface import lines_of
-from odomcorrupt.laser.sweep import Sweep, Sweeps
+from odomcorrupt.laser.icp import WEAK, lines_of, match, surface_of
+from odomcorrupt.laser.scans import Deskewing, Motion, Sweep, Sweeps
+from odomcorrupt.laser.slam import Edges, optimise
 
 ROOM = np.array([(-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0)])
 

@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.laser.deskewing import Motion
-from odomcorrupt.laser.even_stamps import even_stamps
-from odomcorrupt.laser.pose_noise import white_noise, with_noise, with_view_errors, without_spikes
-from odomcorrupt.laser.sweep import Sweep, Sweeps
-from odomcorrupt.laser.trajectory import UNKNOWN_M, LaserPath, WhiteNoise
+from odomcorrupt.laser.scans import Motion, Sweep, Sweeps, even_stamps
+from odomcorrupt.laser.trajectory import (
+    UNKNOWN_M,
+    LaserPath,
+    WhiteNoise,
+    white_noise,
+    with_noise,
+    with_view_errors,
+    without_spikes,
+)
 
 
 def straight(seed=0, jitter_s=0.0, noise_m=1e-3):

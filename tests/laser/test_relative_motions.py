@@ -9,8 +9,7 @@ from odomcorrupt.cli import run
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import FitError, RecordingError
-from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.se2 import between, compose
+from odomcorrupt.geometry.se2 import Increments, accumulate, between, compose
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.intervals import intervals_between
 from odomcorrupt.study.estimate.windows import phased_rmse

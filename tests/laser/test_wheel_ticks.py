@@ -6,7 +6,7 @@ import pytest
 from test_gyro import drive, truth_of
 
 from odomcorrupt.cli import run
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.wheel_ticks import find_joints
 

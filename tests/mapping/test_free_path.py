@@ -7,9 +7,8 @@ from rooms import MODEL, drive, room
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import MapError, ModelError
-from odomcorrupt.mapping.conditioned_runs import FreeRuns
-from odomcorrupt.mapping.constrained_path import FreePath, whole_path
-from odomcorrupt.mapping.free_space import Constraint, free_space
+from odomcorrupt.mapping.conditioned import FreePath, FreeRuns, whole_path
+from odomcorrupt.mapping.occupancy_grid import Constraint, free_space
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients
 

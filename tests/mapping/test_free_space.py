@@ -4,9 +4,8 @@ from rooms import MODEL, RESOLUTION, drive, room
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import MapError
-from odomcorrupt.mapping.conditioned_runs import FreeRuns, free_paths
-from odomcorrupt.mapping.free_space import Constraint, free_space
-from odomcorrupt.mapping.occupancy_grid import OCCUPIED, UNKNOWN, Grid
+from odomcorrupt.mapping.conditioned import FreeRuns, free_paths
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, UNKNOWN, Constraint, Grid, free_space
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
 from odomcorrupt.sampling.samples import move_between, move_sampled, move_sampled_in_map

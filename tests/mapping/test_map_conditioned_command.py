@@ -9,10 +9,9 @@ from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
 from odomcorrupt.commands._options import POSE
 from odomcorrupt.errors import TopicError
-from odomcorrupt.mapping import map_condition
-from odomcorrupt.mapping.free_space import free_space
-from odomcorrupt.mapping.map_condition import read_map_from_odom, read_recorded_map
-from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, read_map
+from odomcorrupt.mapping import conditioned
+from odomcorrupt.mapping.conditioned import read_map_from_odom, read_recorded_map
+from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, free_space, read_map
 from recordings import RECORDINGS
 
 GAZEBO, MAPS = RECORDINGS / "real" / "rob521_gazebo.mcap", RECORDINGS / "bags" / "maps"
@@ -96,7 +95,7 @@ def test_recorded_map_is_the_last_one_of_its_topic(monkeypatch):
         def __exit__(self, *_):
             return None
 
-    monkeypatch.setattr(map_condition, "open_reader", lambda _path, **_: Bag())
+    monkeypatch.setattr(conditioned, "open_reader", lambda _path, **_: Bag())
     found = read_recorded_map(Path("bag"), "map")
     assert found.grid.cells.tolist() == [[FREE, FREE, UNKNOWN], [UNKNOWN, OCCUPIED, UNKNOWN]]
     assert found.frame_id == "map"

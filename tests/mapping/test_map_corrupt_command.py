@@ -10,9 +10,8 @@ import pytest
 
 from odomcorrupt.cli import run
 from odomcorrupt.commands._options import POSE
-from odomcorrupt.mapping.free_space import free_space
-from odomcorrupt.mapping.map_condition import read_map_from_odom
-from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid, format_map, read_map
+from odomcorrupt.mapping.conditioned import read_map_from_odom
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid, format_map, free_space, read_map
 from odomcorrupt.trajectories import read_drive
 from recordings import RECORDINGS
 

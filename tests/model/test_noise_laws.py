@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.motion_model import Noise, Step, parse_alpha
 from odomcorrupt.model.noise_laws import LAWS, Coefficients, law_named, variances
 from odomcorrupt.model.presets import DEFAULT, PRESETS, preset_named

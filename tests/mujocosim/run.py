@@ -9,12 +9,10 @@ import numpy as np
 from mujocosim.body import RADIUS_M, TRACK_M, Body, Standing, build
 from mujocosim.causes import CAUSES
 from odomcorrupt.simulation import ROUTES, TRACKERS, Rig, Segment, SimulatedRun, Tracker
-from odomcorrupt.simulation.kinematics import Drive
-from odomcorrupt.simulation.robot import Robot
+from odomcorrupt.simulation.robot import Drive, Robot, stream
 from odomcorrupt.simulation.routes import follow
 from odomcorrupt.simulation.run import record
 from odomcorrupt.simulation.sensors import reckon, watch
-from odomcorrupt.simulation.streams import stream
 
 CONTROL_S = 0.01
 STEPS = 10

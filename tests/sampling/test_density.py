@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.mapping.free_space import Constraint, free_space
-from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Constraint, Grid, free_space
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
 from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.se2 import Increments, accumulate, compose
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.scoring.errors import Limits, ScoreError, path_errors
 

@@ -7,7 +7,7 @@ from simulated_manoeuvres import FLAWLESS_RIG, FLAWLESS_TRACKER, both, way_m
 
 from odomcorrupt.errors import BagError, TopicError
 from odomcorrupt.simulation import ROUTES, Commands, read_commands, simulate
-from odomcorrupt.simulation.bag import STORE
+from odomcorrupt.simulation.run import STORE
 
 
 def driven(route, seed=6, duration_s=300.0):

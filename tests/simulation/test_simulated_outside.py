@@ -7,8 +7,7 @@ from simulated_manoeuvres import CIRCLE_LEFT, REST, SPIN_LEFT, STRAIGHT, both, s
 from odomcorrupt.errors import EffectError
 from odomcorrupt.simulation import OUTSIDE, Segment, simulate, simulate_without
 from odomcorrupt.simulation.faults import draw_causes
-from odomcorrupt.simulation.robot import build_robot
-from odomcorrupt.simulation.streams import stream
+from odomcorrupt.simulation.robot import build_robot, stream
 
 CRUISE = slice(500, 900)
 

@@ -21,8 +21,8 @@ from simulated_manoeuvres import (
 )
 
 from odomcorrupt.simulation import CAUSES, OUTSIDE, TRACKERS, Segment, simulate, simulate_without, write_mcap
-from odomcorrupt.simulation.bag import STORE
 from odomcorrupt.simulation.faults import draw_parameters
+from odomcorrupt.simulation.run import STORE
 
 EVERY = {**CAUSES, **OUTSIDE}
 OF_THE_SENSORS = {"gyro_bias", "gyro_bias_walk", "gyro_scale", "magnetic_heading", "quantization", "lost_increments"}

@@ -8,8 +8,8 @@ from hidden import as_recording
 
 from odomcorrupt.bags.write_twist import write_twists
 from odomcorrupt.effects import registry
-from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.report.text.design import advice_text
 from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from wandering import recording
 
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.study.select.stepwise import learn
 
 

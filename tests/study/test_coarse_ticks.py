@@ -10,8 +10,8 @@ from wandering import recording, wander
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.counts import losses, wheel_losses
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.io.recording import Recording

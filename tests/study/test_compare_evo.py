@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import accumulate
-from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.se2 import accumulate, compose
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.validate.trajectory_error import (
     absolute_errors,

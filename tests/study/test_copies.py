@@ -9,7 +9,7 @@ import pytest
 from hidden import as_recording
 from wandering import recording, wander
 
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.select.confidence import confidence, evidence_of

@@ -11,7 +11,7 @@ from wandering import RATE_HZ, recording, wander
 
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.expression import user_effect
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.estimate.config import choose_approach

@@ -10,8 +10,8 @@ from hidden import as_recording, ten_second_error
 
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.expression import user_effect
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.stepwise import learn

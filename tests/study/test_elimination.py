@@ -9,7 +9,7 @@ import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit

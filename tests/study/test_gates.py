@@ -9,7 +9,7 @@ import pytest
 from test_held_out import QUIET, drive, with_truth
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach

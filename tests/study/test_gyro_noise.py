@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise

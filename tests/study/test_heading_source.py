@@ -12,7 +12,7 @@ from wandering import RATE_HZ, recording
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import choices
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.heading_source import turns_at_rest
 from odomcorrupt.study.select.stepwise import learn

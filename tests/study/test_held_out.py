@@ -12,7 +12,7 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.text.diagnosis import found_text
 from odomcorrupt.study.design.advise import advise

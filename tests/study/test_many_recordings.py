@@ -11,7 +11,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.api.recordings import recording_paths
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate, write_mcap

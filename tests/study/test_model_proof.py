@@ -14,7 +14,7 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import EffectError
-from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.geometry.se2 import accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach

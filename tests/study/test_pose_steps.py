@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach

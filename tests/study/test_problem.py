@@ -11,7 +11,7 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.increments import increments
+from odomcorrupt.geometry.se2 import increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach

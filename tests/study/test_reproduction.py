@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments, increments
+from odomcorrupt.geometry.se2 import Increments, increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.json.diagnosis import reproduction_json
 from odomcorrupt.report.text.comparison import reproduction_sentence

@@ -8,7 +8,7 @@ import numpy as np
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects.effect import check_bounds
-from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.geometry.se2 import accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach

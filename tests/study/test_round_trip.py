@@ -10,7 +10,7 @@ from wandering import recording, wander
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.geometry.se2 import accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients

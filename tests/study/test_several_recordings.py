@@ -9,8 +9,7 @@ import pytest
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.se2 import Increments, accumulate, compose
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients

@@ -10,8 +10,8 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.design.identifiability import untried
 from odomcorrupt.study.select.stepwise import learn

@@ -10,7 +10,7 @@ from wandering import recording, wander
 
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.expression import user_effect
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import driving_motion

@@ -9,7 +9,7 @@ import pytest
 from hidden import ten_second_error
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.select.stepwise import learn
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from wandering import recording, wander
 
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.encoders import encoder_effects, speeds_in_steps, tick_of
 

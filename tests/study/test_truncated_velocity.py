@@ -10,9 +10,8 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.geometry.motion import motion_of
-from odomcorrupt.geometry.speed_steps import speed_steps
+from odomcorrupt.geometry.motion import motion_of, speed_steps
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit

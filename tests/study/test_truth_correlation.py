@@ -9,7 +9,7 @@ import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.geometry.se2 import accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot

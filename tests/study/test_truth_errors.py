@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients

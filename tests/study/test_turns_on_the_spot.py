@@ -9,7 +9,7 @@ from wandering import RATE_HZ, recording, wander
 import odomcorrupt as oc
 from odomcorrupt.api.recordings import Recordings
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.decisions import DECISIONS

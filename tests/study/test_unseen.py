@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from wandering import recording, wander
 
-from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.geometry.se2 import accumulate
 from odomcorrupt.report.text.diagnosis import fit_text
 from odomcorrupt.study.estimate.calibrate import fit_robot
 

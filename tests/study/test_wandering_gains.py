@@ -11,7 +11,7 @@ from hidden import as_recording
 from scipy.signal import lfilter
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients, law_named, variances
 from odomcorrupt.study.io.recording import Recording

@@ -8,7 +8,7 @@ import pytest
 import odomcorrupt as oc
 from odomcorrupt.cli import run
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.sampling.particles import places_along, sample_particles
+from odomcorrupt.sampling.samples import places_along, sample_particles
 from odomcorrupt.trajectories import Drive, read_drive
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"

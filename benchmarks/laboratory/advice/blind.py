@@ -11,8 +11,8 @@ import numpy as np
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import Commands
 from odomcorrupt.simulation.faults import EVERY
+from odomcorrupt.simulation.robot import stream
 from odomcorrupt.simulation.sensors import dock
-from odomcorrupt.simulation.streams import stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

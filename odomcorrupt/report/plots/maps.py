@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from odomcorrupt.mapping.free_space import FreeSpace
+    from odomcorrupt.mapping.occupancy_grid import FreeSpace
     from odomcorrupt.mapping.scan_map import ScanMap
 
 PATHS = (BLUE, RED, GREEN)

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
     from odomcorrupt.batching.dispersion import SpreadReport
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.free_space import FreeSpace
+    from odomcorrupt.mapping.occupancy_grid import FreeSpace
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.density import DensityGrid
-    from odomcorrupt.sampling.particles import ParticleSet
+    from odomcorrupt.sampling.samples import ParticleSet
 
 SIGMAS = 2.0
 

@@ -17,9 +17,8 @@ import numpy as np
 from odomcorrupt.drive_types import AUTO, STEERED
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import parameters
-from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.motion import SMOOTHING_S, slopes
-from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.se2 import increments, rotate
 from odomcorrupt.study.estimate.heading_source import (
     heading_source_of,
     is_nameable,

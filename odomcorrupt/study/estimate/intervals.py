@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.geometry.increments import Increments
-    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.se2 import Array, Increments
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
     from odomcorrupt.study.io.recording import Recording, TruthField

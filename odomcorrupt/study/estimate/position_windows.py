@@ -27,8 +27,7 @@ from odomcorrupt.study.io.headings import alignment
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.geometry.increments import Increments
-    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.se2 import Array, Increments
     from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
     from odomcorrupt.study.estimate.intervals import Intervals

@@ -15,8 +15,8 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.compensation import corrected_twist, error_of, followed
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate.interval_ends import intervals_of
 from odomcorrupt.study.estimate.intervals import Intervals, join

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 import numpy as np
 
 from odomcorrupt.effects.effect import Motion
-from odomcorrupt.geometry.increments import increments
-from odomcorrupt.geometry.motion import SMOOTHING_S, LocalSlopes, motion_of
-from odomcorrupt.geometry.speed_steps import speed_steps
+from odomcorrupt.geometry.motion import SMOOTHING_S, LocalSlopes, motion_of, speed_steps
+from odomcorrupt.geometry.se2 import increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.clock import aligned, coarse_clock
 

@@ -10,8 +10,7 @@ import numpy as np
 from odomcorrupt.model.noise_laws import Coefficients, magnitudes
 
 if TYPE_CHECKING:
-    from odomcorrupt.geometry.increments import Increments
-    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.se2 import Array, Increments
     from odomcorrupt.model.noise_laws import Law
     from odomcorrupt.study.estimate.intervals import Intervals
 

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.geometry.increments import Increments
-    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.se2 import Array, Increments
     from odomcorrupt.model.motion_model import Noise, TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.position_windows import PositionWindows

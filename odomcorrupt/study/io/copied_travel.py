@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.increments import increments
+from odomcorrupt.geometry.se2 import increments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

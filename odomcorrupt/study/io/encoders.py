@@ -9,9 +9,8 @@ import numpy as np
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.counts import LEAST_WHEEL_TICKS, losses, wheel_losses
-from odomcorrupt.geometry.increments import accumulate, increments
-from odomcorrupt.geometry.motion import motion_of
-from odomcorrupt.geometry.speed_steps import has_steps_of_speed
+from odomcorrupt.geometry.motion import has_steps_of_speed, motion_of
+from odomcorrupt.geometry.se2 import accumulate, increments
 from odomcorrupt.geometry.trajectory import Trajectory
 
 if TYPE_CHECKING:

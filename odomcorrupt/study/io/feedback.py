@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.correction.pose_corrections import pose_corrections
+from odomcorrupt.correction.undo import pose_corrections
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.gears import AT_REST, crossed

@@ -13,10 +13,16 @@ from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.closure import end_by_scans, lifted
 from odomcorrupt.laser.moving import without_moving
-from odomcorrupt.laser.pose_noise import white_noise, with_noise, with_view_errors, without_spikes
 from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
-from odomcorrupt.laser.trajectory import LaserRun, relocalised
+from odomcorrupt.laser.trajectory import (
+    LaserRun,
+    relocalised,
+    white_noise,
+    with_noise,
+    with_view_errors,
+    without_spikes,
+)
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.raw_trajectory import Samples, in_order
@@ -28,8 +34,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.laser.deskewing import Motion
-    from odomcorrupt.laser.sweep import Sweeps
+    from odomcorrupt.laser.scans import Motion, Sweeps
     from odomcorrupt.laser.trajectory import LaserPath
 
 SCALE_ACCURACY = 0.003

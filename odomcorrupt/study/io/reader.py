@@ -11,7 +11,7 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.geometry.rounded_stamps import resolution_s
+from odomcorrupt.geometry.trajectory import resolution_s
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.feedback import feedback_of
 from odomcorrupt.study.io.fixes import without_float_episodes

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.geometry.rounded_stamps import evened, resolution_s
 from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.geometry.trajectory import evened, resolution_s
 from odomcorrupt.study.io.segments import GAP_S, GAP_STEPS
 
 if TYPE_CHECKING:

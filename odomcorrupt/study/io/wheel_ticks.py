@@ -15,7 +15,7 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.topic_selection import near
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.geometry.increments import increments
+from odomcorrupt.geometry.se2 import increments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

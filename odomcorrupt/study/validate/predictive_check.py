@@ -24,8 +24,7 @@ from scipy.stats import f as fisher_f
 from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.geometry.increments import Increments, accumulate, increments
-from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
+from odomcorrupt.geometry.se2 import Increments, accumulate, between, compose, increments, inverse, wrap
 from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.rng import stream
 from odomcorrupt.study.estimate.outliers import events

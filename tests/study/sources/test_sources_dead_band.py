@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from odomcorrupt.geometry.increments import increments
+from odomcorrupt.geometry.se2 import increments
 from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.reader import recordings_of

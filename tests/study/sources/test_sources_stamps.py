@@ -10,7 +10,7 @@ import pytest
 from sourcebags import topic, write
 from sourcedrive import START_NS, odometry, truth
 
-from odomcorrupt.geometry.rounded_stamps import resolution_s
+from odomcorrupt.geometry.trajectory import resolution_s
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.stamps import clock_steps, even_stamps

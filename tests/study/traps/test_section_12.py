@@ -10,7 +10,7 @@ from hidden import as_recording, ten_second_error
 from wandering import RATE_HZ
 
 from odomcorrupt.effects import registry
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.estimate.config import choose_approach

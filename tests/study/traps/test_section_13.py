@@ -10,7 +10,7 @@ from hidden import as_recording, ten_second_error
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
-from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import Segment, simulate
