@@ -15,14 +15,12 @@ import numpy as np
 
 from odomcorrupt.model.noise_laws import law_named
 from odomcorrupt.study.estimate.heading_source import sees_travel, turns_at_rest
-from odomcorrupt.study.estimate.interval_ends import pick_interval_ends
-from odomcorrupt.study.estimate.intervals import TURN_M, intervals_between
+from odomcorrupt.study.estimate.intervals import TURN_M
 from odomcorrupt.study.estimate.regressors import choose_side, truth_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.noise_laws import Law
     from odomcorrupt.study.estimate.regressors import Side
     from odomcorrupt.study.io.recording import Recording
@@ -79,57 +77,24 @@ def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion"
 
 
 _SPACINGS_S = (1.0, 2.0, 4.0, 8.0)
-_PHASES = 4
-"""Number of offsets at which windows start, evenly spread over one window length."""
-_FEW, _ENOUGH = 20, 50
-"""Minimum number of windows for a variance, and of nodes that remain in a drive."""
-_GROWS, _SLOWER = 0.2, 0.5
-"""Relative growth of the variance, when time doubles, that counts as growth; and fraction of the initial growth rate
-below which the errors are independent."""
-_ALONG, _YAW = 0, 2
+_ENOUGH = 50
+"""Least number of nodes that remain in a drive."""
 _REACH_M = 1.5
-"""Minimum correlation length of a localisation's errors, m of path: they depend on the view from a place."""
+"""Correlation length of a localisation's errors, m of path: they depend on the view from a place."""
 
 
 def independent_spacing_s(recording: Recording) -> float:
-    """Return the smallest node spacing (s) at which the errors of a noisy truth are independent.
+    """Return the node spacing (s) at which the errors of a localisation are independent: 1.5 m of usual driving.
 
-    It is the larger of those found along and in yaw; across, heading errors grow with the path and hide the effect.
-    Systematic errors of the odometry can hide it, too, so the spacing is always at least 1.5 m of usual driving. It is
-    no shorter than the truth's usual sampling interval, and leaves at least 50 nodes in a drive.
+    It is no shorter than the truth's usual sampling interval, and leaves at least 50 nodes in a drive.
     """
     truth_s = recording.truth_s
     shared_s = float(min(truth_s[-1], recording.odometry_s[-1]) - max(truth_s[0], recording.odometry_s[0]))
     sampled_s = next((s for s in _SPACINGS_S if s >= 0.9 * float(np.median(np.diff(truth_s)))), _SPACINGS_S[-1])
     possible = [s for s in _SPACINGS_S if s * _ENOUGH <= shared_s]
-    if possible:
-        steps = np.diff(recording.odometry.xyt, axis=0)
-        gone_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum() + TURN_M * np.abs(steps[:, 2]).sum())
-        usual_mps = gone_m / float(recording.odometry_s[-1] - recording.odometry_s[0])
-        sampled_s = max(sampled_s, next((s for s in possible if s * usual_mps >= _REACH_M), possible[-1]))
-    spreads = [_spread(recording, truth_s, s) for s in (*possible, *(2.0 * s for s in possible[-1:]))]
-    usable = next((i for i, spread in enumerate(spreads) if spread is None), len(spreads))
-    squares = np.array([spread for spread in spreads[:usable] if spread is not None])
-    if len(squares) < 3:
+    if not possible:
         return sampled_s
-    rate = np.diff(squares, axis=0) / np.array(_SPACINGS_S[: len(squares) - 1])[:, None]
-    found = [sampled_s]
-    for channel in (_ALONG, _YAW):
-        if rate[0, channel] < _GROWS * squares[0, channel]:
-            continue
-        slower = np.flatnonzero(rate[:, channel] < _SLOWER * rate[0, channel])
-        found += [_SPACINGS_S[int(slower[0])]] if len(slower) else []
-    return max(found)
-
-
-def _spread(recording: Recording, truth_s: Array, length_s: float) -> Array | None:
-    """Return the robust variance (3,) of odometry minus truth over windows of a length; None if there are too few."""
-    odo_s, found = recording.odometry_s, []
-    for phase in np.arange(_PHASES) / _PHASES:
-        picked = pick_interval_ends(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
-        kept = np.flatnonzero(np.diff(truth_s[picked]) < 1.5 * length_s)
-        if len(kept):
-            found.append(intervals_between(recording, picked, kept).residual)
-    if sum(map(len, found)) < _FEW:
-        return None
-    return (1.4826 * np.median(np.abs(np.concatenate(found)), axis=0)) ** 2
+    steps = np.diff(recording.odometry.xyt, axis=0)
+    gone_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum() + TURN_M * np.abs(steps[:, 2]).sum())
+    usual_mps = gone_m / float(recording.odometry_s[-1] - recording.odometry_s[0])
+    return max(sampled_s, next((s for s in possible if s * usual_mps >= _REACH_M), possible[-1]))
