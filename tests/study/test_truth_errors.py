@@ -18,7 +18,6 @@ from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.clocks import nuisance_of
-from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drive_type import MOUNTING
@@ -30,7 +29,6 @@ from odomcorrupt.study.estimate.whitener import interval_covariance, map_axes, w
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.reader import recordings_of
-from odomcorrupt.study.io.recording import TruthField
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import explained_by
 from odomcorrupt.study.terms.library import library_families
@@ -43,13 +41,6 @@ PRECISE = Coefficients(0.0, 1e-4, 1e-4, 0.0, 1e-4)
 TRUTH = TruthNoise(0.02, 0.008, 0.0)
 EVERY = 25
 """Samples of the odometry between two corrections: 0.5 s."""
-
-
-def eights(seconds):
-    """Return figures of eight of 2 m, at 0.4 m/s: the same places again and again."""
-    half = np.arange(0.0, seconds, 0.02) // (2.0 * np.pi / 0.4) % 2.0
-    along = np.full(len(half), 0.4 * 0.02)
-    return Increments(along, np.zeros(len(half)), np.where(half == 0.0, 0.4, -0.4) * 0.02)
 
 
 def left(seconds):
@@ -179,32 +170,6 @@ def test_a_model_beside_a_localisation_is_rejected_for_errors_that_are_larger_no
     assert [verdict.fails for verdict in found] == [False, False, True]
 
 
-def test_errors_that_belong_to_places_are_told_from_those_that_do_not():
-    run = localised(by_place, drive=eights)
-    (run,) = with_correlation_lengths([run], choose_approach([run]))
-    field = run.truth_field
-    assert field is not None
-    assert field.own_xy_m == pytest.approx(0.01, rel=0.3)
-    assert 0.01 < field.xy_m < 0.045
-    assert 0.7 <= field.length_m <= 2.0
-    fitted = fit([run], approach=choose_approach([run]))
-    bounds = {i.name: i for i in coefficient_intervals(fitted, fitted.design_matrix)}
-    assert bounds["rot_trans"].low < QUIET.rot_trans < bounds["rot_trans"].high
-    assert QUIET.trans_trans < bounds["trans_trans"].high < 0.01
-
-
-def test_windows_know_what_their_places_add():
-    field = TruthField(0.01, 0.004, 0.03, 0.01, 1.5)
-    intervals = small(0.0, truth_field=field).intervals
-    nothing = np.zeros((len(intervals), 3, 3))
-    far = interval_covariance(replace(intervals, field=intervals.field * (1, 1, 1, 1, 0)), nothing, TRUTH)
-    same = interval_covariance(
-        replace(intervals, field=intervals.field * (1, 1, 1, 1, 0) + (0, 0, 0, 0, 1)), nothing, TRUTH
-    )
-    assert np.allclose(far[:, 2, 2], 2.0 * (0.004**2 + 0.01**2), rtol=1e-3)
-    assert np.allclose(same[:, 2, 2], 2.0 * 0.004**2, rtol=1e-3)
-
-
 def test_a_truth_has_the_mounting_that_it_can_show():
     run = localised(by_place, seconds=60.0)
     motions = pose_problem([run], approach=Approach()).motions
@@ -235,15 +200,6 @@ def test_sliding_in_turns_to_one_side_is_no_error_of_the_headings():
     run = undo(run, [registry()["icr_shift"](x=0.05)])
     (found,) = with_correlation_lengths([run], Approach(spacing_s=4.0))
     assert found.truth is run.truth
-
-
-@pytest.mark.slow
-def test_a_bias_that_walks_does_not_stand_for_the_errors_of_a_localisations_headings():
-    """A field without any error of headings was likelier than errors along the path, which alone had a prior."""
-    walk = np.cumsum(np.random.default_rng(2).normal(0.0, 5e-4 / np.sqrt(50.0), 15000))
-    run = localised(lambda *way: 0.5 * alike_over(0.5)(*way), noise=PRECISE, yaw_rate=walk)
-    (run,) = with_correlation_lengths([run], Approach(spacing_s=4.0))
-    assert run.truth_field is None or run.truth_field.own_yaw_rad > 0.002
 
 
 def test_a_course_of_the_yaw_rates_bias_over_time_is_a_walk_unless_much_likelier():

@@ -59,7 +59,7 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
         return NoiseLikelihood(intervals, fitted.components, columns, noise.weights, headings=problem.headings)
 
     likelihood, free = over(problem.intervals), noise.free
-    # with a localisation as the truth, noise was fitted with a prior and without the field: compare with that fit
+    # with a localisation as the truth, noise was fitted with a prior: compare with that fit
     alone = any(r.localised for r in problem.recordings)
     if fitted.random:  # otherwise their contribution would be fitted as noise of each step
         likelihood = over(without_process(likelihood.evaluate(free), problem, columns, fitted.random))

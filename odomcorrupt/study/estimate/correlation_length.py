@@ -24,7 +24,6 @@ from odomcorrupt.study.estimate.intervals import memory_over
 from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.regressors import drives_sideways
-from odomcorrupt.study.estimate.truth_field import field_of
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.recording import PoseStep
 
@@ -193,8 +192,6 @@ _USUAL_M, _SPREAD = 1.5, 0.7
 filters (simulated as for `noise_likelihood`) falls to 1/e after 1 to 2.5 m, that of scan matchers sooner."""
 _NONE_M = 0.3
 """Length that stands for uncorrelated errors in the prior; the poses compared are at least 1.5 m of driving apart."""
-_FIELD_NATS = 2.0
-"""Log-likelihood gain that a spatial field, with two more parameters, needs over a process along the path."""
 _BESIDE = ("wheel_scale", "wheelbase", "unequal_wheels", "gyro_bias")
 """Effects that are free during the estimate: systematic odometry errors accumulate along the path, too."""
 _ASKEW, _ASKEW_LEVEL = ("icr_shift", "side_slip"), 1e-4
@@ -202,7 +199,7 @@ _ASKEW, _ASKEW_LEVEL = ("icr_shift", "side_slip"), 1e-4
 
 
 def with_correlation_lengths(recordings: Sequence[Recording], approach: Approach) -> list[Recording]:
-    """Return the recordings; those with a localisation as their truth get its correlation length or spatial field.
+    """Return the recordings; those with a localisation as their truth get its correlation length.
 
     Single events are left out of the estimate and of all intervals, see `pose_steps`. A constant error of its headings
     is removed first.
@@ -247,17 +244,12 @@ def _columns_beside(problem: Problem) -> Array:
 
 
 def _with_own(recording: Recording, approach: Approach) -> Recording:
-    """Return a recording with the most likely correlation length, and a spatial field if that is more likely still."""
+    """Return a recording with the most likely correlation length."""
     problem = pose_problem([recording], approach=approach)
     columns = _columns_beside(problem)
     components = VarianceComponents(approach.law, problem.intervals, problem.steps)
-    fits = {length: _fitted(problem, components, columns, length) for length in _LENGTHS_M}
-    length, (best, nats_of_process) = max(fits.items(), key=lambda one: one[1].nats)
-    q = problem.intervals.covariance(approach.law, best.coefficients, problem.steps)
-    field, nats = field_of(problem, q, columns)
-    constant = 1.5 * len(problem.intervals) * float(np.log(2.0 * np.pi))
-    more = nats - constant - nats_of_process
-    return replace(recording, truth_correlation_m=length, truth_field=field if more > _FIELD_NATS else None)
+    nats = {length: _fitted(problem, components, columns, length).nats for length in _LENGTHS_M}
+    return replace(recording, truth_correlation_m=max(nats, key=nats.__getitem__))
 
 
 class _Fitted(NamedTuple):

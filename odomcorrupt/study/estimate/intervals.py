@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array, Increments
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
-    from odomcorrupt.study.io.recording import Recording, TruthField
+    from odomcorrupt.study.io.recording import Recording
 
 TURN_M = 0.3
 """Travel, metres, that changes a localisation's view as much as a turn by 1 rad does."""
@@ -52,8 +52,6 @@ class Intervals:
         usual pose: about the identity for position, about 1 for heading
     way_m : (K,) path over each interval for a localisation: travel plus turns times `TURN_M`
     memory : (K,) correlation of the truth's errors at both ends of an interval, 0 if they are independent
-    field : (K, 5) for a truth with spatially correlated errors: deviations of the independent and the spatial errors
-        (m, rad each), and the spatial correlation between both ends; 0 otherwise
     localised : (K,) whether the truth is a localisation
     random_walk_level : (K,) factor on the deviation of the truth's random_walk
     start_unseen, end_unseen : (K, 3, 3) covariance added at both ends along axes that the truth does not measure, m^2
@@ -78,7 +76,6 @@ class Intervals:
     end_shape: Array
     way_m: Array
     memory: Array
-    field: Array
     localised: NDArray[np.bool_]
     random_walk_level: Array
     start_unseen: Array
@@ -215,7 +212,6 @@ def intervals_between(
         lever0=lever0,
         lever1=lever1,
         way_m=way_m,
-        field=_field_over(recording.truth_field, truth_step),
         memory=memory_over(way_m, recording.truth_correlation_m or 0.0),
         **_truth_errors(recording, picked, kept),
     )
@@ -246,15 +242,6 @@ def memory_over(way_m: Array, correlation_m: float) -> Array:
     if correlation_m <= 0.0:
         return np.zeros(len(way_m))
     return np.minimum(np.exp(-way_m / correlation_m), _MOST_MEMORY)
-
-
-def _field_over(field: TruthField | None, truth_step: Array) -> Array:
-    """Return `Intervals.field` (n, 5) for motions (n, 3) of the truth."""
-    if field is None:
-        return np.zeros((len(truth_step), 5))
-    alike = np.exp(-0.5 * np.sum(truth_step[:, :2] ** 2, axis=1) / field.length_m**2)
-    sizes = np.tile((field.own_xy_m, field.own_yaw_rad, field.xy_m, field.yaw_rad), (len(alike), 1))
-    return np.column_stack((sizes, alike))
 
 
 def join(parts: Sequence[Intervals], before: Sequence[int]) -> Intervals:

@@ -14,7 +14,6 @@ from odomcorrupt.study.estimate.banded import band_factor, band_solve, sparse_ba
 from odomcorrupt.study.estimate.knots import KnotPosterior
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
 from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
-from odomcorrupt.study.estimate.truth_field import field_roots, has_field, remainder_whitener
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -107,13 +106,9 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
 
     With neither, the same fit is returned.
     """
-    if not random and not has_bias(problem) and not has_field(problem):
+    if not random and not has_bias(problem):
         return noise
-    white = noise.whitener
-    if has_field(problem):
-        q = problem.intervals.covariance(problem.approach.law, noise.coefficients, problem.steps)
-        white = remainder_whitener(problem.intervals, q * noise.weights[:, None, None], noise.truth)
-    wider = widened(white, problem, random)
+    wider = widened(noise.whitener, problem, random)
     return estimated(noise, wider, by_column(np.concatenate((problem.intervals.residual[:, :, None], columns), axis=2)))
 
 
@@ -128,12 +123,10 @@ def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFi
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
-    """Return a whitener whose covariance also includes random coefficients and the truth's bias or spatial field."""
+    """Return a whitener whose covariance also includes random coefficients and the truth's bias."""
     parts = [knots_of(effect, problem) for effect in random]
     if has_bias(problem):
         parts.append(_of_columns(bias_roots(problem)))
-    if has_field(problem):
-        parts.append(_of_columns(field_roots(problem)))
     if not parts:
         return white
     knots = joined(parts)

@@ -140,9 +140,6 @@ def interval_covariance(intervals: Intervals, q: Array, truth: TruthNoise) -> Ar
     total = q + unseen_piece(intervals)[0]
     for weight, diagonal in zip(truth_weights(truth), _single_pieces(intervals), strict=True):
         total += weight * diagonal
-    there = intervals.field[:, 0] > 0.0
-    if there.any():
-        total[there] = (q + _with_field(intervals))[there]
     total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
     return total
 
@@ -224,16 +221,6 @@ def _single_pieces(intervals: Intervals) -> list[Array]:
     fresh, one = 1.0 - intervals.memory**2, np.ones(len(intervals))
     pieces = [_congruent(end, kept, fresh) + _congruent(b, kept, one) for kept in _KEPT]
     return [*pieces, _random_walk(intervals)]
-
-
-def _with_field(intervals: Intervals) -> Array:
-    """Return the contribution of a truth with a spatial field to the marginal covariance (K, 3, 3) of residuals."""
-    start, end, _ = map_axes(intervals)
-    start = _adjoint_of_inverse(intervals.truth_step) @ start
-    own, place = (intervals.field[:, [i, i, i + 1], None] ** 2 * np.eye(3) for i in (0, 2))
-    across = start @ (place * intervals.field[:, 4, None, None]) @ np.swapaxes(end, 1, 2)
-    ends = (one @ (own + place) @ np.swapaxes(one, 1, 2) for one in (start, end))
-    return sum(ends) - across - np.swapaxes(across, 1, 2)
 
 
 def map_axes(intervals: Intervals) -> tuple[Array, Array, Array]:

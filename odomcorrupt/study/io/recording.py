@@ -21,21 +21,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class TruthField:
-    """Errors of a localisation: independent errors of each pose, and a Gaussian random field on the map.
-
-    own_xy_m, own_yaw_rad : standard deviations of the independent errors
-    xy_m, yaw_rad, length_m : standard deviations of the field, and its correlation length
-    """
-
-    own_xy_m: float
-    own_yaw_rad: float
-    xy_m: float
-    yaw_rad: float
-    length_m: float
-
-
-@dataclass(frozen=True, slots=True)
 class PoseStep:
     """A lasting step between odometry and truth: a push or a lift, left out of all intervals.
 
@@ -77,7 +62,6 @@ class Recording:
         neither lever arm nor mounting yaw
     truth_correlation_m : travel over which the truth's errors decorrelate to 1/e; 0 if independent; None if not
         estimated yet, which counts as 0
-    truth_field : model of truth errors that depend on the place, if it fits better
     pose_steps : lasting steps between odometry and a localisation
     pulled_per_s : decay rate of the odometry's errors towards the truth, as of a filter that receives poses, 1/s
     pose_corrections : number of steps of such a filter that were removed from the odometry
@@ -112,7 +96,6 @@ class Recording:
     own_scale: bool = False
     of_base: bool = False
     truth_correlation_m: float | None = None
-    truth_field: TruthField | None = None
     pose_steps: tuple[PoseStep, ...] = ()
     pulled_per_s: float = 0.0
     pose_corrections: int = 0

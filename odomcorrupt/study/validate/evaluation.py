@@ -15,7 +15,6 @@ from odomcorrupt.study.estimate.position_windows import position_windows
 from odomcorrupt.study.estimate.problem import Problem, pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
 from odomcorrupt.study.estimate.regressors import truth_noise
-from odomcorrupt.study.estimate.truth_field import remainder_whitener, window_roots
 from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
 from odomcorrupt.study.io.headings import UNKNOWN_RAD
@@ -110,9 +109,8 @@ class Evaluation:
         count = errors.error.shape[1]
         random, motion = _random_effects(self.model), self.problem.motions[0]
         more = random_covariance(random, windows, motion)[:, :count, :count]
-        roots = window_roots(self.left, windows), process_roots(random, windows, motion)
-        common = [root[:, :count] for root in roots if root is not None]
-        shared = np.concatenate(common, axis=2) if common else None
+        roots = process_roots(random, windows, motion)
+        shared = None if roots is None else roots[:, :count]
         errors = replace(errors, covariance=errors.covariance + more, shared=shared)
         return errors, uncertainty_of(
             self.model, windows, errors, self.problem, inflate=self.inflation, positions=positions
@@ -145,7 +143,7 @@ def evaluate_stretch(
     truth = model.setup.truth or _robust_truth(intervals, q, recording)[0]
     if model.setup.truth is not None and inflation == 1.0:
         truth = _own_truth(intervals, q, truth, recording)
-    band = remainder_whitener(intervals, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+    band = whitener(intervals, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
     random = [effect for effect in model.effects if effect.name in CORRELATED_NOISE]
     white = widened(band, problem, random)
     innovations = white.whiten(intervals.residual)
