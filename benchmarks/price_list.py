@@ -72,7 +72,6 @@ RULES = {
     "study.estimate.outliers:single_events": "[]",
     "study.estimate.outliers:slip_bursts": "None",
     "study.estimate.robust_errors:with_robust_errors": "fitted",
-    "study.estimate.tails:_beside_effects": "np.ones(len(fit.problem.intervals), dtype=bool)",
     "study.estimate.tails:heavy_tails": "None",
     "study.io.encoders:restore_lost": "recording",
     "study.select.candidates:_first_order_room": "0.0",

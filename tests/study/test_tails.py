@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hidden import as_recording
 from scipy.stats import t as student
-from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
@@ -17,7 +16,6 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.estimate import tails
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.outliers import events, odd_steps, slip_bursts
@@ -88,19 +86,6 @@ def test_a_truth_that_is_elsewhere_for_seconds_and_comes_back_is_no_noise_of_the
     assert not any(event.lasting for event in odd_steps(hit))
     assert heavy_tails(hit) is None
     assert slip_bursts(hit) is None
-
-
-def test_what_the_form_of_an_effect_leaves_is_no_noise_of_every_step(monkeypatch):
-    steps, rng = wander(12, 300.0), np.random.default_rng(12)
-    tau = 0.2 * (1.0 + 0.9 * np.repeat(rng.choice([-1.0, 1.0], len(steps) // 100), 100))
-    late = replace(steps, dtheta_rad=steps.dtheta_rad - tau * np.gradient(steps.dtheta_rad) * RATE_HZ)
-    run = recording(
-        steps, noisy_path(late, Coefficients(0.02, 0.006, 0.004, 0.002), 12), truth_mm=1.0, truth_rad=5e-4, seed=12
-    )
-    beside = fit([run], [effect_from_values("channel_lag", {"tau": 0.2})], approach=choose_approach([run]))
-    assert heavy_tails(beside) is None
-    monkeypatch.setattr(tails, "_STRONG", np.inf)
-    assert heavy_tails(beside) is not None
 
 
 @pytest.mark.parametrize(("lag_nats", "sure"), [(744.0, False), (100.0, True)])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import binomtest, chi2, wilcoxon
+from scipy.stats import chi2, wilcoxon
 
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
@@ -28,24 +28,17 @@ if TYPE_CHECKING:
 
 _FEWEST = 6
 _LEVEL = 0.02
-"""Significance level of the sign test that events lose distance; met by six of six."""
-_LEVEL_ALONE, _NEARLY_ALL = 0.05, 0.9
-"""Level of the signed-rank test, and share of the squared error in events from which it is used: slips or tails."""
-_OTHERWISE, _MOST_SLIP = 2.0, 0.75
-"""Ratio of lost distances beyond which the duration or slip of bursts is adjusted; and the largest slip."""
+"""Significance level of the test that events lose distance; met by six of six."""
 _ODD = 2e-4
 """Probability that an ordinary step is flagged as an outlier."""
 _PLAINLY_ODD, _MOST_SINGLE = 12.0, 5
 """Minimum size of a single event, see `Event.plain`, and maximum number of single events in a study."""
 _SAME_EVENT = 4
 """Maximum index distance of flagged intervals that belong to one event."""
-_LASTS = 0.5
 _EXCURSION_S, _CANCELS = 45.0, 0.4
 """Maximum duration of an excursion of the truth, and maximum remainder after its return, as a fraction of its size."""
 _TURNS, _SEVERAL = 0.7, 0.25
 """Ratio of turn times track to distance lost (2 if one wheel slips, 0 for both); share of slips that decides."""
-_PLAIN = 2.0
-"""Minimum ratio of the wheels' lost distances that identifies the wheel that slipped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +48,7 @@ class Event:
     start_s, end_s : times since the recording's origin, seconds
     along_m, yaw_rad : odometry minus truth, forwards and counter-clockwise
     slip : fraction of the distance that was lost, positive if the truth falls behind; of the wheel that lost more if
-        the track is known; 0 if that wheel cannot be identified
+        the track is known
     turn_rad : turn of the odometry during the event, counter-clockwise
     lasting : whether the difference remains; after a jump of the truth it disappears again
     across_m : odometry minus truth, to the left
@@ -201,10 +194,9 @@ def odd_steps(fit: Fit) -> list[Event]:
     """Return outlier stretches: those flagged by the robust fit, or by a robust scale if they were too many for it.
 
     In the latter case the fit has no weights and its noise includes the outliers, so the scale is the median of all
-    intervals. Single events are left out because they are not noise, see `single_events`.
+    intervals.
     """
-    flagged = _standing_out(fit)
-    return _events_of(fit, flagged[~during(fit, single_events(fit))[flagged]])
+    return _events_of(fit, _standing_out(fit))
 
 
 def _standing_out(fit: Fit) -> NDArray[np.int64]:
@@ -238,7 +230,6 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
         residual = intervals.residual[group].copy()
         residual[:, :2] = rotate(residual[:, :2], heading - heading[0])
         apart = np.linalg.norm(residual.sum(axis=0) / usual)
-        most = float(np.linalg.norm(residual / usual, axis=1).max())
         found.append(
             Event(
                 recording=problem.recordings[int(problem.run[group[0]])].name,
@@ -253,7 +244,7 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
                 across_m=float(residual[:, 1].sum()),
                 place_xy=(float(intervals.truth_xyt[group[0], 0]), float(intervals.truth_xyt[group[0], 1])),
                 plain=float(apart),
-                lasting=bool(apart > _LASTS * most) and not _comes_back(fit, group, flagged, usual),
+                lasting=not _comes_back(fit, group, flagged, usual),
             )
         )
     return found
@@ -283,14 +274,11 @@ def _comes_back(fit: Fit, group: NDArray[np.int64], flagged: NDArray[np.int64], 
 
 
 def _slip(lost: Array, path: Array, track_m: float | None) -> float:
-    """Return the fraction of distance lost, with a known track by the wheel that lost more; 0 if that is ambiguous."""
+    """Return the fraction of distance lost, with a known track by the wheel that lost more."""
     if track_m is None:
         return _part(float(lost[0]), float(path[0]))
     lost_by, gone = rims_of(lost[0], lost[2], track_m), rims_of(path[0], path[2], track_m)
-    more, less = sorted((0, 1), key=lambda wheel: -abs(lost_by[wheel]))
-    against_each_other = gone.right * gone.left < 0.0
-    if against_each_other and abs(lost_by[more]) < _PLAIN * abs(lost_by[less]):
-        return 0.0
+    more = max((0, 1), key=lambda wheel: abs(lost_by[wheel]))
     return _part(float(lost_by[more]), float(gone[more]))
 
 
@@ -301,69 +289,38 @@ def _part(lost: float, path: float) -> float:
 def slip_bursts(fit: Fit) -> Effect | None:
     """Return a slip_burst effect if the events are slips: the truth falls behind in nearly all of them; else None.
 
-    Outliers of the truth and heavy tails of the noise have both signs. If the events are nearly all of the error, a
-    signed-rank test is used as well (Wilcoxon 1945, Biometrics Bulletin 1), in which large events count more. The
-    duration of a burst follows from the distance lost.
+    Outliers of the truth and heavy tails of the noise have both signs: a signed-rank test, in which large events count
+    more (Wilcoxon 1945, Biometrics Bulletin 1). Slip and length of a usual burst are medians weighted by lost distance.
     """
     lasting = [event for event in odd_steps(fit) if event.lasting and event.slip != 0.0]
-    slips = np.array([event.slip for event in lasting])
-    if len(slips) < _FEWEST:
+    if len(lasting) < _FEWEST:
         return None
-    behind = int(np.sum(slips > 0.0))
     track_m = fit.problem.recordings[0].track_m
-    lost_m = np.array([_lost(event, track_m) for event in lasting])
-    if binomtest(behind, len(slips), 0.5, alternative="greater").pvalue > _LEVEL and not (
-        _is_the_error(fit, lasting) and wilcoxon(lost_m * np.sign(slips), alternative="greater").pvalue < _LEVEL_ALONE
-    ):
+    slips, long_s, along_m, yaw_rad = np.array(
+        [(event.slip, event.end_s - event.start_s, event.along_m, event.yaw_rad) for event in lasting]
+    ).T
+    lost_m = np.abs(rims_of(along_m, yaw_rad, track_m or 0.0)).max(axis=0)
+    if wilcoxon(lost_m * np.sign(slips), alternative="greater").pvalue > _LEVEL:
         return None
-    intervals = fit.problem.intervals
+    intervals, spacing_s = fit.problem.intervals, fit.problem.approach.spacing_s
+    behind = slips > 0.0
+    slip, length_s = (_usual(values[behind], lost_m[behind]) for values in (slips, long_s))
+    # intervals at both ends of a burst are in it in part
+    duration = max(length_s - spacing_s, 0.5 * spacing_s)
     seconds = float(np.sum(intervals.end_s - intervals.start_s))
-    spacing = fit.problem.approach.spacing_s
-    # a burst is shorter than the stretch in which it was found, over which its slip is averaged
-    duration = 0.5 * spacing
-    slip = float(np.median(slips[slips > 0.0])) * spacing / duration
+    seen = {"rate": int(behind.sum()) / seconds, "slip": slip * length_s / duration, "duration": duration}
     # a stretch in which the truth rested or reversed would need more slip than is possible
     bounds = {p.name: (p.low, p.high) for p in parameters(registry()["slip_burst"])}
-    slip = float(np.clip(slip, *bounds["slip"]))
-    rims = _rims(intervals.truth_step[:, 0], intervals.truth_step[:, 2], track_m)
-    usual_mps = float(np.sqrt(np.sum(rims**2) / (2.0 * spacing * seconds)))
-    asked = float(np.sqrt(np.mean(lost_m**2))) / max(usual_mps * duration, 1e-9)
-    if asked > _OTHERWISE * _times_lost(slip):
-        duration *= asked / _times_lost(slip)
-    elif asked * _OTHERWISE < _times_lost(slip):
-        slips_at = np.linspace(0.0, slip, 200)[1:]
-        slip = float(np.interp(asked, [_times_lost(one) for one in slips_at], slips_at))
-    seen = {"rate": len(slips) / seconds, "slip": slip, "duration": duration}
     sized: dict[str, float | str] = {name: float(np.clip(v, *bounds[name])) for name, v in seen.items()}
     words = _words([event for event in lasting if event.slip > 0.0], track_m)
     return effect_from_values("slip_burst", sized | words)
 
 
-def _times_lost(slip: float) -> float:
-    """Return the RMS ratio of spinning to rolling distance over bursts with slips uniform about a mean."""
-    spread = min(slip, _MOST_SLIP - slip)
-    low, high = slip - spread, slip + spread
-    if high - low < 1e-6:
-        return slip / (1.0 - slip)
-    longer = np.log((1.0 - low) / (1.0 - high)) / (high - low)
-    return float(np.sqrt(1.0 / ((1.0 - low) * (1.0 - high)) - 2.0 * longer + 1.0))
-
-
-def _rims(along: Array, turn: Array, track_m: float | None) -> Array:
-    """Return the travel (2, n) of the right and the left wheel; the robot's travel if the track is unknown."""
-    return np.stack(rims_of(along, turn, track_m or 0.0))
-
-
-def _lost(event: Event, track_m: float | None) -> float:
-    """Return the absolute difference (m) of odometry and truth in an event, for the wheel with the larger one."""
-    return float(np.abs(_rims(np.array([event.along_m]), np.array([event.yaw_rad]), track_m)).max())
-
-
-def _is_the_error(fit: Fit, stretches: Sequence[Event]) -> bool:
-    """Return whether the given stretches contain nearly all of the squared error of a fit."""
-    inside = during(fit, stretches)
-    square = np.sum((fit.problem.intervals.residual / usual_residual(fit)) ** 2, axis=1)
-    return bool(square[inside].sum() > _NEARLY_ALL * square.sum())
+def _usual(values: Array, weights: Array) -> float:
+    """Return the weighted median of values (n,)."""
+    order = np.argsort(values)
+    share = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(share, 0.5 * share[-1])])
 
 
 def during(fit: Fit, stretches: Sequence[Event]) -> NDArray[np.bool_]:

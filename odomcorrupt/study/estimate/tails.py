@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-_FEWEST = 3
-"""Minimum number of lasting events: fewer large steps may have any cause."""
 _MOSTLY = 0.5
 _INVERSE_DOFS = np.linspace(0.05, 0.45, 17)
 _WIDTHS = np.geomspace(0.3, 1.1, 27)
@@ -33,8 +31,6 @@ _NAMED_NATS = 10.0
 _ARM_M = 0.2
 """Approximate distance of the wheels from the robot's centre, m: counts a turn on the spot as wheel travel."""
 _STILL_M, _USUAL = 1e-3, 0.2
-_STRONG = 3.0
-"""Intervals in which the effects exceed this multiple of their median are left out of the test."""
 _RANGE, _SIZE = 120.0, 1 << 14
 
 
@@ -47,9 +43,9 @@ def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     odd_ones = odd_steps(fit)
     lasting = sum(event.lasting for event in odd_ones)
     # if most outliers are reversed later, they are errors of the truth
-    if lasting < _FEWEST or lasting < _MOSTLY * len(odd_ones):
+    if not lasting or lasting < _MOSTLY * len(odd_ones):
         return None
-    driven = _driven(fit) & _beside_effects(fit) & ~during(fit, single_events(fit))
+    driven = _driven(fit) & ~during(fit, single_events(fit))
     channels = _of_odometry(fit, driven)
     if not channels:
         return None
@@ -94,18 +90,6 @@ def _driven(fit: Fit) -> NDArray[np.bool_]:
     travel = np.hypot(steps[:, 0], steps[:, 1]) + _ARM_M * np.abs(steps[:, 2])
     moving = travel > _STILL_M
     return travel > _USUAL * np.median(travel[moving]) if moving.any() else moving
-
-
-def _beside_effects(fit: Fit) -> NDArray[np.bool_]:
-    """Return a mask (K,) of intervals in which the model's effects are no larger than usual.
-
-    Heavy tails do not depend on effects. Outliers during a strong lag or slip are a misfit of that effect's form.
-    """
-    if not fit.effects:
-        return np.ones(len(fit.problem.intervals), dtype=bool)
-    explained = np.sum([fit.problem.explained(effect) for effect in fit.effects], axis=0)
-    size = np.linalg.norm(fit.noise.whitener.whiten(explained).reshape(-1, 3), axis=1)
-    return size <= _STRONG * np.median(size)
 
 
 def _likelihood(values: Array, inverse_dof: float, draws: int) -> float:
