@@ -269,7 +269,7 @@ def test_a_run_that_fails_is_one_line_exit_code_one_and_leaves_nothing(corrupt, 
     assert not list(tmp_path.iterdir())
 
 
-def test_an_mcap_whose_messages_are_compressed_one_by_one_is_refused(corrupt, tmp_path):
+def test_an_mcap_whose_messages_are_compressed_one_by_one_is_read_from_a_file(corrupt, tmp_path, monkeypatch):
     """As rosbag2 writes them on request; without its metadata.yaml only the messages tell."""
     packed = tmp_path / "packed.mcap"
     with Path(OFFICE).open("rb") as source, packed.open("wb") as stream:
@@ -282,8 +282,16 @@ def test_an_mcap_whose_messages_are_compressed_one_by_one_is_refused(corrupt, tm
                 channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
             writer.add_message(channels[channel.topic], message.log_time, zstandard.compress(message.data), 0)
         writer.finish()
-    line = "odomcorrupt: /odom: its messages are compressed one by one (zstd); `ros2 bag convert` can undo that\n"
-    require_refused(corrupt("--seed", "1", source=str(packed)), 1, line)
+    code, said, target = corrupt("--seed", "1", source=str(packed))
+    assert code == 0, said
+    target.unlink()
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(packed.read_bytes())))
+    done = corrupt("--seed", "1", "--odom-topic", "/odom", source="-")
+    line = (
+        "odomcorrupt: /odom: its messages are compressed one by one (zstd), which a pipe does not say beforehand; name "
+        "the file or its directory\n"
+    )
+    require_refused(done, 1, line)
 
 
 def test_an_existing_output_is_refused_and_replaced_on_request(corrupt):

@@ -30,6 +30,7 @@ class BagOptions(TypedDict, total=False):
     ros : ROS generation, 1 or 2, of the output's messages, if its name allows both
     storage : mcap or sqlite3, for an output directory
     exclude : topics left out of the output
+    rename : "OLD=NEW" for topics that get another name in the output
     recover : read the undamaged parts of a damaged input
     threads : number of threads that read, compute and compress; by default one per core, at most four
     """
@@ -49,6 +50,7 @@ class BagOptions(TypedDict, total=False):
     ros: Generation | None
     storage: str | None
     exclude: tuple[str, ...]
+    rename: tuple[str, ...]
     recover: bool
     threads: int | None
 

@@ -98,6 +98,7 @@ def info(
     path, watcher = bag_path(bag), ProvenanceWatcher(watch)
     with open_reader(path, recover=recover) as reader:
         scan = scan_bag(reader, watcher)
-        losses = tuple(reader.losses)
+        losses, remarks = tuple(reader.losses), getattr(reader, "remarks", ())
     values = summarise(scan, odom_topic=odom_topic, odom_frame=odom_frame, base_frame=base_frame)
+    values["remarks"] += remarks
     return Info(fspath(bag), values | {"provenance": [*watcher.provenance(path)]}, losses)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -44,6 +45,20 @@ def ros_type(msgtype: str, encoding: str) -> RosType:
     return RosType(msgtype, text, store.hash_rihs01(msgtype))
 
 
+def plain_text(definition: Definition) -> str:
+    """Return the text of a definition as all parsers read it: with plain line ends, and constants that have a value.
+
+    A string constant without one is the empty string; a number without one is no number, and is left out.
+    """
+    text = definition.text.decode(errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+    text = _EMPTY_STRING.sub(r"\1''", text)
+    return _NO_NUMBER.sub("", text)
+
+
+_EMPTY_STRING = re.compile(r"^([ \t]*w?string[ \t]+\w+[ \t]*=)[ \t]*$", re.MULTILINE)
+_NO_NUMBER = re.compile(r"^[ \t]*\w+[ \t]+\w+[ \t]*=[ \t]*(#.*)?$", re.MULTILINE)
+
+
 def with_common_text(definition: Definition, msgtype: str, encoding: str) -> Definition:
     """Return a definition with the text of a common type if the bag lacks it; empty for other types."""
     try:
@@ -60,7 +75,7 @@ def md5sum_of(msgtype: str, definition: Definition) -> str:
 
     store = get_typestore(Stores.EMPTY)
     try:
-        store.register(get_types_from_msg(definition.text.decode(errors="replace"), msgtype))
+        store.register(get_types_from_msg(plain_text(definition), msgtype))
         _, digest = store.generate_msgdef(msgtype, ros_version=1)
     except (TypesysError, KeyError) as error:
         raise BagError(f"{msgtype}: has no md5sum, and its definition is incomplete: {error}") from error

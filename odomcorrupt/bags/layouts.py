@@ -151,7 +151,8 @@ class _CdrCursor(_Cursor):
         if data[0] != 0 or data[1] not in _PLAIN_CDR:
             if data[:4] == _ZSTD:
                 raise UnreadableEncodingError(
-                    f"{topic}: its messages are compressed one by one (zstd); `ros2 bag convert` can undo that"
+                    f"{topic}: its messages are compressed one by one (zstd), which a pipe does not say beforehand; "
+                    "name the file or its directory"
                 )
             said = f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one"
             if data[0] == 0 and data[1] in _OTHER_CDR:

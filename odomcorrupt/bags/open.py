@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Kind
     from odomcorrupt.bags.convert.message_types import Generation
+    from odomcorrupt.bags.mcap.reader import McapReader
+    from odomcorrupt.bags.parts import PartsReader
     from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.bags.rosbag2.compression import Mode
-    from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
 
 _CODECS: dict[Kind, tuple[str, ...]] = {
     "mcap": ("none", "lz4", "zstd"),
@@ -34,14 +35,6 @@ _CODECS: dict[Kind, tuple[str, ...]] = {
 _MODES = ("file", "message")
 """What else of a ROS 2 bag's directory may be compressed, with zstd."""
 _NAMES: dict[Kind, str] = {"mcap": "an MCAP", "ros1": "a ROS 1 bag", "sqlite3": "a sqlite3 bag"}
-_PACKED = {
-    b"\x28\xb5\x2f\xfd": ("zstd", "zstd -d"),
-    b"\x1f\x8b": ("gzip", "gunzip"),
-    b"BZh": ("bzip2", "bunzip2"),
-    b"\xfd7zXZ\0": ("xz", "unxz"),
-    b"\x04\x22\x4d\x18": ("lz4", "lz4 -d"),
-}
-"""Files that are compressed as a whole, by their first bytes: by what, and what undoes it."""
 _GENERATIONS: dict[str, Generation] = {"ros1": 1, "cdr": 2}
 """Generation of ROS by the serialisation of its messages."""
 _SUFFIXES: dict[str, Kind] = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"}
@@ -63,8 +56,8 @@ def open_reader(path: Path | None, stream: BinaryIO | None = None, *, recover: b
         if path is None or str(path) == "-":
             source = Source(sys.stdin.buffer if stream is None else stream, "stdin")
             return _reader(None, source.spooled() if recover else source, recover=recover)
-        if path.is_dir():
-            return _rosbag2(path, recover=recover)
+        if path.is_dir() or is_pattern(path):
+            return _parts(path, recover=recover)
         return _reader(path, Source.of_file(path), recover=recover)
     except BagError as error:
         if recover:
@@ -74,11 +67,12 @@ def open_reader(path: Path | None, stream: BinaryIO | None = None, *, recover: b
 
 def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:
     try:
-        begin = source.sniff(16)
+        begin = source.sniff(magic.SNIFFED)
         if begin.startswith(magic.MCAP):
             from odomcorrupt.bags.mcap.reader import McapReader  # noqa: PLC0415 - see above
 
-            return McapReader(path, source, recover=recover)
+            mcap = McapReader(path, source, recover=recover)
+            return _unpacked(mcap, recover=recover) if mcap.packed else mcap
         if begin.startswith(magic.ROS1):
             from odomcorrupt.bags.ros1.reader import Ros1Reader  # noqa: PLC0415 - see above
 
@@ -87,39 +81,35 @@ def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:
         source.close()
         raise
     source.close()
-    if path is not None and (begin == magic.SQLITE or begin.startswith(magic.ZSTD)):
-        return _rosbag2(path, recover=recover)
-    raise _unknown(source.name, begin)
+    if path is not None and begin.startswith((magic.SQLITE, magic.ZSTD)):
+        return _parts(path, recover=recover)
+    raise magic.unknown(source.name, begin)
 
 
-def _rosbag2(path: Path, *, recover: bool) -> Rosbag2Reader:
-    from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader  # noqa: PLC0415 - see above
+def is_pattern(path: Path) -> bool:
+    """Return whether a path names no file, but matches those of one recording, as in run_*.bag."""
+    return not path.exists() and any(sign in path.name for sign in "*?[") and any(path.parent.glob(path.name))
 
-    return Rosbag2Reader(path, recover=recover)
+
+def _unpacked(reader: McapReader, *, recover: bool) -> BagReader:
+    from odomcorrupt.bags.rosbag2.compression import UnpackedMessages  # noqa: PLC0415 - see above
+
+    return UnpackedMessages(reader, recover=recover)
 
 
-def _as_rosbag2(reader: BagReader) -> Rosbag2Reader | None:
-    """Return the reader if it is of a ROS 2 bag (only these have two paths or more: directory and files), else None."""
+def _parts(path: Path, *, recover: bool) -> PartsReader:
+    from odomcorrupt.bags.parts import PartsReader  # noqa: PLC0415 - see above
+
+    return PartsReader(path, recover=recover)
+
+
+def _as_parts(reader: BagReader) -> PartsReader | None:
+    """Return the reader if it is one of parts (only these have two paths or more: directory and files), else None."""
     if len(reader.paths) < 2:
         return None
-    from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader  # noqa: PLC0415 - see above
+    from odomcorrupt.bags.parts import PartsReader  # noqa: PLC0415 - see above
 
-    return reader if isinstance(reader, Rosbag2Reader) else None
-
-
-def _unknown(name: str, begin: bytes) -> BagError:
-    if not begin:
-        return BagError(f"{name}: is empty; nothing was recorded, or nothing came through the pipe")
-    if begin.startswith(b"#ROSBAG V1"):
-        return BagError(
-            f"{name}: is a ROS 1 bag of version {begin[9:12].decode()}; `rosbag migrate` makes it a 2.0 one"
-        )
-    for first, (kind, command) in _PACKED.items():
-        if begin.startswith(first):
-            return BagError(f"{name}: is a {kind}-compressed file; decompress it first (`{command}`)")
-    if begin == magic.SQLITE:
-        return BagError(f"{name}: a sqlite3 bag cannot come through a pipe; name the file or directory")
-    return BagError(f"{name}: begins with {begin[:8]!r}, which is not an MCAP, a ROS 1 bag or a ROS 2 bag")
+    return reader if isinstance(reader, PartsReader) else None
 
 
 class Form(NamedTuple):
@@ -150,8 +140,7 @@ def form_of(path: Path | None, reader: BagReader, *, ros: Generation | None = No
     """
     if path is None or str(path) == "-":
         return _with_storage(Form("mcap", directory=False, ros=ros), storage, "stdout")
-    rosbag2 = _as_rosbag2(reader)
-    _refuse_suffix(path, directory=rosbag2 is not None)
+    _refuse_suffix(path, directory=reader.kind != "ros1" and _as_parts(reader) is not None)
     kind = _SUFFIXES.get(path.suffix.lower())
     if kind is None and is_stream(path):
         return _with_storage(Form(reader.kind, directory=False, ros=ros), storage, str(path))
@@ -181,11 +170,6 @@ class Target(NamedTuple):
     reader: BagReader
     form: Form
 
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What the output's message types cannot hold, in sentences."""
-        return tuple(getattr(self.reader, "remarks", ()))
-
 
 def target_of(
     path: Path | None,
@@ -194,12 +178,14 @@ def target_of(
     ros: Generation | None = None,
     storage: str | None = None,
     exclude: Sequence[str] = (),
+    rename: Sequence[str] = (),
     recover: bool = False,
 ) -> Target:
     """Return an output, with a reader of the input that yields the messages as the output has them.
 
     path, ros, storage : as of `form_of`
     exclude : topics that are left out
+    rename : "OLD=NEW" for topics that get another name
     recover : leave out messages that cannot be converted, and list them in the reader's `losses`
 
     Raises
@@ -207,7 +193,7 @@ def target_of(
     BagError
         If a topic's messages cannot be converted, or would become ROS 1 messages in an MCAP.
     TopicError
-        If there is no such topic to be left out.
+        If there is no such topic to be left out or renamed.
     """
     form = form_of(path, reader, ros=ros, storage=storage)
     strict = form.directory or form.kind != "mcap"
@@ -222,12 +208,13 @@ def target_of(
             f"{name}: --ros 1 would convert messages of ROS 2 to an MCAP of ROS 1 messages, which rosbags-convert and "
             "rosbag refuse to read; end the name in .bag for ROS 1, or leave --ros out"
         )
-    if fits and not exclude:
+    if fits and not exclude and not rename:
         return Target(reader, form)
     # the library takes a fifth of a second to import
     from odomcorrupt.bags.convert.reader import ConvertedReader  # noqa: PLC0415
 
-    return Target(ConvertedReader(reader, form.ros, strict=strict, exclude=exclude, recover=recover), form)
+    converted = ConvertedReader(reader, form.ros, strict=strict, exclude=exclude, rename=rename, recover=recover)
+    return Target(converted, form)
 
 
 def _with_storage(form: Form, storage: str | None, name: str) -> Form:
@@ -269,10 +256,10 @@ def open_writer(
     if form is None:
         form = form_of(path, reader)
     kind = form.kind
-    rosbag2 = _as_rosbag2(reader)
+    parts = _as_parts(reader)
     if form.directory or kind == "sqlite3":
         _require_generation(path, reader)
-    _require_compression(form, rosbag2, compression, level)
+    _require_compression(form, parts, compression, level)
     if path is None or str(path) == "-":
         output = Output(None, stream or sys.stdout.buffer)
     else:
@@ -288,7 +275,7 @@ def open_writer(
             path, reader, chunks, level, kind=kind, mode=mode, overwrite=overwrite, workers=workers
         )  # fmt: skip
     # the reader of a bag's only file of the same kind: this file is rewritten
-    part = rosbag2.parts[0] if rosbag2 and len(rosbag2.parts) == 1 and rosbag2.kind == kind else None
+    part = parts.parts[0] if parts and len(parts.parts) == 1 and parts.kind == kind else None
     if kind == "mcap":
         from odomcorrupt.bags.mcap.writer import McapWriter  # noqa: PLC0415 - see above
 
@@ -296,7 +283,7 @@ def open_writer(
     if kind == "ros1":
         from odomcorrupt.bags.ros1.writer import Ros1Writer  # noqa: PLC0415 - see above
 
-        return Ros1Writer(output, reader, compression, level, workers)
+        return Ros1Writer(output, part or reader, compression, level, workers)
     from odomcorrupt.bags.rosbag2.sqlite_creator import NewSqliteWriter  # noqa: PLC0415 - see above
     from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader  # noqa: PLC0415 - see above
     from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter  # noqa: PLC0415 - see above
@@ -319,15 +306,15 @@ def _require_generation(path: Path | None, reader: BagReader) -> None:
             )
 
 
-def _require_compression(form: Form, rosbag2: Rosbag2Reader | None, compression: str | None, level: int | None) -> None:
+def _require_compression(form: Form, parts: PartsReader | None, compression: str | None, level: int | None) -> None:
     """Raise BagError for a compression or a level that an output cannot have."""
     known = _CODECS[form.kind] + (_MODES if form.directory else ())
     if compression is not None and compression not in known:
         name = "a directory of MCAP files" if form.directory and form.kind == "mcap" else _NAMES[form.kind]
         name = "a directory of sqlite3 files" if form.directory and form.kind == "sqlite3" else name
         raise BagError(f"compression {compression}: is not available for {name}; choose {', '.join(known)}")
-    if form.directory and compression is None and rosbag2 is not None and rosbag2.mode != "none":
-        compression = rosbag2.mode
+    if form.directory and compression is None and parts is not None and parts.mode != "none":
+        compression = parts.mode
     if compression is not None or form.kind == "sqlite3":
         require_level("zstd" if compression in _MODES else compression or "none", level)
 

@@ -62,7 +62,7 @@ class RecordReader(ABC):
         self._undecodable = Undecodable()
         self.count = 0
         if self.complete:
-            with Source.of_file(self.paths[0]) as source:
+            with Source.of_file(self.paths[0], self.name) as source:
                 self._reading = source
                 self._state = source.state()
                 source.seek(self._data_start)

@@ -59,13 +59,13 @@ class Source:
         self.budget = Budget()
 
     @classmethod
-    def of_file(cls, path: Path) -> Self:
-        """Return a source that reads a file, which is opened."""
+    def of_file(cls, path: Path, name: str | None = None) -> Self:
+        """Return a source that reads a file, which is opened; its name in messages is by default its path."""
         try:
             stream = path.open("rb", buffering=_BUFFER_BYTES)
         except OSError as error:
-            raise BagError(f"{path}: cannot be opened: {error.strerror}") from error
-        source = cls(stream, str(path))
+            raise BagError(f"{name or path}: cannot be opened: {error.strerror}") from error
+        source = cls(stream, name or str(path))
         source._owned = True
         source.size = path.stat().st_size if stream.seekable() else None
         return source

@@ -77,7 +77,13 @@ class BatchSpec:
                 f"{flag}: adds messages, but {output} holds changed messages only; leave one of them out"
             )
         c = self.container
-        whole = (("--to", self.to), ("--exclude-topic", c.exclude), ("--ros", c.ros), ("--storage", c.storage))
+        whole = (
+            ("--to", self.to),
+            ("--exclude-topic", c.exclude),
+            ("--rename", c.rename),
+            ("--ros", c.ros),
+            ("--storage", c.storage),
+        )
         for flag in (flag for flag, value in (*whole, ("--layout split", self.split)) if value):
             raise BatchOptionError(f"{flag}: is for whole bags, not for {output}; leave one of them out")
 
@@ -223,7 +229,7 @@ def _require_chunks(source: Path, spec: BatchSpec) -> None:
             )
         modes = {getattr(reader, "mode", "none"), spec.container.compression}
     c = spec.container
-    if spec.to is not None or c.exclude or c.ros or c.storage or not modes.isdisjoint(("file", "message")):
+    if spec.to is not None or c.exclude or c.rename or c.ros or c.storage or not modes.isdisjoint(("file", "message")):
         raise BatchError(
             f"{source}: --layout split needs the chunks of the input, and these runs are written in another way; leave "
             "--layout out"
@@ -252,6 +258,7 @@ def _option_words(options: Options, container: Container) -> list[str]:
         ("--ros", container.ros),
         ("--storage", container.storage),
         *(("--exclude-topic", topic) for topic in container.exclude),
+        *(("--rename", words) for words in container.rename),
     )
     words = [word for flag, value in values if value is not None for word in (flag, str(value))]
     return words + ["--keep-localisation"] * options.keep_localisation + ["--recover"] * container.recover

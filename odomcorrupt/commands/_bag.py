@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.api.bag_options import BagOptions
 
 _ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisation", "new_odom_frame", "overwrite",
-          "compression", "level", "storage", "exclude", "recover", "threads")  # fmt: skip
+          "compression", "level", "storage", "exclude", "rename", "recover", "threads")  # fmt: skip
 """Options with the same name here and in the Python interface."""
 
 _RECOVER = click.option(
@@ -107,6 +107,10 @@ container_options = added(
         "--exclude-topic", "exclude", multiple=True, metavar="TOPIC",
         help="Leave a topic out of the output (repeatable).",
     ),
+    click.option(
+        "--rename", multiple=True, metavar="OLD=NEW",
+        help="Name of a topic in the output (repeatable). [default: as in the input, or as ROS 2 allows]",
+    ),
     _RECOVER,
     unpack_option,
 )  # fmt: skip
@@ -152,6 +156,42 @@ def source_of(input_: str) -> Path | None:
     if sys.stdin.isatty():
         raise click.UsageError("INPUT is - but stdin is a terminal; redirect a bag to it")
     return None
+
+
+class _Unlisted(click.Argument):
+    """An argument that is not in the usage line."""
+
+    def get_usage_pieces(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        """Return nothing."""
+        return []
+
+
+further_inputs = click.argument("further", nargs=-1, type=click.Path(), cls=_Unlisted)
+"""Takes the files that a shell makes of run_*.bag."""
+
+
+def one_input(files: Sequence[str]) -> str:
+    """Return an input, or the pattern of several that are the parts of one recording.
+
+    Raises
+    ------
+    click.UsageError
+        If several inputs are not that.
+    """
+    if len(files) == 1:
+        return files[0]
+    missing = [file for file in files if not Path(file).exists()]
+    if missing:
+        raise click.UsageError(f"Got unexpected extra argument: {missing[0]} does not exist; write INPUT OUTPUT")
+    from odomcorrupt.bags.parts import pattern_of
+
+    pattern = pattern_of([Path(file) for file in files])
+    if pattern is None:
+        raise click.UsageError(
+            f"{len(files)} inputs ({files[0]}, {files[1]}, ...) are not evidently the parts of one recording, such as "
+            "run_0.bag and run_1.bag; run the command for each of them, or `odomcorrupt batch` for all"
+        )
+    return str(pattern)
 
 
 def report_losses(losses: Sequence[str]) -> int:

@@ -8,7 +8,15 @@ from typing import Any
 
 import click
 
-from odomcorrupt.commands._bag import bag_words, container_options, moving_options, source_of, threads_option
+from odomcorrupt.commands._bag import (
+    bag_words,
+    container_options,
+    further_inputs,
+    moving_options,
+    one_input,
+    source_of,
+    threads_option,
+)
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import setting
@@ -36,6 +44,7 @@ def keep_freed_memory() -> None:
 @click.command("corrupt", cls=AlphaCommand, short_help="Corrupt the odometry of a bag (the default: needs no name).")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True, readable=False))
 @click.argument("output", metavar="OUTPUT", type=click.Path(allow_dash=True), required=False)
+@further_inputs
 @output_option()
 @model_options
 @setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
@@ -51,15 +60,28 @@ def keep_freed_memory() -> None:
 @container_options
 @threads_option
 @standard_options
-def command(input_: str, output: str | None, output_option: str | None, *, console: Console, **given: Any) -> int:
+def command(
+    input_: str,
+    output: str | None,
+    further: tuple[str, ...],
+    output_option: str | None,
+    *,
+    console: Console,
+    **given: Any,
+) -> int:
     """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.
 
-    INPUT and OUTPUT are bags of any kind; - is a pipe. With --map every drawn pose is in free space, as in the motion
+    INPUT and OUTPUT are bags of any kind; - is a pipe; the parts of a split recording are one INPUT, by their
+    directory or as run_*.bag. With --map every drawn pose is in free space, as in the motion
     model of a particle filter; real odometry drifts through walls, so leave --map out to imitate it.
     """
     from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.api.corruption import corrupt
 
+    if further:
+        inputs = [input_, str(output), *further]
+        output = inputs.pop() if output_option is None else None
+        input_ = one_input(inputs)
     target = chosen_output(output, output_option)
     model = choose_model(given)
     if target == "-" and sys.stdout.isatty():

@@ -100,7 +100,9 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usua
         way_out = "there is nothing to corrupt"
         if any(c.msgtype in TRANSFORMS for c in channels):
             way_out = "to corrupt TF alone, name its edge with --odom-frame and --base-frame"
-        raise TopicError(f"{bag}: no nav_msgs/Odometry topic (found {found}); {way_out}")
+        other = sorted({f"{c.topic} is nav_msgs/Odometry in {c.encoding}" for c in channels if c.msgtype == ODOMETRY})
+        unread = f"; {', '.join(other)}, which is not read: CDR and the serialisation of ROS 1 are" if other else ""
+        raise TopicError(f"{bag}: no nav_msgs/Odometry topic (found {found}){unread}; {way_out}")
     same = [topic for topic in topics if usual is not None and plain(topic) == plain(usual)]
     if len(topics) > 1 and not same:
         raise TopicError(
@@ -214,6 +216,8 @@ class OdometrySource:
             If there is none, or several, or the channels of a pipe do not decide it yet.
         """
         self._channels = reader.channels
+        if self._asked is not None and hasattr(reader, "renamed"):
+            self.topic = self._asked = reader.renamed(self._asked)
         if not reader.complete:
             if self._asked is None:
                 raise TopicError(

@@ -40,7 +40,7 @@ def may_stay(source: Path | None, reader: BagReader, form: Form) -> bool:
     source : the input; None is a pipe
     form : format of the output
     """
-    if (source is not None and source.is_dir()) or getattr(reader, "mode", "none") != "none":
+    if (source is not None and (source.is_dir() or not source.exists())) or getattr(reader, "mode", "none") != "none":
         return False
     if source is not None and reader.kind == "sqlite3":
         from odomcorrupt.bags.rosbag2.database import has_log  # noqa: PLC0415 - sqlite3 is slow to import
@@ -130,6 +130,7 @@ class Container:
     ros : generation of ROS of the output's messages, where its format leaves a choice
     storage : "mcap" or "sqlite3", of an output that is a directory
     exclude : topics left out
+    rename : "OLD=NEW" for topics that get another name
     threads : number of threads; None: one per core, at most four
     """
 
@@ -140,16 +141,21 @@ class Container:
     ros: Generation | None = None
     storage: str | None = None
     exclude: tuple[str, ...] = ()
+    rename: tuple[str, ...] = ()
     threads: int | None = field(default=None, compare=False, repr=False)  # does not change the output
 
     @property
     def as_it_was(self) -> bool:
         """Whether an output without changes may be a byte copy of the input."""
-        return self.compression is None and self.level is None and not self.recover and not self.exclude
+        same = self.compression is None and self.level is None
+        return same and not (self.recover or self.exclude or self.rename)
 
     def target(self, path: Path | None, reader: BagReader) -> Target:
         """Return an output, with a reader of the input that yields the messages as the output has them."""
-        return target_of(path, reader, ros=self.ros, storage=self.storage, exclude=self.exclude, recover=self.recover)
+        return target_of(
+            path, reader, ros=self.ros, storage=self.storage, exclude=self.exclude, rename=self.rename,
+            recover=self.recover,
+        )  # fmt: skip
 
     def writer(self, path: Path | None, output: Target, workers: Workers | None = None) -> BagWriter:
         """Return the writer of an output; parameters as of `open_writer`."""

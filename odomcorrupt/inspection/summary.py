@@ -6,7 +6,15 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.corruption.odometry_source import GLOBAL_FRAMES, Frames, plain, says_truth, side_of, tree_of
+from odomcorrupt.corruption.odometry_source import (
+    GLOBAL_FRAMES,
+    ODOMETRY,
+    Frames,
+    plain,
+    says_truth,
+    side_of,
+    tree_of,
+)
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS, leaks_line
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
@@ -100,13 +108,11 @@ def brief(values: dict[str, Any], name: str) -> Summary:
             rate = "" if o["rate_hz"] is None else f", {o['rate_hz']:.3g} Hz"
             drive = f"{o['distance_m']:.4g} m in {o['duration_s']:.4g} s{rate}"
             lines.append(Line("ODOMETRY", f"{o['topic']} ({o['frame']} -> {o['child']}): {drive}", "good"))
-    if not lines:
-        several = len(values["odometry"]) > 1
-        lines.append(
-            Line("NO CHOICE", "several odometry topics: name one, see below", "bad")
-            if several
-            else Line("NO ODOMETRY", "no nav_msgs/Odometry topic with messages, see below", "bad")
-        )
+    remarks = [*values["remarks"]]
+    if not lines and values["odometry"]:
+        lines.append(Line("NO CHOICE", "several odometry topics: name one, see below", "bad"))
+    elif not lines:
+        lines.append(Line("NO ODOMETRY", remarks.pop(0), "bad"))
     lines += [Line("corrupted", provenance_words(one), "warning") for one in values.get("provenance", ())]
     edges = [f"{e['parent']} -> {e['child']}" for e in values["edges"] if e["moved"]]
     topics = [o["topic"] for o in values["odometry"] if o["moved"]]
@@ -124,7 +130,7 @@ def brief(values: dict[str, Any], name: str) -> Summary:
         for t in values["topics"]
         if says_truth(t["topic"]) and t["type"].endswith(("Odometry", "Stamped")) and t["topic"] not in topics
     ]
-    lines += [Line("note", remark, "warning") for remark in values["remarks"]]
+    lines += [Line("note", remark, "warning") for remark in remarks]
     named = suggested([name for t in values["topics"] for name in (t["topic"], t["type"])])
     lines += [Line("robot", f"looks like a {named}: --preset {named}")] if named else []
     words = ["odomcorrupt", "preview", name]
@@ -217,7 +223,9 @@ def _remarks(
         said.append(f"no nav_msgs/Odometry topic, and no transform between {ends}: name an edge of the table")
     elif not scan.odometry:
         way_out = "; TF alone can be corrupted with --odom-frame and --base-frame" if scan.edges else ""
-        said.append(f"no nav_msgs/Odometry topic{way_out}")
+        kinds = sorted({f"{c.topic} is one in {c.encoding}" for c in scan.channels if c.msgtype == ODOMETRY})
+        unread = f" that can be read ({', '.join(kinds)})" if kinds else ""
+        said.append(f"no nav_msgs/Odometry topic{unread}{way_out}")
     elif source is None:
         said.append("several nav_msgs/Odometry topics: name the one to corrupt with --odom-topic")
     elif frames is None and asked_frame is None:

@@ -5,7 +5,7 @@ import shutil
 import time
 
 import pytest
-from oracles import FIXTURES, OFFICE_MCAP, copy
+from oracles import FIXTURES, OFFICE_BAG, OFFICE_MCAP, copy
 
 from odomcorrupt.bags.block import Definition
 from odomcorrupt.bags.open import open_reader
@@ -73,9 +73,7 @@ def test_a_file_that_is_too_large_or_takes_too_long_is_refused(bag, monkeypatch)
 def test_qos_that_is_no_yaml_stays_a_text():
     for qos in ("- history: keep_last\n  " + "[" * 400, "- history: keep_last\n  x: *y", "{[a]: history: keep"):
         topic = TopicInfo("/a", "cdr", Definition("std_msgs/msg/String", "", b"", {"offered_qos_profiles": qos}))
-        assert load_plain(generated("mcap", [], [topic], ""))["rosbag2_bagfile_information"][
-            "topics_with_message_count"
-        ]
+        assert load_plain(generated("mcap", [], [topic]))["rosbag2_bagfile_information"]["topics_with_message_count"]
 
 
 @pytest.mark.parametrize("name", ["metadata.yaml", DB])
@@ -137,7 +135,8 @@ def test_a_folder_without_metadata_is_one_bag_only_if_its_names_count(names, fin
     assert all(f"{name}.mcap" in str(caught.value) for name in names)
 
 
-def test_a_folder_of_a_ros1_bag_names_it(tmp_path):
-    (tmp_path / "run.bag").touch()
-    with pytest.raises(BagError, match=r"it holds run\.bag, name that"):
-        open_reader(tmp_path)
+def test_a_folder_of_one_ros1_bag_is_that_bag(tmp_path):
+    (tmp_path / "in").mkdir()
+    shutil.copyfile(OFFICE_BAG, tmp_path / "in" / "run.bag")
+    copied = [copy(source, tmp_path / name) for source, name in ((OFFICE_BAG, "a.bag"), (tmp_path / "in", "b.bag"))]
+    assert copied[0].read_bytes() == copied[1].read_bytes()

@@ -194,7 +194,7 @@ def peak_mb(code, *words):
     """Return the memory that a program takes beyond what importing takes, MB."""
     program = (
         "import resource, sys; from odomcorrupt.bags.open import open_reader\nfrom pathlib import Path\n"
-        "import odomcorrupt.bags.mcap.reader, odomcorrupt.bags.rosbag2.reader\n"
+        "import odomcorrupt.bags.mcap.reader, odomcorrupt.bags.parts\n"
         "def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024\nbefore = peak()\n"
         f"{code}\nprint(peak() - before)\n"
     )

@@ -18,6 +18,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
+from odomcorrupt.bags.definition import plain_text
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def convert_type(msgtype: str, definition: Definition, ros: Generation) -> Messa
         # code is generated under this name
         raise BagError(f"{msgtype[:80]!r} is not a message type")
     try:
-        given = _parsed(msgtype, definition)
+        given = _parsed(msgtype, definition, known=msgtype in _common(other))
         source = _closure(msgtype, {**_common(other), **given})
         wanted = {**source, **_common(ros)} if ros == 2 else {**_without_bounds(source), **_common(ros)}
         if new != msgtype and new not in wanted:
@@ -145,14 +146,14 @@ def _reason(error: BaseException) -> str:
     return " ".join(str(error).split())[:200]
 
 
-def _parsed(msgtype: str, definition: Definition) -> dict[str, Fields]:
-    """Return the types of a bag's definition text; none where there is no text."""
+def _parsed(msgtype: str, definition: Definition, *, known: bool) -> dict[str, Fields]:
+    """Return the types of a bag's definition text; none where there is no text, or that of a known type is lost."""
     if "/action/" in msgtype or "/srv/" in msgtype:
         raise ValueError("services and actions have no counterpart")
-    text = definition.text.decode(errors="replace")
+    text = plain_text(definition)
     if len(text) > _LONGEST_CHARACTERS:
         raise ValueError(f"its definition has {len(text)} characters, which no recorder writes")
-    if not text.strip() and definition.encoding not in ("ros1msg", "ros2msg"):
+    if not text.strip() and (known or definition.encoding not in ("ros1msg", "ros2msg")):
         return {}
     if definition.encoding != "ros2idl":
         return dict(get_types_from_msg(text, msgtype))

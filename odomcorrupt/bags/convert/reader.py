@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.block import Channel, Definition
@@ -9,7 +12,7 @@ from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
 from odomcorrupt.errors import BagError, TopicError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.bags.convert.message_types import Generation, MessageType
@@ -17,6 +20,16 @@ if TYPE_CHECKING:
 _GENERATIONS: Mapping[str, Generation] = {"ros1": 1, "cdr": 2}
 _NAMED = 4
 """Topics named in an error."""
+_FORBIDDEN = re.compile(r"[^A-Za-z0-9_/]+")
+_ROS2_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+"""Names of topics in ROS 2, as rmw_validate_full_topic_name(3) has them."""
+
+
+def ros2_name(topic: str) -> str:
+    """Return a name that ROS 2 allows: other characters become _, which also precedes a digit; empty parts go."""
+    parts = [part for part in _FORBIDDEN.sub("_", topic).split("/") if part]
+    named = "/".join(f"_{part}" if part[0].isdigit() else part for part in parts)
+    return ("/" if topic.startswith("/") else "") + (named or "_")
 
 
 class ConvertedReader(RewrittenReader):
@@ -25,6 +38,7 @@ class ConvertedReader(RewrittenReader):
     ros : generation of the messages; None leaves all as they are
     strict : whether messages that belong to no generation are refused
     exclude : topics left out
+    rename : "OLD=NEW" for topics that get another name; those of ROS 1 that ROS 2 forbids get one by `ros2_name`
     """
 
     def __init__(
@@ -34,6 +48,7 @@ class ConvertedReader(RewrittenReader):
         *,
         strict: bool = False,
         exclude: Sequence[str] = (),
+        rename: Sequence[str] = (),
         recover: bool = False,
     ) -> None:
         ros1 = ros == 1 or (ros is None and all(one.encoding == "ros1" for one in reader.channels.values()))
@@ -41,31 +56,68 @@ class ConvertedReader(RewrittenReader):
         self._ros = ros
         self._strict = strict
         self._exclude = {topic.lstrip("/") for topic in exclude}
+        self._rename: dict[str, str] = {}
+        for words in rename:
+            old, _, new = words.rpartition("=")
+            if not old or not new or (ros != 1 and not ros1 and not _ROS2_NAME.fullmatch(new)):
+                raise BagError(
+                    f"--rename {words}: write OLD=NEW, a topic and its new name, which has letters, digits, _ and / in "
+                    "ROS 2, and no digit first"
+                )
+            self._rename[old.lstrip("/")] = new
+        self._topics: dict[str, str] = {}
         self._first: dict[tuple[str, str], int] = {}
         self._types: dict[tuple[str, str, bytes], MessageType] = {}
         if reader.complete:
-            self._require_excluded(exclude)
+            self._require_known("--exclude-topic", exclude)
+            self._require_known("--rename", self._rename)
             self._require_convertible()
+            self._require_distinct()
 
     @property
     def remarks(self) -> list[str]:
-        """What the output's types cannot hold, one sentence for each type."""
-        return sorted({
+        """What the output's types cannot hold, one sentence for each type, and names that it cannot have."""
+        lost = {
             f"{one.msgtype} loses {', '.join(one.lost)}: ROS {self._ros} has no such field"
             for one in self._types.values()
             if one.lost
-        })  # fmt: skip
+        }
+        forbidden = [
+            f"{old} is now {new}"
+            for old, new in self._topics.items()
+            if old != new and old.lstrip("/") not in self._rename
+        ]
+        said = [f"ROS 2 forbids names of topics: {', '.join(forbidden)}; --rename OLD=NEW chooses others"]
+        return [*getattr(self.reader, "remarks", ()), *sorted(lost), *(said if forbidden else [])]
+
+    def renamed(self, topic: str) -> str:
+        """Return the name that a topic of the input has here."""
+        return self._rename.get(topic.lstrip("/")) or self._topics.get(topic, topic)
+
+    def _topic(self, channel: Channel) -> str:
+        """Return the name of a channel's topic here, which no other topic has."""
+        topic = channel.topic
+        if topic not in self._topics:
+            new = self._rename.get(topic.lstrip("/"), topic)
+            if new == topic and self._ros == 2 and channel.encoding == "ros1" and not _ROS2_NAME.fullmatch(topic):
+                new = ros2_name(topic)
+                taken = {*self._topics.values(), *(one.topic for one in self.reader.channels.values())}
+                while new in taken:
+                    new += "_"
+            self._topics[topic] = new
+        return self._topics[topic]
 
     def rule(self, channel: Channel) -> Rule | None:
         """Return what becomes of a channel."""
         if channel.topic.lstrip("/") in self._exclude:
             return None
         definition = self.reader.definition(channel)
+        topic = self._topic(channel)
         generation = _GENERATIONS.get(channel.encoding)
         if self._strict and generation is None:
             raise self._refused(channel, f"its messages are {channel.encoding or 'of no stated encoding'}")
         if self._ros is None or generation in (None, self._ros):
-            return Rule(channel, definition, None)
+            return Rule(replace(channel, topic=topic), definition, None)
         try:
             new = self._type(channel.msgtype, definition)
         except BagError as error:
@@ -73,8 +125,8 @@ class ConvertedReader(RewrittenReader):
         identifier = channel.id
         if self._ros == 2:
             # in ROS 2 a topic is recorded once, however many publishers it has
-            identifier = self._first.setdefault((channel.topic, new.msgtype), channel.id)
-        converted = Channel(identifier, channel.topic, new.msgtype, "ros1" if self._ros == 1 else "cdr", channel.raw)
+            identifier = self._first.setdefault((topic, new.msgtype), channel.id)
+        converted = Channel(identifier, topic, new.msgtype, "ros1" if self._ros == 1 else "cdr", channel.raw)
 
         def rewrite(data: memoryview) -> bytes | memoryview:
             try:
@@ -137,12 +189,20 @@ class ConvertedReader(RewrittenReader):
         if failed:
             raise next(iter(failed.values()))
 
-    def _require_excluded(self, exclude: Sequence[str]) -> None:
-        """Raise TopicError for a topic to be left out that the bag does not have."""
+    def _require_distinct(self) -> None:
+        """Raise BagError for two topics of one name."""
+        names = sorted(
+            {(self._topics[one.topic], one.topic) for one in self.reader.channels.values() if one.topic in self._topics}
+        )
+        for (new, first), (same, second) in pairwise(names):
+            if new == same:
+                raise BagError(f"--rename: {first} and {second} would both be {new}; choose another name for one")
+
+    def _require_known(self, option: str, topics: Iterable[str]) -> None:
+        """Raise TopicError for a topic that an option names and the bag does not have."""
         known = sorted({channel.topic for channel in self.reader.channels.values()})
-        for topic in exclude:
+        for topic in topics:
             if topic.lstrip("/") not in {one.lstrip("/") for one in known}:
                 raise TopicError(
-                    f"--exclude-topic {topic}: {self.name} has no such topic (it has {', '.join(known)}); name one of "
-                    "these"
+                    f"{option} {topic}: {self.name} has no such topic (it has {', '.join(known)}); name one of these"
                 )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.block import Block
 from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
+from odomcorrupt.bags.magic import ZSTD
 from odomcorrupt.bags.mcap.chunk import Loose, read_chunk_head, read_pieces
 from odomcorrupt.bags.mcap.chunk_messages import record_bytes
 from odomcorrupt.bags.mcap.records import (
@@ -103,6 +104,17 @@ class McapReader(RecordReader):
                 self._learn_all()
             else:
                 source.seek(self._data_start)
+
+    @property
+    def packed(self) -> bool:
+        """Whether the messages of a file are compressed one by one, as the first one shows: no CDR begins as zstd."""
+        for block in self.blocks() if self.complete else ():
+            for channel, _, offset, _ in block.table[:1].tolist():
+                return (
+                    self.channels[channel].encoding == "cdr"
+                    and block.data[offset : offset + len(ZSTD)].tobytes() == ZSTD
+                )
+        return False
 
     def definition(self, channel: Channel) -> Definition:
         """Return the file's definition of a channel's type."""

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel, Definition, Message, require_all
+from odomcorrupt.bags.block import Block, Channel, Definition, Message, own_framing, require_all
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.definition import md5sum_of, retyped
 from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
-from odomcorrupt.bags.ros1.chunk import Ros1Framing
+from odomcorrupt.bags.ros1.chunk import CODECS, Ros1Framing
 from odomcorrupt.bags.ros1.framing import Framed, frame, indexes, pack_time
 from odomcorrupt.bags.ros1.reader import Ros1Reader
 from odomcorrupt.bags.ros1.records import BAG_HEADER, CHUNK, CHUNK_INFO, MAGIC, Connection, pack_fields, pack_record
@@ -155,7 +155,8 @@ class Ros1Writer(OutputContext):
             codec = framing.codec
         else:
             framed = self._framed(block)
-            codec = "lz4"
+            codec = getattr(own_framing(block), "codec", "lz4")
+            codec = codec if codec in CODECS else "lz4"
         if added.data.size:
             framed = framed.followed_by(added)
         codec = self._codec or codec

@@ -114,6 +114,10 @@ class UnpackedMessages(RewrittenReader):
             yield block
         self._lost += undecodable.losses(self.name)
 
+    def __exit__(self, *error: object) -> None:
+        """Close the file."""
+        self.reader.__exit__(*error)
+
     def rule(self, channel: Channel) -> Rule:
         """Return the channel, whose messages are decompressed."""
         what = f"{self.name}: a message on {channel.topic}"

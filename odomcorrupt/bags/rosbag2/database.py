@@ -92,10 +92,8 @@ def has_log(path: Path) -> bool:
 def read_only(path: Path, *, whole: bool = True) -> sqlite3.Connection:
     """Return a connection that writes nothing, not even sqlite's lock files.
 
-    whole : raise BagError for a file shorter than its header says
+    whole : False to read the rest of a truncated file
     """
-    if whole:
-        _require_whole(path)
     mode = "mode=ro" if has_log(path) else "immutable=1"
     connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
     # No message is larger than its file, whatever it claims.
@@ -120,7 +118,7 @@ def harden(connection: sqlite3.Connection, *, defensive: bool = True) -> None:
             connection.setconfig(getattr(sqlite3, name), on and defensive)  # type: ignore[attr-defined,unused-ignore]
 
 
-def require_plain(connection: sqlite3.Connection, path: Path) -> None:
+def require_plain(connection: sqlite3.Connection, path: str) -> None:
     """Raise BagError for a file whose schema can change what is read or written.
 
     Raises
@@ -163,7 +161,7 @@ def columns(connection: sqlite3.Connection, table: str) -> list[str]:
     return [str(row[1]) for row in connection.execute(f"PRAGMA table_info({table})")]
 
 
-def read_topics(connection: sqlite3.Connection, path: Path, losses: list[str] | None = None) -> list[Topic]:
+def read_topics(connection: sqlite3.Connection, path: str, losses: list[str] | None = None) -> list[Topic]:
     """Return the topics by id.
 
     losses : with recovery, for what of the topics and definitions cannot be read, one sentence for each table
@@ -205,7 +203,7 @@ def read_topics(connection: sqlite3.Connection, path: Path, losses: list[str] | 
 
 
 def _readable(
-    connection: sqlite3.Connection, query: str, what: str, path: Path, losses: list[str] | None
+    connection: sqlite3.Connection, query: str, what: str, path: str, losses: list[str] | None
 ) -> Iterator[tuple[Any, ...]]:
     """Yield rows; with recovery those before the first one that sqlite3 cannot read, which is put into `losses`."""
     try:
@@ -237,18 +235,18 @@ def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, bytes]]) -> To
     )
 
 
-def _require_whole(path: Path) -> None:
+def require_whole(path: Path, name: str) -> None:
     """Raise BagError for a file shorter than its header says; sqlite would fail only at a missing page."""
     with path.open("rb") as stream:
         head = stream.read(100)
     if len(head) < 100:
-        raise BagError(f"{path}: has {len(head)} bytes, less than the header of a sqlite3 file; it is truncated")
+        raise BagError(f"{name}: has {len(head)} bytes, less than the header of a sqlite3 file; it is truncated")
     (page,) = struct.unpack_from(">H", head, 16)
     changes, pages = struct.unpack_from(">II", head, 24)
     (valid_for,) = struct.unpack_from(">I", head, 92)
     size = (65536 if page == 1 else page) * pages
     if changes == valid_for and path.stat().st_size < size and not has_log(path):
         raise BagError(
-            f"{path}: has {path.stat().st_size} bytes, its header states {size}; it is truncated, --recover "
+            f"{name}: has {path.stat().st_size} bytes, its header states {size}; it is truncated, --recover "
             "saves the intact part"
         )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import suppress
 from copy import deepcopy
-from dataclasses import dataclass, field
 from functools import lru_cache
 from io import StringIO
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,12 +13,29 @@ from odomcorrupt.bags.rosbag2.bounded_yaml import load_faithful, load_plain, rea
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from odomcorrupt.bags.block import Definition, PartContents
 
 _ROOT = "rosbag2_bagfile_information"
+_NEW: dict[str, Any] = {
+    "storage_identifier": "",
+    "duration": {},
+    "starting_time": {},
+    "message_count": 0,
+    "topics_with_message_count": [],
+    "compression_format": "",
+    "compression_mode": "",
+    "relative_file_paths": [],
+    "files": [],
+    "custom_data": {},
+    "ros_distro": "",
+}
+"""What a metadata.yaml of version 8 holds, in its order."""
+_FIRST_WITH_FILES = 5
+"""Version of metadata.yaml since which it lists the contents of each file."""
+_WITHOUT = "--recover does without it, as if it were removed: the directory's files are read by their names"
 
 
 class TopicInfo(NamedTuple):
@@ -29,44 +46,26 @@ class TopicInfo(NamedTuple):
     definition: Definition
 
 
-@dataclass(slots=True)
-class Addition:
-    """Messages that were added to a file of a bag.
-
-    counts : messages by topic name
-    """
-
-    counts: dict[str, int] = field(default_factory=dict)
-    start_ns: int | None = None
-    end_ns: int = 0
-
-    def note(self, topic: str, log_ns: int) -> None:
-        """Count a message."""
-        self.counts[topic] = self.counts.get(topic, 0) + 1
-        self.start_ns = log_ns if self.start_ns is None else min(self.start_ns, log_ns)
-        self.end_ns = max(self.end_ns, log_ns)
-
-
 def read_info(path: Path) -> dict[str, Any]:
     """Return the bag information of a metadata.yaml."""
     try:
         document = _parsed(read_text(path))
     except ValueError as error:
-        raise BagError(
-            f"{path}: cannot be read: {error}; without it the directory's files are read as they are"
-        ) from error
+        raise BagError(f"{path}: cannot be read: {error}; {_WITHOUT}") from error
     info = document.get(_ROOT) if isinstance(document, dict) else None
     if not isinstance(info, dict) or not isinstance(info.get("relative_file_paths"), list):
-        raise BagError(f"{path}: is not a rosbag2 metadata.yaml; without it the directory's files are read as they are")
+        raise BagError(f"{path}: is not a rosbag2 metadata.yaml, or the beginning of one; {_WITHOUT}")
     return info
 
 
 def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
-    """Return a YAML text with its bag information changed, all else unchanged."""
+    """Return a YAML text with its bag information changed, all else unchanged; the text itself if nothing changes."""
     out = StringIO()
     try:
         document = deepcopy(_parsed(text))
         change(document.get(_ROOT, document))
+        if document == _parsed(text):
+            return text
         yaml_of("rt").dump(document, out)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise BagError(f"metadata: not as rosbag2 writes it ({yaml_problem(error)}); remove metadata.yaml") from error
@@ -79,78 +78,85 @@ def add_provenance(info: dict[str, Any], name: str, items: Mapping[str, str]) ->
     info["custom_data"] = {**custom, **{f"{name}.{key}": value for key, value in items.items()}}
 
 
-def added(info: dict[str, Any], additions: list[Addition], topics: Mapping[str, TopicInfo]) -> None:
-    """Add the counts and times of added messages.
+def count(
+    info: dict[str, Any], storage: str, parts: Sequence[PartContents], topics: Sequence[TopicInfo], mode: str = "none"
+) -> None:
+    """State the contents of a bag's files as they were counted, whatever was stated before.
 
-    additions : by file, in the order of the file list
-    topics : topics of added messages, by name
+    info : the bag information, which is changed
+    storage : mcap or sqlite3
+    parts : the files, with their names
+    topics : all topics; those that the information lacks are added
+    mode : what is compressed
     """
-    entries = {entry["topic_metadata"]["name"]: entry for entry in info.get("topics_with_message_count") or []}
-    files = info.get("files") or [{} for _ in additions]
-    for file, addition in zip(files, additions, strict=False):
-        if addition.start_ns is None:
-            continue
-        for topic, count in addition.counts.items():
-            if topic not in entries:
-                hashed = any("type_description_hash" in entry["topic_metadata"] for entry in entries.values())
-                entries[topic] = _topic_entry(topics[topic], hashed=hashed)
-                info["topics_with_message_count"].append(entries[topic])
-            entries[topic]["message_count"] += count
-        for span in (info, file):
-            if "message_count" in span:
-                span["message_count"] += sum(addition.counts.values())
-                _extend(span, addition.start_ns, addition.end_ns)
+    if not isinstance(info.get("version"), int):
+        described = [_topic_entry(topic, hashed=True)["topic_metadata"] for topic in topics]
+        named = any(isinstance(one["offered_qos_profiles"], list) for one in described)
+        new = {"version": 9 if named else 8, **_NEW}
+        info.update({key: info.get(key) or deepcopy(value) for key, value in new.items()})
+    _count_topics(info, parts, topics)
+    info["storage_identifier"] = storage
+    _span(info, [part for part in parts if part.counts])
+    if mode != "none" or str(info.get("compression_mode") or "none").lower() not in ("none", "storage"):
+        info["compression_mode"] = "" if mode == "none" else mode.upper()
+        info["compression_format"] = "" if mode == "none" else "zstd"
+    names = [part.name for part in parts]
+    if [str(name).rsplit("/", 1)[-1] for name in info.get("relative_file_paths", ())] != names:
+        info["relative_file_paths"] = names
+    if info.get("files") or info["version"] >= _FIRST_WITH_FILES:
+        before = {str(file.get("path")).rsplit("/", 1)[-1]: file for file in info.get("files") or []}
+        info["files"] = [before.get(part.name, {"path": part.name}) for part in parts]
+        for file, part in zip(info["files"], parts, strict=True):
+            _span(file, [part])
 
 
-def set_compression(info: dict[str, Any], mode: str, names: list[str]) -> None:
-    """State what of a bag is compressed, and the names of its files."""
-    info["compression_mode"] = "" if mode == "none" else mode.upper()
-    info["compression_format"] = "" if mode == "none" else "zstd"
-    info["relative_file_paths"] = names
-    for file, name in zip(info.get("files") or [], names, strict=False):
-        file["path"] = name
+def _count_topics(info: dict[str, Any], parts: Sequence[PartContents], topics: Sequence[TopicInfo]) -> None:
+    """State the number of messages of each topic; topics that the information lacks are added."""
+    counts = Counter[str]()
+    for part in parts:
+        counts.update(part.counts)
+    entries = info.get("topics_with_message_count")
+    if not (isinstance(entries, list) and all(_is_entry(one) for one in entries)):
+        entries = info["topics_with_message_count"] = []
+    known = {entry["topic_metadata"]["name"] for entry in entries}
+    hashed = not entries or any("type_description_hash" in entry["topic_metadata"] for entry in entries)
+    for topic in topics:
+        if topic.name not in known:
+            known.add(topic.name)
+            entries.append(_topic_entry(topic, hashed=hashed))
+    for entry in entries:
+        # of a name with two types one entry has the count
+        entry["message_count"] = counts.pop(entry["topic_metadata"]["name"], 0)
+
+
+def _is_entry(entry: object) -> bool:
+    metadata = entry.get("topic_metadata") if isinstance(entry, dict) else None
+    return isinstance(metadata, dict) and isinstance(metadata.get("name"), str)
+
+
+def _span(info: dict[str, Any], parts: Sequence[PartContents]) -> None:
+    """State time span and number of messages of files, in the maps that are there."""
+    start_ns = min((part.start_ns for part in parts), default=0)
+    end_ns = max((part.end_ns for part in parts), default=0)
+    for key, inner, value in (
+        ("starting_time", "nanoseconds_since_epoch", start_ns),
+        ("duration", "nanoseconds", end_ns - start_ns),
+    ):
+        if info.get(key) != {inner: value}:
+            info[key] = {inner: value}
+    info["message_count"] = sum(sum(part.counts.values()) for part in parts)
 
 
 def generated(
-    storage: str, parts: list[PartContents], topics: list[TopicInfo], distro: str, *, root: bool = True
+    storage: str, parts: list[PartContents], topics: list[TopicInfo], mode: str = "none", *, root: bool = True
 ) -> str:
     """Return a new metadata.yaml for a bag that had none.
 
+    storage, parts, topics, mode : as of `count`
     root : whether the information is under its key, as in the file; the metadata table of sqlite3 has it bare
     """
-    counts: dict[str, int] = {}
-    for part in parts:
-        for topic, count in part.counts.items():
-            counts[topic] = counts.get(topic, 0) + count
-    filled = [part for part in parts if part.counts]
-    start_ns = min((part.start_ns for part in filled), default=0)
-    once = {(topic.name, topic.definition.name): topic for topic in reversed(topics)}
-    entries = [_topic_entry(topic, hashed=True) for topic in reversed(once.values())]
-    for entry in entries:
-        entry["message_count"] = counts.get(entry["topic_metadata"]["name"], 0)
-    named = any(isinstance(entry["topic_metadata"]["offered_qos_profiles"], list) for entry in entries)
-    info = {
-        "version": 9 if named else 8,
-        "storage_identifier": storage,
-        "duration": {"nanoseconds": max((part.end_ns for part in filled), default=0) - start_ns},
-        "starting_time": {"nanoseconds_since_epoch": start_ns},
-        "message_count": sum(counts.values()),
-        "topics_with_message_count": entries,
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [part.name for part in parts],
-        "files": [
-            {
-                "path": part.name,
-                "starting_time": {"nanoseconds_since_epoch": part.start_ns},
-                "duration": {"nanoseconds": part.end_ns - part.start_ns},
-                "message_count": sum(part.counts.values()),
-            }
-            for part in parts
-        ],
-        "custom_data": {},
-        "ros_distro": distro,
-    }
+    info: dict[str, Any] = {}
+    count(info, storage, parts, topics, mode)
     yaml = yaml_of("safe")
     yaml.default_flow_style = False
     yaml.sort_base_mapping_type_on_output = False
@@ -176,13 +182,6 @@ def _topic_entry(topic: TopicInfo, *, hashed: bool) -> dict[str, Any]:
     if hashed:
         entry["type_description_hash"] = metadata.get("topic_type_hash", "")
     return {"topic_metadata": entry, "message_count": 0}
-
-
-def _extend(span: dict[str, Any], start_ns: int, end_ns: int) -> None:
-    before_ns = span["starting_time"]["nanoseconds_since_epoch"]
-    after_ns = max(before_ns + span["duration"]["nanoseconds"], end_ns)
-    span["starting_time"]["nanoseconds_since_epoch"] = min(before_ns, start_ns)
-    span["duration"]["nanoseconds"] = after_ns - min(before_ns, start_ns)
 
 
 @lru_cache(maxsize=8)

@@ -148,7 +148,7 @@ class NewSqliteWriter(SqliteOutput):
 
     def _complete(self) -> None:
         require_all(str(self._path), self._reader, self._written, self._added)
-        text = generated("sqlite3", [self.contents()], self._infos, "", root=False)
+        text = generated("sqlite3", [self.contents()], self._infos, root=False)
         for name, items in self._provenance:
             text = edited(text, lambda info, name=name, items=items: add_provenance(info, name, items))  # type: ignore[misc]
         self._connection.execute("INSERT INTO metadata VALUES (1, ?, ?)", (_METADATA_VERSION, text))

@@ -24,11 +24,13 @@ from odomcorrupt.bags.rosbag2.database import (
     read_only,
     read_topics,
     reported,
+    require_whole,
 )
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping
+    from contextlib import AbstractContextManager
     from tempfile import _TemporaryFileWrapper
 
     from numpy.typing import NDArray
@@ -159,6 +161,7 @@ class SqliteFraming:
 class SqliteReader:
     """One .db3 file.
 
+    name : name in messages, by default its path
     readable : the file, or the whole pages of a truncated one
     damaged : whether sqlite3's integrity check fails; with recovery only
     packed : whether messages are compressed one by one
@@ -170,8 +173,8 @@ class SqliteReader:
     kind: Kind = "sqlite3"
     complete = True
 
-    def __init__(self, path: Path, *, recover: bool = False) -> None:
-        self.name = str(path)
+    def __init__(self, path: Path, name: str | None = None, *, recover: bool = False) -> None:
+        self.name = name or str(path)
         self.path = path
         self.paths = [path]
         self.losses: list[str] = []
@@ -182,8 +185,11 @@ class SqliteReader:
         self._whole = whole_pages(path) if recover else None
         self.readable = path if self._whole is None else Path(self._whole.name)
         try:
-            with reported(path), closing(read_only(self.readable, whole=not recover)) as connection:
-                topics = read_topics(connection, path, self.losses if recover else None)
+            with self._reported():
+                if not recover:
+                    require_whole(path, self.name)
+            with self._reported(), closing(read_only(self.readable, whole=not recover)) as connection:
+                topics = read_topics(connection, self.name, self.losses if recover else None)
                 self.packed = _packed(connection, recover=recover)
                 self.damaged = recover and not _sound(connection)
         except BaseException:
@@ -193,6 +199,9 @@ class SqliteReader:
         self.channels: Mapping[int, Channel] = {
             topic.id: Channel(topic.id, topic.name, topic.type, topic.encoding, raw=topic) for topic in topics
         }
+
+    def _reported(self) -> AbstractContextManager[None]:
+        return reported(Path(self.name), recover=self._recover)
 
     def definition(self, channel: Channel) -> Definition:
         """Return the file's definition of a channel's type."""
@@ -211,7 +220,7 @@ class SqliteReader:
         if self._recover:
             only = with_readable(only, self.channels)
         with (
-            reported(self.path, recover=self._recover),
+            self._reported(),
             closing(read_only(self.readable, whole=not self._recover)) as connection,
         ):
             rows: list[int] = []
@@ -224,7 +233,7 @@ class SqliteReader:
             for row, channel, log_ns, blob, large in self._rows(connection, only):
                 if row <= last:
                     # Cyclic pages could be read for ever.
-                    raise BagError(f"{self.path}: message {row} comes after message {last}; the bag is damaged")
+                    raise BagError(f"{self.name}: message {row} comes after message {last}; the bag is damaged")
                 last = row
                 unread = only is not None and channel not in only and blob is None
                 if large and not unread and channel in self.channels:
@@ -234,7 +243,7 @@ class SqliteReader:
                     or channel not in self.channels
                     or type(log_ns) is not int
                 ):
-                    sentence = f"{self.path}: message {row} has no data, no time or no topic; the bag is damaged"
+                    sentence = f"{self.name}: message {row} has no data, no time or no topic; the bag is damaged"
                     if not self._recover:
                         raise BagError(f"{sentence}; --recover saves the intact part")
                     first_unusable = first_unusable or sentence
@@ -274,7 +283,7 @@ class SqliteReader:
 
     def _rows(self, connection: sqlite3.Connection, only: Container[int] | None) -> Iterator[tuple[Any, ...]]:
         if self.damaged:
-            return ((*row, 0) for row in salvaged_rows(connection, str(self.path), self.losses))
+            return ((*row, 0) for row in salvaged_rows(connection, self.name, self.losses))
         wanted = list(self.channels) if only is None else [one for one in self.channels if one in only]
         ours = "1" if only is None else f"topic_id IN ({', '.join('?' * len(wanted))})"
         small = f"typeof(data) != 'blob' OR length(data) <= {_PIECE_BYTES}"

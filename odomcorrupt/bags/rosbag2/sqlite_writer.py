@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+from collections import Counter
 from contextlib import closing, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -20,7 +22,6 @@ from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from odomcorrupt.bags.block import Block, Definition
 
@@ -142,12 +143,15 @@ class SqliteWriter(SqliteOutput):
     def contents(self) -> PartContents:
         """Return the message counts and time span of the file so far."""
         names = {one.id: one.topic for one in self._reader.channels.values()} | self._added
-        query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+        counts: Counter[str] = Counter()
         with reported(self._path, writing=True):
             self._drop_lost()
-            rows = self._connection.execute(query).fetchall()
-        start_ns, end_ns = min((row[2] for row in rows), default=0), max((row[3] for row in rows), default=0)
-        return PartContents(self._path.name, {names[row[0]]: row[1] for row in rows}, start_ns, end_ns)
+            # two queries, each of which the index of times answers; counts are compared when the file is complete
+            ends = "SELECT (SELECT min(timestamp) FROM messages), (SELECT max(timestamp) FROM messages)"
+            start_ns, end_ns = self._connection.execute(ends).fetchone()
+        for topic, (count, _) in self._expected.items():
+            counts[names.get(topic, "")] += count
+        return PartContents(self._path.name, +counts, start_ns or 0, end_ns or 0)
 
     @property
     def _connection(self) -> sqlite3.Connection:
@@ -192,7 +196,7 @@ class SqliteWriter(SqliteOutput):
             self._copied_to = self._partial.open("xb")
             self._copying = FileCopy(self._reader.path, self._copied_to.fileno())
         if not self._reader.damaged:  # while a thread copies the file
-            with reported(self._reader.path), closing(read_only(self._reader.readable, whole=False)) as source:
+            with reported(Path(self._reader.name)), closing(read_only(self._reader.readable, whole=False)) as source:
                 self._expected = count_messages(source)
         if self._copying is None or not self._copying_thread:
             self._begin_changes()

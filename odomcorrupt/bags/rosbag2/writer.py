@@ -13,18 +13,10 @@ from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.writer import McapWriter, ReframedReader
 from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.parts import PartsReader
 from odomcorrupt.bags.placement import beside, place, sweep
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, compress_file, compressed_block
-from odomcorrupt.bags.rosbag2.metadata import (
-    Addition,
-    TopicInfo,
-    add_provenance,
-    added,
-    edited,
-    generated,
-    set_compression,
-)
-from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
+from odomcorrupt.bags.rosbag2.metadata import TopicInfo, add_provenance, count, edited, generated
 from odomcorrupt.bags.rosbag2.sqlite_creator import NewSqliteWriter
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter
@@ -75,14 +67,13 @@ class Rosbag2Writer:
         self._writers: list[PartWriter] = []
         self._fresh: dict[int, tuple[Channel, Definition]] = {}
         self._provenance: list[tuple[str, Mapping[str, str]]] = []
-        self._old = reader if isinstance(reader, Rosbag2Reader) else None
+        self._old = reader if isinstance(reader, PartsReader) else None
         self._mode: Mode = (self._old.mode if self._old else "none") if mode is None else mode
         self._parts: list[BagReader] = [reader]
         self._own: list[dict[int, int]] = [{}]
         if self._old is not None:
             self._parts = [*self._old.parts]
             self._own = [{number: own for own, number in reversed(numbers.items())} for numbers in self._old.numbers]
-        self._additions = [Addition() for _ in self._parts]
         self._native = self._mode != "message" and reader.kind == self._kind
         self.keeps_rest = self._native and all(
             isinstance(part, SqliteReader) and not part.damaged for part in self._parts
@@ -109,8 +100,6 @@ class Rosbag2Writer:
         """Write a block to the file it came from, its added messages last."""
         part, own = (block.raw.part, block.raw.own) if isinstance(block.raw, PartFraming) else (0, block)
         messages = [one._replace(channel=self._written_id(part, one.channel)) for one in block.added]
-        for one in block.added:
-            self._additions[part].note(self._described(one.channel).name, one.log_ns)
         written = Block(block.data, own.table, own.raw, messages, own.ends, own.places, block.changed)
         if self._mode == "message" and (len(own.table) or messages):
             written = compressed_block(written, self._level)
@@ -143,20 +132,16 @@ class Rosbag2Writer:
         return self._own[part][channel]
 
     def _metadata(self) -> str:
-        """Return the text of metadata.yaml: the input's where nothing was added."""
-        text = self._old.metadata if self._old is not None and self._kind == self._old.kind else None
-        stated: Mode = self._old.mode if self._old is not None and text is not None else "none"
-        if text is None or self._reader.losses:
-            stated = "none"
-            topics = [self._described(one) for one in [*self._reader.channels, *self._fresh]]
-            parts = [writer.contents() for writer in self._writers]
-            text = generated(self._kind, parts, topics, "")
-        elif any(addition.counts for addition in self._additions):
-            topics_by_name = {info.name: info for info in map(self._described, [*self._reader.channels, *self._fresh])}
-            text = edited(text, lambda info: added(info, self._additions, topics_by_name))
-        if self._mode != stated:
-            names = [f"{name}{SUFFIXES[0]}" if self._mode == "file" else name for name in self._names()]
-            text = edited(text, lambda info: set_compression(info, self._mode, names))
+        """Return the text of metadata.yaml: the input's with the contents that were counted, or a new one."""
+        topics = [self._described(one) for one in [*self._reader.channels, *self._fresh]]
+        suffix = SUFFIXES[0] if self._mode == "file" else ""
+        found = [writer.contents() for writer in self._writers]
+        parts = [part._replace(name=part.name + suffix) for part in found]
+        text = None if self._old is None else self._old.metadata
+        if text is None:
+            text = generated(self._kind, parts, topics, self._mode)
+        else:
+            text = edited(text, lambda info: count(info, self._kind, parts, topics, self._mode))
         for name, items in self._provenance:
             text = edited(text, lambda info, name=name, items=items: add_provenance(info, name, items))  # type: ignore[misc]
         return text
