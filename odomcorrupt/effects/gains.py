@@ -322,6 +322,66 @@ class SidewaysScale(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class TurnScrub(Effect):
+    """f = abs(omega) (travel v, travel vy, turn omega): scales of travel and turn that change with the turn rate.
+
+    A contact that spins about its normal has less grip for travel (turn slip: Pacejka, Tire and Vehicle Dynamics), and
+    rollers of omnidirectional wheels scrub across their path. The moment of dry friction against a turn hardly depends
+    on its rate, so that slow turns lose the larger share.
+    """
+
+    name = "turn_scrub"
+    odd = True
+    summary = "wheels or rollers scrub in turns: travel and turn are wrong by a share that changes with the turn rate"
+    about = About(
+        equation="f = abs(omega) (travel v, travel vy, turn omega)",
+        typical="mecanum wheels -0.46 s of travel, along and sideways alike, and 0.14 s of turn (9, 3 % at 0.2 rad/s); "
+        "two wheels 0.004 s of turn: measured on the runs of docs/optiodom.md",
+        source="Pacejka, Tire and Vehicle Dynamics, on turn slip; sizes from runs of Sousa et al. 2022 (OptiOdom)",
+        confused_with=("wheel_scale", "wheelbase", "speed_scale"),
+        drive="the same way straight ahead and while turning, and turns at two rates",
+    )
+
+    travel: float = parameter("s", "change of the scale of travel per turn rate", low=-2.0, high=2.0, typical=0.05)
+    turn: float = parameter("s", "change of the scale of turns per turn rate", low=-2.0, high=2.0, typical=0.02)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: scales in proportion to the turn rate."""
+        travel, turn = (k * np.abs(motion.omega) for k in (self.travel, self.turn))
+        return TwistError(stacked(travel * motion.v, travel * motion.vy, turn * motion.omega, motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
+class OffCentreLoad(Effect):
+    """f_yaw = omega (x v + y vy): the centripetal force acts beside the centre of the wheels and turns the robot.
+
+    The force m (-omega vy, omega v) on a centre of mass ahead of that of the wheels by c, or to its left, is a moment,
+    to which wheels yield in proportion, as they do to a force across (`side_slip`).
+    """
+
+    name = "off_centre_load"
+    odd = True
+    needs_sideways = True
+    summary = "a load ahead or beside the centre of the wheels turns the robot in bends"
+    about = About(
+        equation="f_yaw = omega (x v + y vy)",
+        typical="0.05 to 0.2 s/m: x 0.21 with mecanum wheels, y -0.07 with three omnidirectional ones, measured on the "
+        "runs of docs/optiodom.md",
+        source="Newton's law, with creep of wheels in proportion to force (Pacejka, Tire and Vehicle Dynamics)",
+        confused_with=("turn_scrub", "sideways_turn", "unequal_wheels"),
+        drive="circles both ways, ahead, in reverse and sideways",
+    )
+
+    x: float = parameter("s/m", "share of the turn per speed ahead, of a load ahead", low=-1.0, high=1.0, typical=0.05)
+    y: float = parameter("s/m", "share of the turn per speed to the left", low=-1.0, high=1.0, typical=0.05)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a share of the turn that changes sign with the direction of travel."""
+        yaw = motion.omega * (self.x * motion.v + self.y * motion.vy)
+        return TwistError(stacked(0.0, 0.0, yaw, motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
 class SidewaysTurn(Effect):
     """f = (0, 0, k vy): a wheel of another radius turns the robot in proportion to its sideways travel.
 

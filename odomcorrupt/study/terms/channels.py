@@ -60,6 +60,7 @@ class Action:
     def reaches(self) -> frozenset[str]:
         """Classes of the target: "body", "floor", "one" wheel, "both", "bias", "ground", "twist" or "heading".
 
+        "turning" is the gain of turns, "travel" that of travel ahead or sideways.
         "sideways" is an error per sideways travel; "sideways gain" one that no library effect has in constant ratio.
         "bias" is a heading error over time; "heading" is a yaw error per travel, which an error of a compass may cause.
         "floor" is what wheels that slip on a patch can cause. They do not push a robot to one of its sides, both
@@ -69,14 +70,16 @@ class Action:
             return frozenset({"bias"})
         if self.move in _SIDEWAYS:
             known = (self.target, self.move) in (("across", "vy"), ("yaw", "vy"))  # sideways_scale, sideways_turn
-            return frozenset({"sideways"} if known else {"sideways", "sideways gain"})
+            travel = ["travel"] if (self.target, self.move) == ("across", "vy") else []
+            return frozenset({"sideways", *travel} if known else {"sideways", "sideways gain"})
         if self.by_wheel:
             return frozenset({"both" if self.target == "wheels" else "one"})
         if self.target in (_GROUND, _TWIST):
             return frozenset({self.target})
         if self.target == "across":
             return frozenset({"body"})
-        return frozenset({"body", "floor", *(["heading"] if (self.target, self.move) == ("yaw", "v") else [])})
+        own = {("yaw", "v"): ["heading"], ("yaw", "omega"): ["turning"], ("along", "v"): ["travel"]}
+        return frozenset({"body", "floor", *own.get((self.target, self.move), [])})
 
     @property
     def channel(self) -> str:

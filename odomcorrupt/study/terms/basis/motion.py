@@ -62,11 +62,24 @@ def functions_of_motion(motions: Sequence[Motion], *, sideways: bool = False) ->
             yield from _hinges(regressor, motions)
     yield from _either_signs(motions)
     yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # g-sensitive gyro
+    yield from _interactions(sideways=sideways)
     yield from _saturations(motions)
     yield from _one_way(motions, sideways=sideways)
     if sideways:
         yield BasisFunction(_SIDEWAYS, "k", (lambda m: np.ones(len(m)),), reaches=("sideways gain",))
     yield from _at_rest()
+
+
+def _interactions(*, sideways: bool) -> Iterator[BasisFunction]:
+    """Yield gains of turns that change sign with the direction of travel, and of travel with that of turns.
+
+    They are proportional to the centripetal acceleration: an off-centre load, or a wheel that scrubs on one side.
+    """
+    yield BasisFunction("speed", "k * v", (lambda m: m.v,), reaches=("turning",))
+    yield BasisFunction("yaw_rate", "k * omega", (lambda m: m.omega,), reaches=("travel",))
+    if sideways:
+        yield BasisFunction(_SIDEWAYS, "k * vy", (lambda m: m.vy,), reaches=("turning",))
+        yield BasisFunction("yaw_rate", "k * abs(omega)", (lambda m: np.abs(m.omega),), reaches=("sideways",))
 
 
 def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
