@@ -19,8 +19,7 @@ from laboratory.drives import noiseless_pair, quiet_run
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.interval_ends import GAP_S, pick_interval_ends
-from odomcorrupt.study.estimate.intervals import intervals_between
+from odomcorrupt.study.estimate.intervals import GAP_S, intervals_between, pick_interval_ends
 
 if TYPE_CHECKING:
     from laboratory.cases import Case

@@ -15,7 +15,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.text.comparison import comparison_text
 from odomcorrupt.simulation import Segment, simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.estimate.interval_ends import intervals_of
+from odomcorrupt.study.estimate.intervals import intervals_of
 from odomcorrupt.study.estimate.windows import distance_windows
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.validate.compare import compare

@@ -16,8 +16,8 @@ from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import intervals_between
-from odomcorrupt.study.estimate.position_windows import position_windows
 from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.windows import position_windows
 from odomcorrupt.study.io.headings import with_headings
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients

@@ -8,7 +8,7 @@ from scipy.stats import binom
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
+from odomcorrupt.study.estimate.calibrate import coefficient_intervals
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 

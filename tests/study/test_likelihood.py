@@ -14,15 +14,14 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
-from odomcorrupt.study.estimate import confidence_intervals
-from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficient_intervals
+from odomcorrupt.study.estimate import calibrate
+from odomcorrupt.study.estimate.banded import inverse_band
+from odomcorrupt.study.estimate.calibrate import Interval, coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import cut_at
-from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, NoiseLikelihood, pseudo_inverse
+from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, NoiseLikelihood, VarianceComponents, pseudo_inverse
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.selected_inverse import inverse_band
-from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import whitener
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
@@ -157,7 +156,7 @@ def test_a_coefficient_that_nothing_bounds_is_profiled_no_further_than_a_coeffic
 
     flat = SimpleNamespace(maximise=maximise, posterior=lambda _: 0.0)
     start = np.log([0.5, 0.02])
-    low, high = (confidence_intervals._edge(flat, start, 0, way, 0.0) for way in (-1.0, 1.0))
+    low, high = (calibrate._edge(flat, start, 0, way, 0.0) for way in (-1.0, 1.0))
     assert (low, high) == (0.0, np.inf)
     assert Interval("rot_rot", 0.5, low, high).standard_error == pytest.approx(0.5 / 1.96)
 

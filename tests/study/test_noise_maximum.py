@@ -12,9 +12,8 @@ from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
+from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood, VarianceComponents
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
 
 @pytest.mark.parametrize(("seed", "route"), [(50018, "office"), (50021, "slalom")])

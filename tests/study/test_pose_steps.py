@@ -14,7 +14,7 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.correlation_length import with_pose_steps
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.interval_ends import intervals_of
+from odomcorrupt.study.estimate.intervals import intervals_of
 from odomcorrupt.study.estimate.outliers import single_events
 
 PUSHED_S = 200.0

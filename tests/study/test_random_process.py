@@ -14,10 +14,9 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.knots import KnotPosterior
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import joined, knots_of, widened
-from odomcorrupt.study.estimate.whitener import whitener
+from odomcorrupt.study.estimate.whitener import KnotPosterior, whitener
 
 RANDOM = (
     effect_from_values("gauss_markov", {"sigma": 0.05, "tau": 8.0}),

@@ -12,11 +12,10 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.se2 import accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
+from odomcorrupt.study.estimate.calibrate import coefficient_intervals, fit_robot
 from odomcorrupt.study.estimate.config import INTERVAL_S, choose_approach, independent_spacing_s
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.interval_ends import intervals_of
+from odomcorrupt.study.estimate.intervals import intervals_of
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients

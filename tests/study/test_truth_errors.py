@@ -22,9 +22,8 @@ from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drive_type import MOUNTING
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
+from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood, VarianceComponents
 from odomcorrupt.study.estimate.problem import pose_problem, undo
-from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import interval_covariance, map_axes, whitener
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.raw_trajectory import Samples

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.report.findings import FoundDependence
     from odomcorrupt.study.design.advise import Advice
-    from odomcorrupt.study.estimate.calibrate import RobotFit
-    from odomcorrupt.study.estimate.confidence_intervals import Interval
+    from odomcorrupt.study.estimate.calibrate import Interval, RobotFit
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence

@@ -21,10 +21,9 @@ from scipy.stats import chi2, f
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.se2 import between, compose, wrap
 from odomcorrupt.study.estimate.intervals import memory_over
-from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood
+from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood, VarianceComponents
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.regressors import drives_sideways
-from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.recording import PoseStep
 
 if TYPE_CHECKING:

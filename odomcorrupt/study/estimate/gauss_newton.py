@@ -15,13 +15,12 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.estimate.interval_ends import LEAST_INTERVALS
+from odomcorrupt.study.estimate.intervals import LEAST_INTERVALS
 from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise_beside
-from odomcorrupt.study.estimate.noise_likelihood import pseudo_inverse
+from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents, pseudo_inverse
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, with_random
 from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, bias_steps, has_bias
-from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.clock import Clock, clock_leaders, led
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from scipy.linalg import eigh, orth
 
 from odomcorrupt.effects import registry
 from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise
+from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.truth_bias import SHARED, USUAL_WALK, bias_roots, bias_steps
-from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
-from odomcorrupt.study.estimate.knots import KnotPosterior
 from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood
 from odomcorrupt.study.estimate.random_process import joined, knots_of
+from odomcorrupt.study.estimate.whitener import KnotPosterior
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.estimate.random_process import Knots
-    from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
 _ROBUST_ROUNDS = 5
 _CHANCE, _SIGNAL = 0.002, 0.05

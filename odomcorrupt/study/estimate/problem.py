@@ -18,8 +18,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.study.estimate.interval_ends import intervals_of
-from odomcorrupt.study.estimate.intervals import Intervals, join
+from odomcorrupt.study.estimate.intervals import Intervals, intervals_of, join
 from odomcorrupt.study.estimate.regressors import MotionSmoother, drives_sideways
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders
 from odomcorrupt.study.io.headings import with_recomputed_headings

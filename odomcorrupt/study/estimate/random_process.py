@@ -11,9 +11,9 @@ from scipy.sparse import block_diag, csr_array, diags_array, hstack
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
 from odomcorrupt.study.estimate.banded import band_factor, band_solve, sparse_band
-from odomcorrupt.study.estimate.knots import KnotPosterior
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
 from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
+from odomcorrupt.study.estimate.whitener import KnotPosterior
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -25,8 +25,8 @@ from odomcorrupt.laser.trajectory import (
 )
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers
+from odomcorrupt.study.io.plausibility import check_itself
 from odomcorrupt.study.io.raw_trajectory import Samples, in_order
-from odomcorrupt.study.io.self_consistency import check_itself
 from odomcorrupt.study.io.topic_selection import has_truth
 
 if TYPE_CHECKING:

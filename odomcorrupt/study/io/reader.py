@@ -27,16 +27,14 @@ from odomcorrupt.study.io.localisation import (
     is_of_base,
     spaced_by_motion,
 )
-from odomcorrupt.study.io.plausibility import check_pair
+from odomcorrupt.study.io.plausibility import check_degrees, check_itself, check_pair
 from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.recording import sketch_of
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
-from odomcorrupt.study.io.self_consistency import check_itself
 from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
-from odomcorrupt.study.io.units import check_degrees
 from odomcorrupt.study.io.warnings import (
     check_identity,
     dead_band_warnings,

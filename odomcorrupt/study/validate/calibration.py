@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.intervals import Intervals
-    from odomcorrupt.study.estimate.position_windows import PositionWindows
     from odomcorrupt.study.estimate.problem import Problem
+    from odomcorrupt.study.estimate.windows import PositionWindows
 
 LOCALISED = 0.25
 """Relative standard deviation of the variance of a localisation's errors over windows of one length, in addition to

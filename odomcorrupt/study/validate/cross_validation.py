@@ -17,7 +17,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.study.estimate.interval_ends import LEAST_INTERVALS, count_intervals
+from odomcorrupt.study.estimate.intervals import LEAST_INTERVALS, count_intervals
 from odomcorrupt.study.io.clock import clock_leaders
 
 if TYPE_CHECKING:

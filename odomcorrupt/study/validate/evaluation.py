@@ -11,12 +11,11 @@ from scipy.optimize import minimize
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.study.estimate.noise_fit import outliers
-from odomcorrupt.study.estimate.position_windows import position_windows
 from odomcorrupt.study.estimate.problem import Problem, pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
 from odomcorrupt.study.estimate.regressors import truth_noise
 from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
-from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
+from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, position_windows, window_errors
 from odomcorrupt.study.io.headings import UNKNOWN_RAD
 from odomcorrupt.study.validate.calibration import Horizon, ParameterUncertainty, horizon_of, uncertainty_of
 from odomcorrupt.study.validate.process_windows import process_roots, random_covariance
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.estimate.intervals import Intervals
-    from odomcorrupt.study.estimate.position_windows import PositionWindows
+    from odomcorrupt.study.estimate.windows import PositionWindows
     from odomcorrupt.study.io.recording import Recording
 
 _MIN_NATS_PER_INTERVAL = 0.3

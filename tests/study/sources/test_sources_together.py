@@ -14,8 +14,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import Segment, Tracker, simulate, write_mcap
-from odomcorrupt.study.io.cross_correlation import cross_correlation
-from odomcorrupt.study.io.plausibility import check_together
+from odomcorrupt.study.io.plausibility import check_together, cross_correlation
 from odomcorrupt.study.io.raw_trajectory import Samples
 
 NONE = np.zeros(0)

@@ -17,8 +17,8 @@ from odomcorrupt.simulation import Segment, simulate
 from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.noise_likelihood import NAMES
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.variance_components import NAMES
 from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.select.candidates import library, library_candidates, objection
 from odomcorrupt.study.select.decisions import DECISIONS

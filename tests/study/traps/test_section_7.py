@@ -14,8 +14,8 @@ from odomcorrupt.geometry.se2 import Increments, increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
+from odomcorrupt.study.estimate.calibrate import coefficient_intervals
 from odomcorrupt.study.estimate.clocks import find_clocks
-from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.windows import time_windows
