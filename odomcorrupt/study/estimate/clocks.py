@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import median_low
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,10 +32,10 @@ _RANGE = 2.0
 """Half width of the range of an offset, in standard errors."""
 _CLOCK_HARM = 1.15
 """Ratio by which a clock may increase the 10 s error; a larger one rejects it, even if significant."""
-_PLAIN_LEVEL, _MOST_LEVEL = 1.5, 30.0
+_PLAIN_LEVEL, _MOST_LEVEL = 3.0, 30.0
 """Ratio of two truths' noise that is more than an estimation error, and the largest ratio used."""
-_LEAST_M, _LEAST_RAD = 1e-4, 1e-4
-"""Lower limits of the first truth's noise, m and rad, in such a ratio."""
+_LEAST_M, _LEAST_RAD = 1e-3, 1e-3
+"""Lower limits of a truth's noise, m and rad, in such a ratio: less is hardly separable from that of the odometry."""
 _NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", *MOUNTING)
 """Effects that are free while the clocks are estimated, and are then discarded."""
 RIVALS = ("accel_slip", "backlash", "channel_lag")
@@ -179,20 +180,18 @@ def with_rounding(
 
 
 def levelled(recordings: Sequence[Recording], clocks: Clocks) -> list[Recording]:
-    """Return the recordings with the noise of their truths relative to the first one's, if clearly different.
+    """Return the recordings with the noise of their truths relative to the median one, if clearly different.
 
     Runs of one robot share its effects and noise, but one may have motion capture and another a localisation as truth.
     """
     if len(clocks.truths) != len(recordings) or len(recordings) < 2:
         return list(recordings)
-    first = clocks.truths[0]
+    xy_m = [max(truth.xy_m, _LEAST_M) for truth in clocks.truths]
+    yaw_rad = [max(t.yaw_rad, _LEAST_RAD) for t, r in zip(clocks.truths, recordings, strict=True) if r.headed]
+    usual_m, usual_rad = (median_low(values) if values else 1.0 for values in (xy_m, yaw_rad))
     found = []
-    for recording, truth in zip(recordings, clocks.truths, strict=True):
-        both = recording.headed and recordings[0].headed
-        ratio = (
-            truth.xy_m / max(first.xy_m, _LEAST_M),
-            truth.yaw_rad / max(first.yaw_rad, _LEAST_RAD) if both else 1.0,
-        )
+    for recording, truth, own_m in zip(recordings, clocks.truths, xy_m, strict=True):
+        ratio = own_m / usual_m, max(truth.yaw_rad, _LEAST_RAD) / usual_rad if recording.headed else 1.0
         alike = [1.0 / _PLAIN_LEVEL < r < _PLAIN_LEVEL for r in ratio]
         level = np.where(alike, 1.0, np.clip(ratio, 1.0 / _MOST_LEVEL, _MOST_LEVEL)).tolist()
         found.append(replace(recording, truth_level=(level[0], level[1])))
@@ -245,7 +244,7 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
                 alone = _Found(clock, free, errors, best)
             nuisance = best.onward.effects[: len(nuisance)]
         else:
-            if _harmless(runs, clock):
+            if _harmless(runs, clock) or _harmless(runs, clock, nuisance):
                 return _Found(clock, free, errors, best)
     nothing = _Found(Clock(), (False, False), (0.0, 0.0), best, unused_s=(clock.offset_s, errors[0]))
     return nothing if alone is None else _preferred(runs, alone, nothing, rivals)

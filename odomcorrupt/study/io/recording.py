@@ -65,7 +65,7 @@ class Recording:
     pose_steps : lasting steps between odometry and a localisation
     pulled_per_s : decay rate of the odometry's errors towards the truth, as of a filter that receives poses, 1/s
     pose_corrections : number of steps of such a filter that were removed from the odometry
-    truth_level : noise of the truth relative to that of a study's first recording, position and heading
+    truth_level : noise of the truth relative to the median of a study's recordings, position and heading
     yaw_dead_band_radps : threshold below which the odometry's yaw rate reads zero while the truth turns; 0 if none
     odometry_topic : topic of the odometry; "" if it was no topic
     stamp_error_s : standard deviation of a clock offset hidden by rounded stamps, seconds
