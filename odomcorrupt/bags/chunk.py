@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.bags.checksum import crc32
-from odomcorrupt.bags.codec_streams import PackedInSource, beginning, unpacked
-from odomcorrupt.bags.codecs import decompress
+from odomcorrupt.bags.codecs import PackedInSource, beginning, decompress, unpacked
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -21,6 +20,29 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.source import Source
 
     RecordBytes = Callable[[memoryview, int], int]
+
+
+def gaps_between(starts: NDArray[np.int64], ends: NDArray[np.int64], size: int) -> list[tuple[int, int]] | None:
+    """Return the spans of [0, size) not covered by records (n,), sorted by start; None where these overlap.
+
+    If the gaps consist of whole records, none of the indexed kind, the index is correct and complete.
+    """
+    befores, afters = np.concatenate(([0], ends)), np.concatenate((starts, [size]))
+    (open_ones,) = (befores != afters).nonzero()
+    if not open_ones.size:
+        return []
+    befores, afters = befores[open_ones], afters[open_ones]
+    if (befores > afters).any():
+        return None
+    return list(zip(befores.tolist(), afters.tolist(), strict=True))
+
+
+def windows(data: NDArray[np.uint8], width: int) -> NDArray[np.void]:
+    """Return a view of data as overlapping windows, one per byte, to index whole unaligned fields."""
+    if data.size < width:
+        return np.empty(0, dtype=f"V{width}")
+    return np.ndarray((data.size - width + 1,), dtype=f"V{width}", buffer=data, strides=(1,))
+
 
 LARGE_BYTES = 32 << 20
 """Decompressed size of a chunk beyond which it is read as several: recorders write 0.8 to 4 MB."""

@@ -12,7 +12,7 @@ from odomcorrupt.bags import magic
 from odomcorrupt.bags.codecs import require_level
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import is_stream, refuse_target
-from odomcorrupt.bags.recovery_report import loss_of
+from odomcorrupt.bags.record_reader import loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
@@ -284,9 +284,8 @@ def open_writer(
         from odomcorrupt.bags.ros1.writer import Ros1Writer  # noqa: PLC0415 - see above
 
         return Ros1Writer(output, part or reader, compression, level, workers)
-    from odomcorrupt.bags.rosbag2.sqlite_creator import NewSqliteWriter  # noqa: PLC0415 - see above
     from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader  # noqa: PLC0415 - see above
-    from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter  # noqa: PLC0415 - see above
+    from odomcorrupt.bags.rosbag2.sqlite_writer import NewSqliteWriter, SqliteWriter  # noqa: PLC0415 - see above
 
     if path is None or is_stream(path):
         raise BagError(f"{path}: a sqlite3 file cannot go through a pipe; name the output .mcap, or a file")

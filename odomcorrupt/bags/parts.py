@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Self, cast, get_args
 import numpy as np
 
 from odomcorrupt.bags import magic
-from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming
-from odomcorrupt.bags.coalesce import joined
+from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming, joined
 from odomcorrupt.bags.mcap.reader import McapReader
-from odomcorrupt.bags.recovery_report import loss_of
+from odomcorrupt.bags.record_reader import loss_of
 from odomcorrupt.bags.ros1.reader import Ros1Reader
 from odomcorrupt.bags.rosbag2.bounded_yaml import read_text
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, Mode, UnpackedFiles, UnpackedMessages

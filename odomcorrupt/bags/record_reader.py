@@ -1,15 +1,16 @@
-"""Passes over a bag that is a sequence of records in a file or a pipe: what readers of MCAP and of ROS 1 share."""
+"""Passes over a file or pipe of records: what readers of MCAP and of ROS 1 share, and what recovery lost."""
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block, without
+from odomcorrupt.bags.messages import READABLE, undecodable
 from odomcorrupt.bags.output import Original
-from odomcorrupt.bags.recovery_report import Undecodable, loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
@@ -19,8 +20,55 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import Channel
-    from odomcorrupt.bags.file_copy import FileState
+    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.output import FileState
+
+
+_ADVICE = re.compile(r"[;,]? *(?:try )?--recover\b.*\Z", re.DOTALL)
+
+
+def loss_of(error: BagError) -> str:
+    """Return an error's message without its advice to use --recover."""
+    return _ADVICE.sub("", error.message)
+
+
+def with_readable(only: Container[int] | None, channels: Mapping[int, Channel]) -> Container[int] | None:
+    """Return the ids of required channels, with those whose messages can be decoded here."""
+    if only is None:
+        return None
+    return {number for number, channel in channels.items() if number in only or channel.msgtype in READABLE}
+
+
+class Undecodable:
+    """Messages of a pass that are whole records and cannot be decoded, counted by topic.
+
+    Whatever reads their topic would end at them, so that they are left out.
+    """
+
+    def __init__(self) -> None:
+        self._counts: dict[str, int] = {}
+        self._reasons: dict[str, str] = {}
+
+    def find(self, block: Block, channels: Mapping[int, Channel]) -> NDArray[np.bool_]:
+        """Return and count the messages (n,) of a block that cannot be decoded."""
+        found = np.zeros(len(block.table), dtype=bool)
+        for channel in (channels[number] for number in sorted(block.present())):
+            failed = undecodable(block, channel)
+            if failed:
+                found[list(failed)] = True
+                self._counts[channel.topic] = self._counts.get(channel.topic, 0) + len(failed)
+                self._reasons.setdefault(
+                    channel.topic, loss_of(next(iter(failed.values()))).removeprefix(f"{channel.topic}: ")
+                )
+        return found
+
+    def losses(self, name: str) -> list[str]:
+        """Return one sentence for each topic of the bag of this name."""
+        return [
+            f"{name}: {count} of the messages of {topic} cannot be decoded: left out (the first: {first})"
+            for (topic, count), first in zip(self._counts.items(), self._reasons.values(), strict=True)
+        ]
+
 
 _CLOSE_BYTES = 1 << 13
 """Changed messages at most this many bytes apart are written at once, which takes no longer than two writes."""

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.budget import Budget
-from odomcorrupt.bags.buffer_pool import BufferPool
+from odomcorrupt.bags.budget import Budget, BufferPool
 from odomcorrupt.bags.checksum import crc32, crc_of_both
-from odomcorrupt.bags.file_copy import FileState
+from odomcorrupt.bags.output import FileState
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, own_framing
-from odomcorrupt.bags.gaps import windows
+from odomcorrupt.bags.chunk import windows
 from odomcorrupt.bags.messages import Layout
 from odomcorrupt.corruption.correction import Curve
 from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS

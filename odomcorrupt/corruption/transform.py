@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.coalesce import joined
+from odomcorrupt.bags.block import joined
 from odomcorrupt.bags.messages import locate
 from odomcorrupt.corruption.additions import CorrectionEdge, TruthTopic
 from odomcorrupt.corruption.correction import PATIENCE_NS, Curve

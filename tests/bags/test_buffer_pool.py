@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from odomcorrupt.bags.buffer_pool import ARENA_BYTES, BufferPool
+from odomcorrupt.bags.budget import ARENA_BYTES, BufferPool
 
 
 def test_what_is_given_lies_side_by_side_and_is_not_shared():

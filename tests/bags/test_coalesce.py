@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from oracles import OFFICE_BAG, OFFICE_MCAP, copy, mcap_messages, ros1_messages
 
-from odomcorrupt.bags.block import Message
-from odomcorrupt.bags.coalesce import joined
+from odomcorrupt.bags.block import Message, joined
 from odomcorrupt.bags.open import open_reader, open_writer
 
 BAGS = {

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import zstandard
 
-from odomcorrupt.bags import codec_streams, codecs
-from odomcorrupt.bags.buffer_pool import BufferPool
+from odomcorrupt.bags import codecs
+from odomcorrupt.bags.budget import BufferPool
 from odomcorrupt.bags.codecs import compress, compress_for_ros1, decompress
 from odomcorrupt.errors import BagError
 
@@ -137,7 +137,7 @@ def test_a_whole_frame_behind_one_of_the_stated_size_is_found():
 @pytest.mark.parametrize("frame", ["lz4 linked", "lz4 high"])
 def test_a_large_lz4_chunk_is_read_piece_by_piece_with_the_same_checks(frame, monkeypatch):
     monkeypatch.setattr(codecs, "ARENA_BYTES", -1)
-    monkeypatch.setattr(codec_streams, "_PIECE_BYTES", 70_000)
+    monkeypatch.setattr(codecs, "_PIECE_BYTES", 70_000)
     codec, pack = FRAMES[frame]
     test_frames_of_other_writers_are_read(codec, pack)
     test_a_frame_cut_or_damaged_is_an_error_or_the_same_size(codec, pack)

@@ -11,9 +11,8 @@ from mcap.writer import Writer as McapLibraryWriter
 from oracles import FIXTURES
 from rosbags.rosbag1 import Writer as Ros1LibraryWriter
 
-from odomcorrupt.bags.file_copy import FileCopy, FileState
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.bags.output import Original, Output
+from odomcorrupt.bags.output import FileCopy, FileState, Original, Output
 from odomcorrupt.corruption.run import Container, corrupt_bag
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import BagError

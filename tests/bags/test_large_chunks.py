@@ -19,7 +19,7 @@ from test_recover import recover
 from test_ros1 import packed, rebuilt, records
 
 from odomcorrupt.bags.chunk import record_blocks
-from odomcorrupt.bags.mcap.chunk_messages import record_bytes
+from odomcorrupt.bags.mcap.chunk import record_bytes
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.pipeline import Workers
 from odomcorrupt.errors import BagError
@@ -38,7 +38,7 @@ PACK = {
 def small(monkeypatch):
     """Let chunks beyond 50 kB be large ones, read in blocks of 20 kB."""
     monkeypatch.setattr("odomcorrupt.bags.chunk._BLOCK_BYTES", 20_000)
-    monkeypatch.setattr("odomcorrupt.bags.codec_streams._PIECE_BYTES", 7_000)
+    monkeypatch.setattr("odomcorrupt.bags.codecs._PIECE_BYTES", 7_000)
     monkeypatch.setattr("odomcorrupt.bags.chunk.LARGE_BYTES", 50_000)
 
 

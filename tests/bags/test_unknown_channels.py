@@ -6,7 +6,7 @@ import os
 import pytest
 from oracles import OFFICE_BAG, OFFICE_MCAP
 
-from odomcorrupt.bags.mcap.channel_table import ChannelTable
+from odomcorrupt.bags.mcap.writer import ChannelTable
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.ros1.writer import Connections

@@ -42,16 +42,15 @@ from mutations import _ANYWHERE, mutated
 from smallbags import Small, make_small_bags
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
-from odomcorrupt.bags.buffer_pool import BufferPool
+from odomcorrupt.bags.budget import BufferPool
 from odomcorrupt.bags.chunk import Chunk
-from odomcorrupt.bags.codec_streams import PackedInMemory, beginning
-from odomcorrupt.bags.codecs import decompress
-from odomcorrupt.bags.mcap import chunk_messages as of_mcap
+from odomcorrupt.bags.codecs import PackedInMemory, beginning, decompress
+from odomcorrupt.bags.mcap import chunk as of_mcap
+from odomcorrupt.bags.mcap.reader import read_summary
 from odomcorrupt.bags.mcap.records import ChannelRecord, SchemaRecord
-from odomcorrupt.bags.mcap.summary import read_summary
 from odomcorrupt.bags.messages import READABLE, gather, gather_stamps_ns, locate, scatter, scatter_stamps_ns
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.bags.ros1 import chunk_messages as of_ros1
+from odomcorrupt.bags.ros1 import chunk as of_ros1
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import OdomCorruptError
 

@@ -17,7 +17,7 @@ import pytest
 import zstandard
 
 from odomcorrupt.bags.budget import VARIABLE, Budget, limited, size_of
-from odomcorrupt.bags.codec_streams import PackedInMemory, beginning
+from odomcorrupt.bags.codecs import PackedInMemory, beginning
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import cli, run
 from odomcorrupt.errors import BagError

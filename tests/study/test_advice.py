@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hidden import as_recording
 
-from odomcorrupt.bags.write_twist import write_twists
+from odomcorrupt.bags.messages import write_twists
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import Increments, accumulate

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block, Channel, Kind, PartFraming, Unframed
-from odomcorrupt.bags.coalesce import joined
-from odomcorrupt.bags.recovery_report import loss_of
+from odomcorrupt.bags.block import TABLE, Block, Channel, Kind, PartFraming, Unframed, joined
+from odomcorrupt.bags.record_reader import loss_of
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

@@ -1,16 +1,19 @@
-"""MCAP reader: one block per chunk, messages outside chunks in batches, other records unchanged."""
+"""MCAP reader: one block per chunk, messages outside chunks in batches, other records unchanged; checksums, summary."""
 
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from odomcorrupt.bags.block import Block
+import numpy as np
+
+from odomcorrupt.bags.block import Block, Channel, Definition, without
+from odomcorrupt.bags.checksum import combined, crc32
 from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
 from odomcorrupt.bags.magic import ZSTD
-from odomcorrupt.bags.mcap.chunk import Loose, read_chunk_head, read_pieces
-from odomcorrupt.bags.mcap.chunk_messages import record_bytes
+from odomcorrupt.bags.mcap.chunk import Loose, McapFraming, read_chunk_head, read_contents, read_pieces, record_bytes
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     CHANNEL,
@@ -24,6 +27,11 @@ from odomcorrupt.bags.mcap.records import (
     METADATA,
     RECORD_HEADER_BYTES,
     SCHEMA,
+    STATISTICS,
+    ChannelRecord,
+    Fields,
+    SchemaRecord,
+    record,
     string,
 )
 from odomcorrupt.bags.mcap.resync import (
@@ -33,14 +41,6 @@ from odomcorrupt.bags.mcap.resync import (
     stands_here,
     whole_records,
 )
-from odomcorrupt.bags.mcap.schema_registry import SchemaRegistry
-from odomcorrupt.bags.mcap.section_checksums import (
-    FOOTER_BYTES,
-    require_data_crc,
-    require_summary_crc,
-    stated_data_crc,
-)
-from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
 from odomcorrupt.bags.record_reader import RecordReader
 from odomcorrupt.errors import BagError
 
@@ -48,9 +48,237 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import Channel, Definition, Kind
-    from odomcorrupt.bags.mcap.records import SchemaRecord
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import Kind
+    from odomcorrupt.bags.mcap.chunk import Record
     from odomcorrupt.bags.source import Source
+
+
+FOOTER_BYTES = 20
+_ADVICE = "outside of its chunks the bag is damaged; --recover saves the intact part"
+
+
+def stated_data_crc(content: bytes, what: str) -> int:
+    """Return the checksum in a DataEnd record's content."""
+    if len(content) < 4:
+        raise BagError(f"{what}: a DataEnd record of {len(content)} bytes is shorter than its checksum; damaged bag")
+    return int.from_bytes(content[:4], "little")
+
+
+def require_data_crc(stated: int, crc: int, length: int, header: bytes, what: str) -> None:
+    """Raise BagError where the data section's checksum is not that of its bytes.
+
+    Writers sum from the first byte of the file; two other readings of the specification, in which the magic or the
+    header is no part of the data section, are accepted, too.
+
+    stated : what the file says
+    crc, length : CRC-32 of the bytes between the header and the DataEnd record, and their number
+    header : content of the header record
+    what : name in the error
+    """
+    begin = record(HEADER, header)
+    before = (crc32(MAGIC + begin), crc32(begin))
+    if stated not in (0, crc, *(combined(one, crc, length) for one in before)):
+        raise BagError(f"{what}: the checksum of all its data does not match its bytes: {_ADVICE}")
+
+
+def _crc_of_summary(footer: bytes, crc: int) -> int:
+    """Return the checksum that a footer's content should state, of CRC-32 `crc` of the section before it."""
+    return crc32(struct.pack("<BQ", FOOTER, len(footer)) + footer[:16], crc)
+
+
+def require_summary_crc(footer: bytes, crc: int, what: str) -> None:
+    """Raise BagError where a footer's content states a checksum that is not that of the section before it.
+
+    footer : content of the footer record
+    crc : CRC-32 of the bytes from the section's beginning to the footer
+    what : name in the error
+    """
+    stated = int.from_bytes(footer[16:FOOTER_BYTES], "little")
+    if stated not in (0, _crc_of_summary(footer, crc)):
+        raise BagError(f"{what}: the checksum of its summary does not match its bytes: {_ADVICE}")
+
+
+PRIVATE = 0x80
+"""Opcodes from here on belong to applications."""
+_END_OF_DATA = struct.pack("<BQI", DATA_END, 4, 0)
+"""Of a data section without a checksum."""
+
+
+@dataclass(slots=True, eq=False, repr=False)
+class Summary:
+    """Content of a summary section.
+
+    schemas, channels : contents of the records repeated there
+    channel_count, message_count : from the statistics, or None without them
+    private : whole records of applications
+    has_data_crc : whether the data section may have a checksum: False if it is known to have none
+    """
+
+    schemas: list[bytes] = field(default_factory=list)
+    channels: list[bytes] = field(default_factory=list)
+    channel_count: int | None = None
+    message_count: int | None = None
+    private: list[bytes] = field(default_factory=list)
+    has_data_crc: bool = True
+
+    def keep(self, opcode: int, content: bytes, what: str, private: list[bytes] | None = None) -> None:
+        """Add a record of the summary section if it is needed; private ones to a separate list."""
+        if opcode == SCHEMA:
+            self.schemas.append(content)
+        elif opcode == CHANNEL:
+            self.channels.append(content)
+        elif opcode == STATISTICS:
+            fields = Fields(content, what)
+            self.message_count = fields.number("Q")
+            fields.number("H")
+            self.channel_count = fields.number("I")
+        elif opcode >= PRIVATE:
+            (self.private if private is None else private).append(struct.pack("<BQ", opcode, len(content)) + content)
+
+
+def require_named(opcode: int, head: bytes, what: str) -> int:
+    """Return the length of an attachment without its checksum, bytes; 0 for metadata, which have none.
+
+    head : its content, or the beginning of it
+
+    Raises
+    ------
+    BagError
+        If it does not start with the fields that its index requires.
+    """
+    fields = Fields(head, what)
+    if opcode != ATTACHMENT:
+        fields.string()
+        return 0
+    times, names = (fields.number("Q"), fields.number("Q")), (fields.blob(), fields.blob())
+    return 8 * len(times) + sum(4 + len(name) for name in names) + 8 + fields.number("Q")
+
+
+def read_summary(source: Source, size: int) -> Summary:
+    """Return the summary of a file of this size in bytes; empty if absent or senseless, since it is rebuilt anyway.
+
+    Raises
+    ------
+    BagError
+        If the file has no footer (it was truncated, or never closed), or the summary's checksum is wrong.
+    """
+    tail_bytes = RECORD_HEADER_BYTES + FOOTER_BYTES + len(MAGIC)
+    if size >= tail_bytes + len(MAGIC):
+        source.seek(size - tail_bytes)
+        tail = source.read(tail_bytes, "footer")
+        opcode, length = struct.unpack_from("<BQ", tail)
+        if tail.endswith(MAGIC) and (opcode, length) == (FOOTER, FOOTER_BYTES):
+            return _read_section(source, tail[RECORD_HEADER_BYTES : -len(MAGIC)], size - tail_bytes)
+    raise BagError(
+        f"{source.name}: the file of {size} bytes has no MCAP footer at its end: it is truncated or was never closed; "
+        "--recover saves the intact part"
+    )
+
+
+def _read_section(source: Source, footer: bytes, end: int) -> Summary:
+    """Return the summary that a footer's content tells of, which ends at byte `end`."""
+    summary = Summary()
+    start = int.from_bytes(footer[:8], "little") or end
+    if not len(MAGIC) < start <= end:
+        return summary
+    before = max(start - len(_END_OF_DATA), len(MAGIC))
+    source.seek(before)
+    summary.has_data_crc = source.read(start - before, "end of the data") != _END_OF_DATA
+    if start == end:
+        return summary
+    section = source.read(end - start, "summary")
+    require_summary_crc(footer, crc32(section), source.name)
+    at = 0
+    while at < len(section):
+        content = at + RECORD_HEADER_BYTES
+        after = content + int.from_bytes(section[at + 1 : content], "little")
+        if after > len(section):
+            return Summary()
+        summary.keep(section[at], section[content:after], source.name)
+        at = after
+    return summary
+
+
+class SchemaRegistry:
+    """Schemas and channels of a file or pipe, by id.
+
+    name : name of the file in error messages
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.schemas: dict[int, SchemaRecord] = {}
+        self.channels: dict[int, Channel] = {}
+
+    def register(self, opcode: int, content: bytes) -> None:
+        """Register a schema or channel; a repetition must be identical."""
+        if opcode == SCHEMA:
+            schema = SchemaRecord.parse(content, self.name)
+            if self.schemas.setdefault(schema.id, schema) != schema:
+                raise BagError(f"{self.name}: schema {schema.id} is defined twice, differently; damaged bag")
+            return
+        channel = ChannelRecord.parse(content, self.name)
+        if channel.id in self.channels and self.channels[channel.id].raw != channel:
+            topics = f"{self.channels[channel.id].topic} and {channel.topic}"
+            raise BagError(f"{self.name}: channel {channel.id} is defined twice, differently ({topics}); damaged bag")
+        if channel.schema and channel.schema not in self.schemas:
+            raise BagError(
+                f"{self.name}: {channel.topic} has schema {channel.schema}, which is not defined; damaged bag"
+            )
+        name = self.schemas[channel.schema].name if channel.schema else ""
+        package, _, leaf = name.partition("/")
+        msgtype = f"{package}/msg/{leaf}" if leaf and "/" not in leaf else name
+        self.channels.setdefault(channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel))
+
+    def defines(self, content: bytes) -> bool:
+        """Return whether the schema of a channel record is known."""
+        schema = ChannelRecord.parse(content, self.name).schema
+        return schema == 0 or schema in self.schemas
+
+    def definition(self, channel: Channel) -> Definition:
+        """Return the file's definition of a channel's type."""
+        raw: ChannelRecord = channel.raw
+        schema = self.schemas.get(raw.schema, SchemaRecord(0, "", "", b""))
+        return Definition(schema.name, schema.encoding, schema.data, raw.metadata)
+
+    def block(self, part: Chunk | Loose) -> Block:
+        """Return a chunk, or messages outside chunks, as a block; BagError for a message of an unknown channel."""
+        if isinstance(part, Chunk):
+            contents = read_contents(part.data, part.indexes, part.what)
+            for other in contents.others:
+                self._learn_within(part.data, other)
+            places = () if part.place is None else (part.place,)
+            block = Block(part.data, contents.table, McapFraming("chunk", part.codec), places=places)
+            what = part.what
+        else:
+            for opcode, content in part.others:
+                self.register(opcode, content)
+            block, what = part.block(), f"{self.name}: messages outside chunks"
+        unknown = block.present() - self.channels.keys()
+        if unknown:
+            raise BagError(f"{what}: messages of channel {min(unknown)}, which the bag does not define; damaged bag")
+        return block
+
+    def salvaged(self, part: Chunk | Loose) -> Block:
+        """Return the intact messages of a chunk, or of messages outside chunks."""
+        data = part.data if isinstance(part, Chunk) else np.frombuffer(part.data, dtype=np.uint8)
+        data = whole_records(data)
+        contents = read_contents(data, [], "")
+        for other in contents.others:
+            # An unreadable one matters only if messages use it.
+            with suppress(BagError):
+                self._learn_within(data, other)
+        framing = McapFraming("chunk", part.codec) if isinstance(part, Chunk) else McapFraming("loose")
+        unknown = np.array([number not in self.channels for number in contents.table["channel"].tolist()], dtype=bool)
+        return without(Block(data, contents.table, framing), unknown)
+
+    def _learn_within(self, data: NDArray[np.uint8], other: Record) -> None:
+        """Register a record in a chunk's data if it is a schema or channel."""
+        if other.opcode in (SCHEMA, CHANNEL):
+            self.register(other.opcode, data[other.start : other.end].tobytes())
+
 
 _BATCH_BYTES = 1 << 20
 _NAMES_BYTES = 1 << 16

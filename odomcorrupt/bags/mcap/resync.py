@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.mcap.chunk import CODECS
-from odomcorrupt.bags.mcap.chunk_messages import MOST_RECORDS
+from odomcorrupt.bags.mcap.chunk import CODECS, MOST_RECORDS
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,

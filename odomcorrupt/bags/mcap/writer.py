@@ -1,28 +1,43 @@
-"""MCAP writer for files and pipes, without seeking."""
+"""MCAP writer for files and pipes, without seeking: channels, framing of messages, chunks and their index."""
 
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass, field
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, PartContents, PartFraming, require_all
+from odomcorrupt import __version__
+from odomcorrupt.bags.block import TABLE, Channel, Message, PartContents, PartFraming, require_all
 from odomcorrupt.bags.checksum import CAN_COMBINE, crc32
+from odomcorrupt.bags.chunk import windows
 from odomcorrupt.bags.codecs import compress, require_level
-from odomcorrupt.bags.mcap.channel_table import ChannelTable
-from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
-from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added, reframe
-from odomcorrupt.bags.mcap.index import ChunkPlace, ChunkRows, ChunkSpan, Index, message_indexes, span_ns
+from odomcorrupt.bags.definition import retyped, with_common_text
+from odomcorrupt.bags.mcap.chunk import CODECS, MESSAGE_HEADER, McapFraming
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import (
+    ATTACHMENT,
+    ATTACHMENT_INDEX,
+    CHUNK_INDEX,
     DATA_END,
     FOOTER,
     HEADER,
     MAGIC,
+    MESSAGE,
+    MESSAGE_HEADER_BYTES,
+    MESSAGE_INDEX,
     METADATA,
+    METADATA_INDEX,
+    RECORD_HEADER_BYTES,
+    STATISTICS,
+    SUMMARY_OFFSET,
+    ChannelRecord,
+    Fields,
+    SchemaRecord,
     chunk_head,
     mapping,
     record,
@@ -30,15 +45,370 @@ from odomcorrupt.bags.mcap.records import (
 )
 from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
+from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel, Definition, Kind
+    from odomcorrupt.bags.block import BagReader, Block, Definition, Kind
     from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
+
+
+_LAST_ID = 0xFFFF
+_LAST_FOREIGN_ID = 0xFFFFFFFF
+
+
+class ChannelTable:
+    """Ids and records of the channels and schemas of an output, and which of them are written.
+
+    Ids of an MCAP's own channels are kept. New ones count down from the last, since on a pipe channels yet to come
+    count up from the first.
+    """
+
+    def __init__(self, reader: BagReader) -> None:
+        self._reader = reader
+        self._native = reader if isinstance(reader, McapReader) else None
+        self._schemas: dict[int, SchemaRecord] = {}
+        self._channels: dict[int, ChannelRecord] = {}
+        self._ids: dict[int, int] = {}
+        self._waiting: set[int] = set()
+
+    def header(self) -> bytes:
+        """Return the content of the header record: the input's, or a new one with its profile."""
+        if self._native:
+            return self._native.header
+        return string("ros1" if self._reader.kind == "ros1" else "ros2") + string(f"odomcorrupt {__version__}")
+
+    def add(self, topic: str, msgtype: str, like: Channel) -> Channel:
+        """Add a channel with the settings of another one; return it."""
+        return self.add_defined(topic, msgtype, like.encoding, retyped(self._reader, msgtype, like))
+
+    def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
+        """Add a channel with a given definition; return it."""
+        identifier = _LAST_ID if self._native else _LAST_FOREIGN_ID
+        while identifier in self._ids or identifier in self._reader.channels:
+            identifier -= 1
+        channel = Channel(identifier, topic, msgtype, encoding)
+        self._register(channel, definition)
+        return channel
+
+    def written_id(self, channel: int) -> int:
+        """Return the id under which a channel of the reader, or an added one, is written."""
+        if channel in self._ids:
+            if self._native and channel in self._native.channels:
+                raise BagError(f"{self._native.name}: channel {channel} appeared after its id was given to a new topic")
+            return self._ids[channel]
+        if channel not in self._reader.channels:
+            raise BagError(f"channel {channel}: is neither in the bag nor added to it")
+        if self._native:
+            return channel
+        return self._register(self._reader.channels[channel], self._reader.definition(self._reader.channels[channel]))
+
+    def translate(self, channels: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        """Return the ids (n,) under which channels (n,) are written."""
+        known, places = np.unique(channels, return_inverse=True)
+        return np.array([self.written_id(one) for one in known.tolist()], dtype=np.uint32)[places]
+
+    def take_records(self, written: NDArray[np.uint32]) -> bytes:
+        """Return the schema and channel records that must precede messages of these written ids."""
+        needed = self._waiting.intersection(written.tolist()) if self._waiting else set()
+        self._waiting -= needed
+        return b"".join(self._pack_schema_of(one) + self._channels[one].pack() for one in sorted(needed))
+
+    def packed(self) -> tuple[list[bytes], list[bytes]]:
+        """Return all schema records and all channel records, for the summary."""
+        schemas, channels = dict(self._schemas), dict(self._channels)
+        if self._native:
+            schemas = {**self._native.schemas, **schemas}
+            channels = {one.id: one.raw for one in self._native.channels.values()} | channels
+        return [one.pack() for one in schemas.values()], [one.pack() for one in channels.values()]
+
+    def topic(self, written: int) -> str:
+        """Return the topic that is written under an id."""
+        if self._native and written in self._native.channels:
+            return self._native.channels[written].topic
+        return self._channels[written].topic
+
+    def _register(self, channel: Channel, definition: Definition) -> int:
+        identifier = channel.id if self._native else len(self._ids)
+        if identifier > _LAST_ID:
+            raise BagError(f"{channel.topic}: is topic number {identifier}; an MCAP holds {_LAST_ID + 1}")
+        self._ids[channel.id] = identifier
+        if not definition.text and channel.encoding in ("ros1", "cdr"):
+            # Old ROS 2 bags keep no definitions, but without one nothing reads an MCAP's messages.
+            definition = with_common_text(definition, channel.msgtype, channel.encoding)
+        schema = self._schema_id(definition)
+        self._channels[identifier] = ChannelRecord(
+            identifier, schema, channel.topic, channel.encoding, definition.metadata
+        )
+        self._waiting.add(identifier)
+        return identifier
+
+    def _schema_id(self, definition: Definition) -> int:
+        if not definition.name:
+            return 0
+        wanted = (definition.name, definition.encoding, definition.text)
+        known = {**(self._native.schemas if self._native else {}), **self._schemas}
+        for schema in known.values():
+            if schema[1:] == wanted:
+                return schema.id
+        identifier = _LAST_ID if self._native else len(known) + 1
+        while identifier in known:
+            identifier -= 1
+        self._schemas[identifier] = SchemaRecord(identifier, *wanted)
+        return identifier
+
+    def _pack_schema_of(self, channel: int) -> bytes:
+        schema = self._schemas.get(self._channels[channel].schema)
+        return schema.pack() if schema else b""
+
+
+_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
+
+
+class ChunkSpan(NamedTuple):
+    """A chunk to be written: first and last log time, compression, and bytes before it."""
+
+    start_ns: int
+    end_ns: int
+    codec: str
+    size: int
+
+
+class ChunkPlace(NamedTuple):
+    """Where a chunk record lies in the file, bytes; packed : those of its compressed records."""
+
+    position: int
+    length: int
+    packed: int
+
+
+class ChunkRows(NamedTuple):
+    """A chunk of a block: data[begin:end], and table[start:stop]."""
+
+    begin: int
+    end: int
+    start: int
+    stop: int
+
+
+@dataclass(slots=True, eq=False, repr=False)
+class Index:
+    """Statistics and indexes of a file being written."""
+
+    counts: dict[int, int] = field(default_factory=dict)
+    start_ns: int | None = None
+    end_ns: int = 0
+    chunks: list[bytes] = field(default_factory=list)
+    attachments: list[bytes] = field(default_factory=list)
+    metadata: list[bytes] = field(default_factory=list)
+
+    def count(self, table: NDArray[np.void]) -> None:
+        """Count messages."""
+        for channel, count in zip(*map(np.ndarray.tolist, np.unique_counts(table["channel"])), strict=True):
+            self.counts[channel] = self.counts.get(channel, 0) + count
+        if table.size:
+            start_ns, end_ns = span_ns(table)
+            self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
+            self.end_ns = max(self.end_ns, end_ns)
+
+    def add_chunk(self, span: ChunkSpan, place: ChunkPlace, indexes: list[tuple[int, bytes]]) -> bytes:
+        """Add a chunk; return the message index records that follow it.
+
+        indexes : channel and whole record, as `message_indexes` gives them
+        """
+        at = place.position + place.length
+        offsets = b""
+        for channel, index in indexes:
+            offsets += struct.pack("<HQ", channel, at)
+            at += len(index)
+        self.chunks.append(
+            record(
+                CHUNK_INDEX,
+                struct.pack("<QQQQI", span.start_ns, span.end_ns, place.position, place.length, len(offsets)),
+                offsets,
+                struct.pack("<Q", at - place.position - place.length),
+                string("" if span.codec == "none" else span.codec),
+                struct.pack("<QQ", place.packed, span.size),
+            )
+        )
+        return b"".join(index for _, index in indexes)
+
+    def add_record(self, opcode: int, head: bytes, position: int) -> None:
+        """Add a record of the data section that the summary lists.
+
+        head : the whole record or its first bytes, names included
+        position : where it begins in the file
+        """
+        length = RECORD_HEADER_BYTES + int.from_bytes(head[1:RECORD_HEADER_BYTES], "little")
+        fields = Fields(head[RECORD_HEADER_BYTES:], "record")
+        place = struct.pack("<QQ", position, length)
+        if opcode == METADATA:
+            self.metadata.append(record(METADATA_INDEX, place, string(fields.string())))
+        elif opcode == ATTACHMENT:
+            times = struct.pack("<QQ", fields.number("Q"), fields.number("Q"))
+            names = string(fields.string()) + string(fields.string())
+            size = struct.pack("<Q", fields.number("Q"))
+            self.attachments.append(record(ATTACHMENT_INDEX, place, times, size, names))
+
+    def summary(
+        self, schemas: list[bytes], channels: list[bytes], private: list[bytes], begin: int
+    ) -> tuple[bytes, int]:
+        """Return the summary section with its offsets, and where the offsets begin in the file.
+
+        schemas, channels, private : whole records
+        begin : where the section begins in the file
+        """
+        counts = b"".join(struct.pack("<HQ", *item) for item in sorted(self.counts.items()))
+        sizes = (len(schemas), len(channels), len(self.attachments), len(self.metadata), len(self.chunks))
+        statistics = record(
+            STATISTICS,
+            struct.pack("<QHIIII", sum(self.counts.values()), *sizes),
+            struct.pack("<QQI", self.start_ns or 0, self.end_ns, len(counts)),
+            counts,
+        )
+        groups = [schemas, channels, [statistics], self.chunks, self.attachments, self.metadata]
+        groups += [list(same) for _, same in groupby(sorted(private), key=lambda one: one[0])]
+        section = b""
+        offsets = b""
+        for group in groups:
+            if group:
+                data = b"".join(group)
+                offsets += record(SUMMARY_OFFSET, struct.pack("<BQQ", data[0], begin + len(section), len(data)))
+                section += data
+        return section + offsets, begin + len(section)
+
+
+def span_ns(table: NDArray[np.void]) -> tuple[int, int]:
+    """Return the first and last log time of messages in nanoseconds, 0 and 0 for none."""
+    times = table["log_ns"].astype(np.uint64)
+    return int(times.min()) if times.size else 0, int(times.max(initial=0))
+
+
+def message_indexes(table: NDArray[np.void], chunks: list[ChunkRows]) -> list[list[tuple[int, bytes]]]:
+    """Return (channel, message index record) for each channel of each chunk that a table covers."""
+    numbers = np.repeat(np.arange(len(chunks)), [chunk.stop - chunk.start for chunk in chunks])
+    keys = numbers << 32 | table["channel"]
+    order = np.argsort(keys, kind="stable")
+    entries = np.empty(table.size, dtype=_ENTRY)
+    entries["log"] = table["log_ns"][order]
+    begins = np.array([chunk.begin for chunk in chunks], dtype=np.int64)[numbers]
+    entries["offset"] = (table["offset"] - begins)[order] - MESSAGE_HEADER_BYTES
+    keys = keys[order]
+    bounds = [0, *(np.flatnonzero(keys[1:] != keys[:-1]) + 1).tolist(), table.size]
+    packed = memoryview(entries.tobytes())
+    found: list[list[tuple[int, bytes]]] = [[] for _ in chunks]
+    for key, a, b in zip(keys[bounds[:-1]].tolist() if table.size else (), bounds, bounds[1:], strict=False):
+        channel, content = key & 0xFFFFFFFF, packed[a * _ENTRY.itemsize : b * _ENTRY.itemsize]
+        head = struct.pack("<BQHI", MESSAGE_INDEX, 6 + len(content), channel, len(content))
+        found[key >> 32].append((channel, head + content))
+    return found
+
+
+class Framed(NamedTuple):
+    """Message records.
+
+    data : (size,) uint8
+    table : (n,) of dtype TABLE, its offsets counted from the start of data
+    ends : where its chunks end in data, none for one chunk
+    """
+
+    data: NDArray[np.uint8]
+    table: NDArray[np.void]
+    ends: tuple[int, ...] = ()
+
+    def followed_by(self, other: Framed) -> Framed:
+        """Return both, with the other one appended to the last chunk of this one."""
+        if not self.data.size:
+            return other
+        moved = other.table.copy()
+        moved["offset"] += self.data.size
+        ends = self.ends[:-1] + tuple(self.data.size + end for end in other.ends or (other.data.size,))
+        return Framed(np.concatenate([self.data, other.data]), np.concatenate([self.table, moved]), ends)
+
+
+class Sequences:
+    """Sequence numbers of messages per channel, from 0."""
+
+    def __init__(self) -> None:
+        self._next: dict[int, int] = {}
+
+    def take(self, channels: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        """Return the next sequence numbers (n,) for messages of these channels (n,)."""
+        numbers = np.empty(channels.size, dtype=np.uint32)
+        for channel in set(channels.tolist()):
+            own = np.flatnonzero(channels == channel)
+            first = self._next.get(channel, 0)
+            numbers[own] = np.arange(first, first + own.size)
+            self._next[channel] = first + own.size
+        return numbers
+
+
+def frame(
+    data: NDArray[np.uint8], table: NDArray[np.void], sequences: Sequences, chunks: tuple[int, ...] = ()
+) -> Framed:
+    """Return records of the messages in data at a table's offsets, with the table's channel ids.
+
+    chunks : where chunks end in data; what is framed ends there, too
+    """
+    if table["log_ns"].min(initial=0) < 0:
+        raise BagError(
+            f"log time {table['log_ns'].min()} ns: is before 1970, which MCAP cannot represent; write the input's "
+            "format"
+        )
+    lengths = table["length"]
+    ends = np.cumsum(lengths + MESSAGE_HEADER_BYTES)
+    framed = table.copy()
+    framed["offset"] = ends - lengths
+    heads = np.empty(table.size, dtype=MESSAGE_HEADER)
+    heads["opcode"] = MESSAGE
+    heads["length"] = lengths + (MESSAGE_HEADER_BYTES - RECORD_HEADER_BYTES)
+    heads["channel"] = table["channel"]
+    heads["sequence"] = sequences.take(table["channel"])
+    heads["log"] = heads["publish"] = table["log_ns"]
+    source = data.data
+    packed = memoryview(heads.tobytes())
+    pieces: list[memoryview] = []
+    for row, (begin, length) in enumerate(zip(table["offset"].tolist(), lengths.tolist(), strict=True)):
+        pieces.append(packed[row * MESSAGE_HEADER_BYTES : (row + 1) * MESSAGE_HEADER_BYTES])
+        pieces.append(source[begin : begin + length])
+    return Framed(np.frombuffer(b"".join(pieces), dtype=np.uint8), framed, _moved(chunks, table, ends))
+
+
+def reframe(data: NDArray[np.uint8], table: NDArray[np.void], chunks: tuple[int, ...] = ()) -> Framed:
+    """Return the message records of an MCAP's data without the other records, with the table's channel ids."""
+    lengths = table["length"] + MESSAGE_HEADER_BYTES
+    ends = np.cumsum(lengths)
+    framed = table.copy()
+    framed["offset"] = ends - table["length"]
+    source = data.data
+    begins = (table["offset"] - MESSAGE_HEADER_BYTES).tolist()
+    joined = bytearray().join(
+        source[begin : begin + length] for begin, length in zip(begins, lengths.tolist(), strict=True)
+    )
+    out = np.frombuffer(joined, dtype=np.uint8)
+    places = ends - lengths + RECORD_HEADER_BYTES
+    windows(out, 2)[places] = table["channel"].astype("<u2").view("V2")
+    return Framed(out, framed, _moved(chunks, table, ends))
+
+
+def _moved(chunks: tuple[int, ...], table: NDArray[np.void], ends: NDArray[np.int64]) -> tuple[int, ...]:
+    """Return where chunks end among records that end at `ends` (n,)."""
+    rows = np.searchsorted(table["offset"], chunks)
+    return tuple(np.concatenate(([0], ends))[rows].tolist()) if chunks else ()
+
+
+def frame_added(messages: list[Message], sequences: Sequences) -> Framed:
+    """Return records of added messages."""
+    table = np.empty(len(messages), dtype=TABLE)
+    table["channel"] = [message.channel for message in messages]
+    table["log_ns"] = [message.log_ns for message in messages]
+    table["length"] = [len(message.data) for message in messages]
+    table["offset"] = np.cumsum(table["length"]) - table["length"]
+    return frame(np.frombuffer(b"".join(message.data for message in messages), dtype=np.uint8), table, sequences)
 
 
 class Packed(NamedTuple):

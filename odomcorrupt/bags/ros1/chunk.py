@@ -3,19 +3,175 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.block import Framing
-from odomcorrupt.bags.chunk import ChunkHead
-from odomcorrupt.bags.ros1.records import number, parse_fields
+from odomcorrupt.bags.block import TABLE, Framing
+from odomcorrupt.bags.chunk import ChunkHead, gaps_between, windows
+from odomcorrupt.bags.ros1.records import CONNECTION, MESSAGE, number, parse_fields
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.source import Source
+
+
+MOST_RECORDS = 1 << 22
+"""What a chunk without an index of its messages is walked for: no recorder writes a tenth of it."""
+_INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])
+_TIME = np.dtype([("s", "<u4"), ("ns", "<u4")])
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """Content of a chunk.
+
+    table : (n,) of dtype TABLE, in the order of the data
+    starts : (n,) offsets of the message records in the data, bytes
+    connections : header and data of the connection records
+    """
+
+    table: NDArray[np.void]
+    starts: NDArray[np.int64]
+    connections: list[tuple[bytes, bytes]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Template:
+    """Offsets of the numbers in a message record's header.
+
+    head : (w,) uint8, the header with its length and the numbers zeroed
+    mask : (w,) uint8, 0 where numbers lie and 255 elsewhere
+    conn, time : their offsets from the record's start
+    """
+
+    head: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    conn: int
+    time: int
+
+
+def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> Contents:
+    """Return the messages and connections of a chunk.
+
+    data : (size,) the decompressed chunk
+    indexes : data of the index records that follow it, possibly wrong
+    """
+    return _indexed(data, indexes) or _walk(data.data, 0, data.size, what)
+
+
+def record_bytes(data: memoryview, at: int) -> int:
+    """Return the size of the record at an offset, bytes, as `record_blocks` asks for it."""
+    header = at + 4
+    if header > len(data):
+        return 4
+    end = header + int.from_bytes(data[at:header], "little")
+    if end + 4 > len(data):
+        return end + 4 - at
+    if b"op=" not in bytes(data[header:end]):
+        return 0
+    return end + 4 + int.from_bytes(data[end : end + 4], "little") - at
+
+
+def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
+    """Return the content by the index, or None where it is incomplete or wrong."""
+    if not indexes or sum(map(len, indexes)) % _INDEX_ENTRY.itemsize:
+        return None
+    starts = np.sort(np.frombuffer(b"".join(indexes), dtype=_INDEX_ENTRY)["offset"].astype(np.int64))
+    template = _template(data, int(starts[0])) if starts.size else None
+    if template is None or starts[-1] > data.size - template.head.size - 4:
+        return None
+    width = template.head.size
+    heads = windows(data, width + 4)[starts].view(np.uint8).reshape(-1, width + 4)
+    if np.any((heads[:, :width] ^ template.head) & template.mask):
+        return None
+    table = np.empty(starts.size, dtype=TABLE)
+    table["channel"] = _column(heads, template.conn, np.dtype("<u4"))
+    times = _column(heads, template.time, _TIME)
+    table["log_ns"] = times["s"].astype(np.int64) * _SECOND_NS + times["ns"]
+    table["offset"] = starts + width + 4
+    table["length"] = _column(heads, width, np.dtype("<u4"))
+    connections = _between(data, gaps_between(starts, table["offset"] + table["length"], data.size))
+    return None if connections is None else Contents(table, starts, connections)
+
+
+def _between(data: NDArray[np.uint8], gaps: list[tuple[int, int]] | None) -> list[tuple[bytes, bytes]] | None:
+    """Return the connection records between indexed messages; None where there is anything else."""
+    connections: list[tuple[bytes, bytes]] = []
+    try:
+        for begin, end in gaps or []:
+            found = _walk(data.data, begin, end, "")
+            if found.table.size:
+                return None
+            connections += found.connections
+    except BagError:
+        return None
+    return None if gaps is None else connections
+
+
+def _template(data: NDArray[np.uint8], start: int) -> _Template | None:
+    """Return the header layout of the message record at an offset; None where there is none."""
+    length = int.from_bytes(data[start : start + 4].tobytes(), "little")
+    head = data[start : start + 4 + length].copy()
+    if length > 4096 or head.size < 4 + length:
+        return None
+    raw = head.tobytes()
+    conn, time, op = raw.find(b"\x09\0\0\0conn="), raw.find(b"\x0d\0\0\0time="), raw.find(b"\x04\0\0\0op=\x02")
+    if min(conn, time, op) < 0:
+        return None
+    mask = np.full(head.size, 255, dtype=np.uint8)
+    mask[conn + 9 : conn + 13] = 0
+    mask[time + 9 : time + 17] = 0
+    if sum(len(name) + 5 + len(value) for name, value in _fields_or_none(raw[4:]).items()) != length:
+        return None
+    return _Template(head & mask, mask, conn + 9, time + 9)
+
+
+def _fields_or_none(header: bytes) -> dict[str, bytes]:
+    try:
+        return parse_fields(header, "")
+    except BagError:
+        return {}
+
+
+def _column(heads: NDArray[np.uint8], offset: int, kind: np.dtype[Any]) -> NDArray[Any]:
+    return np.ascontiguousarray(heads[:, offset : offset + kind.itemsize]).view(kind)[:, 0]
+
+
+def _walk(data: memoryview, begin: int, end: int, what: str) -> Contents:
+    """Parse record by record."""
+    rows: list[tuple[int, int, int, int]] = []
+    starts: list[int] = []
+    connections: list[tuple[bytes, bytes]] = []
+    at = begin
+    count = 0
+    while at < end:
+        count += 1
+        if count > MOST_RECORDS:
+            raise BagError(f"{what}: has more than {MOST_RECORDS} records; the bag is damaged")
+        header_end = at + 4 + int.from_bytes(data[at : at + 4], "little")
+        after = header_end + 4 + int.from_bytes(data[header_end : header_end + 4], "little")
+        if header_end + 4 > end or after > end:
+            raise BagError(
+                f"{what}: the record at byte {at} of the chunk does not fit its {end} bytes; the bag is damaged, "
+                "--recover saves the intact part"
+            )
+        header = bytes(data[at + 4 : header_end])
+        fields = parse_fields(header, what)
+        op = number(fields, "op", what)
+        if op == MESSAGE:
+            time = number(fields, "time", what)
+            log_ns = (time & 0xFFFFFFFF) * _SECOND_NS + (time >> 32)
+            rows.append((number(fields, "conn", what), log_ns, header_end + 4, after - header_end - 4))
+            starts.append(at)
+        elif op == CONNECTION:
+            connections.append((header, bytes(data[header_end + 4 : after])))
+        at = after
+    return Contents(np.array(rows, dtype=TABLE), np.array(starts, dtype=np.int64), connections)
+
 
 CODECS = ("none", "lz4", "bz2")
 _HEADER_LIMIT = 1 << 24

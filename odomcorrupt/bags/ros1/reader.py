@@ -12,8 +12,7 @@ from odomcorrupt.bags.block import Block, Channel, Definition, without
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
 from odomcorrupt.bags.record_reader import RecordReader
-from odomcorrupt.bags.ros1.chunk import Head, Ros1Framing, chunk_head, read_head
-from odomcorrupt.bags.ros1.chunk_messages import read_contents, record_bytes
+from odomcorrupt.bags.ros1.chunk import Head, Ros1Framing, chunk_head, read_contents, read_head, record_bytes
 from odomcorrupt.bags.ros1.records import (
     BAG_HEADER,
     CHUNK,

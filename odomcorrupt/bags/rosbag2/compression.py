@@ -13,7 +13,7 @@ import zstandard
 from odomcorrupt.bags.block import Block, Unframed
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
-from odomcorrupt.bags.recovery_report import Undecodable, with_readable
+from odomcorrupt.bags.record_reader import Undecodable, with_readable
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

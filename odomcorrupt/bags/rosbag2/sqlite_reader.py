@@ -16,7 +16,7 @@ import numpy as np
 
 from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import TABLE, Block, Channel, Kind
-from odomcorrupt.bags.recovery_report import Undecodable, with_readable
+from odomcorrupt.bags.record_reader import Undecodable, with_readable
 from odomcorrupt.bags.rosbag2.database import (
     Topic,
     columns,

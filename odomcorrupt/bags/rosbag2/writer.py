@@ -17,9 +17,8 @@ from odomcorrupt.bags.parts import PartsReader
 from odomcorrupt.bags.placement import beside, place, sweep
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, compress_file, compressed_block
 from odomcorrupt.bags.rosbag2.metadata import TopicInfo, add_provenance, count, edited, generated
-from odomcorrupt.bags.rosbag2.sqlite_creator import NewSqliteWriter
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
-from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter
+from odomcorrupt.bags.rosbag2.sqlite_writer import NewSqliteWriter, SqliteWriter
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.write_twist import write_twists
+from odomcorrupt.bags.messages import write_twists
 from odomcorrupt.geometry.se2 import Increments, accumulate, wrap
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.design.manoeuvres import Hold, Limits, straight, turn
