@@ -16,8 +16,7 @@ Nothing is imported here: under `python -m` the working directory is on Python's
 if TYPE_CHECKING:
     from typing import Any
 
-    from odomcorrupt.api.assembly import Assembly, assemble
-    from odomcorrupt.api.batch import Batch, BatchCost, batch, estimate_batch
+    from odomcorrupt.api.batch import Assembly, Batch, BatchCost, Spread, assemble, batch, estimate_batch, spread
     from odomcorrupt.api.catalogue import (
         EffectDescription,
         EffectList,
@@ -34,15 +33,12 @@ if TYPE_CHECKING:
     from odomcorrupt.api.info import Info, info
     from odomcorrupt.api.integration import Integration, integrate
     from odomcorrupt.api.maps import Maps, draw_maps
-    from odomcorrupt.api.model import Model
-    from odomcorrupt.api.motion import Density, Samples, density, sample
-    from odomcorrupt.api.noise import Conversion, Noise, convert_alpha
-    from odomcorrupt.api.particles import Particles, sample_along
+    from odomcorrupt.api.model import Conversion, Model, Noise, convert_alpha
+    from odomcorrupt.api.motion import Density, Particles, Samples, density, sample, sample_along
     from odomcorrupt.api.preview import Preview, preview
     from odomcorrupt.api.recordings import Recordings, read_recordings
     from odomcorrupt.api.score import Score, score
     from odomcorrupt.api.simulation import Simulation, simulate
-    from odomcorrupt.api.spread import Spread, spread
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.scoring.errors import path_errors
     from odomcorrupt.scoring.estimates import Estimate, read_estimate
@@ -50,8 +46,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "api.assembly": ("Assembly", "assemble"),
-    "api.batch": ("Batch", "BatchCost", "batch", "estimate_batch"),
+    "api.batch": ("Assembly", "Batch", "BatchCost", "Spread", "assemble", "batch", "estimate_batch", "spread"),
     "api.catalogue": (
         "EffectDescription", "EffectList", "PresetList", "describe_effect", "list_effects", "list_presets",
     ),
@@ -63,15 +58,12 @@ _HOMES = {
     "api.info": ("Info", "info"),
     "api.integration": ("Integration", "integrate"),
     "api.maps": ("Maps", "draw_maps"),
-    "api.model": ("Model",),
-    "api.motion": ("Density", "Samples", "density", "sample"),
-    "api.noise": ("Conversion", "Noise", "convert_alpha"),
-    "api.particles": ("Particles", "sample_along"),
+    "api.model": ("Conversion", "Model", "Noise", "convert_alpha"),
+    "api.motion": ("Density", "Particles", "Samples", "density", "sample", "sample_along"),
     "api.preview": ("Preview", "preview"),
     "api.recordings": ("Recordings", "read_recordings"),
     "api.score": ("Score", "score"),
     "api.simulation": ("Simulation", "simulate"),
-    "api.spread": ("Spread", "spread"),
     "errors": ("OdomCorruptError",),
     "scoring.errors": ("path_errors",),
     "scoring.estimates": ("Estimate", "read_estimate"),

@@ -1,4 +1,4 @@
-"""Many corrupted runs of one bag, or of several."""
+"""Many runs of one bag: batches, their cost, their assembly, and the spread of their paths."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.bags.pipeline import default_threads
+from odomcorrupt.batching import split_layout
+from odomcorrupt.batching.dispersion import measure, spread_brief, spread_text
 from odomcorrupt.batching.engine import Shard, require_odometry, run_batch
 from odomcorrupt.batching.estimate import need_of, require_space
 from odomcorrupt.batching.job import BatchSpec, Job, plan
-from odomcorrupt.batching.manifest import read_records, seed_of
+from odomcorrupt.batching.manifest import fingerprint_of, read_beginning, read_records, seed_of
 from odomcorrupt.batching.parameter_draws import fleet_model
 from odomcorrupt.corruption.summary import places_lines
 from odomcorrupt.errors import BatchError, BatchOptionError
 from odomcorrupt.model.model_file import read_model
+from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.summary import ALWAYS, MOST_LINES, USUAL, Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -31,12 +34,14 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
+    from odomcorrupt.batching.dispersion import SpreadReport
     from odomcorrupt.batching.engine import Audience
     from odomcorrupt.batching.estimate import Need
     from odomcorrupt.batching.job import Format, Output
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.conditioned import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
+
 
 _NAMED = 8
 """Failed runs that are named."""
@@ -384,3 +389,157 @@ def _fleet(files: Sequence[str | PathLike[str]], model: ModelLike | None) -> Mot
     if len(set(files)) < len(files):
         raise BatchOptionError("--fleet: a file is named twice; a robot counts once")
     return fleet_model({fspath(path): read_model(Path(fspath(path))) for path in files})
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Assembly(Result):
+    """A whole bag, written from an overlay and its original.
+
+    path : the bag
+    run, original : overlay, and the bag it was made from
+    messages : number of messages of the overlay in it
+    """
+
+    path: Path
+    run: Path
+    original: Path
+    messages: int
+
+    def summary(self) -> Summary:
+        """Return what replaces what."""
+        text = f"{self.messages} messages of {self.run.name} in place of those of {self.original.name}"
+        return Summary((Line("ASSEMBLED", text, "good"), command_line(["odomcorrupt", "info", self.path])))
+
+    def details(self) -> str:
+        """Return the same with paths."""
+        return f"{self.path}: {self.messages} messages of {self.run} in place of those of {self.original}."
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the three paths and the number of messages."""
+        return {"schema": 2, **self.rows()[0]}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the same in one row."""
+        paths = {"output": str(self.path), "messages": self.messages, "run": str(self.run)}
+        return [{**paths, "input": str(self.original)}]
+
+
+def assemble(
+    run: str | PathLike[str],
+    output: str | PathLike[str],
+    original: str | PathLike[str] | None = None,
+    **options: Unpack[BagOptions],
+) -> Assembly:
+    """Write the whole bag of a run that `batch(..., output="overlay")` made, which has only the modified topics.
+
+    Parameters
+    ----------
+    run : path
+        Overlay in the directory of its batch.
+    output : path
+        Bag to write.
+    original : path, optional
+        Bag that the batch was made from; by default the one noted in the batch, if it is unchanged.
+    **options
+        See `BagOptions`; those that choose what is modified have no effect.
+
+    Returns
+    -------
+    Assembly
+        The bag, and the number of replaced messages.
+
+    Raises
+    ------
+    BatchError, BagError
+        If the original is missing, has changed, or is not that of the overlay, or a bag cannot be read or written.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> runs = oc.batch("fixtures/office.mcap", "overlays", runs=1, seed=1, output="overlay")
+    >>> oc.assemble(runs.paths[0], "whole.mcap").messages
+    6000
+    """
+    overlay, target = Path(fspath(run)), Path(fspath(output))
+    if original is None:
+        noted = read_beginning(overlay.parent)["input"]
+        source = Path(noted["path"])
+        if not source.exists():
+            raise BatchError(f"{source}: the batch's input is not there; name it with --input")
+        if fingerprint_of(source) != noted["hash"]:
+            raise BatchError(f"{source}: has changed since the batch was made from it; name the original with --input")
+    else:
+        source = Path(fspath(original))
+    count = split_layout.assemble(overlay, source, target, split_options(options)[1])
+    return Assembly(target, overlay, source, count)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Spread(Result):
+    """Dispersion of the runs of a batch, measured and predicted by the linearised model.
+
+    result : complete numerical result: standard deviations after each distance, paths, errors of each run
+    following : words of the suggested next command
+    """
+
+    result: SpreadReport
+    following: tuple[object, ...] = ()
+
+    def summary(self) -> Summary:
+        """Return whether the dispersion at the end is as predicted, and its values along the drive."""
+        return spread_brief(self.result, self.following)
+
+    def details(self) -> str:
+        """Return a table of the dispersion along the drive, measured and predicted."""
+        return spread_text(self.result)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return directory, number of runs, random effects, and the rows: metres and radians."""
+        report = self.result
+        return finite(
+            {
+                "schema": 2,
+                "directory": report.directory,
+                "runs": report.runs,
+                "random_effects": report.random_effects,
+                "rows": self.rows(),
+            }
+        )
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one row per distance: standard deviations of the runs and predicted, and the mean error."""
+        return [asdict(row) for row in self.result.rows]
+
+    def _figure(self) -> Figure:
+        """Return a figure of the clean path and the runs, and of their errors against distance."""
+        from odomcorrupt.report.plots.samples import draw_spread
+
+        return draw_spread(self.result)
+
+
+def spread(directory: str | PathLike[str]) -> Spread:
+    """Return how position and heading of a batch's runs spread with distance, beside what the linear model predicts.
+
+    Parameters
+    ----------
+    directory : path
+        Directory of a batch with at least two runs.
+
+    Returns
+    -------
+    Spread
+        `rows()` and `to_pandas()` have the standard deviations after 1, 2, 5, 10 ... m and at the end.
+
+    Raises
+    ------
+    BatchError
+        If the directory has no batch of at least two runs.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> runs = oc.batch("fixtures/office.mcap", "spread", model="typical", runs=3, seed=1, output="trajectories")
+    >>> oc.spread(runs.directory).result.runs
+    3
+    """
+    return Spread(measure(Path(fspath(directory))))

@@ -148,8 +148,7 @@ def _command_line_first(brings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _with_alpha(model: Model, alpha: str, law: str | None) -> Model:
     """Return a model with other coefficients; for commas between them, raise an error with the correct spelling."""
-    from odomcorrupt.api.model import Model
-    from odomcorrupt.api.noise import Noise
+    from odomcorrupt.api.model import Model, Noise
 
     words = [word for word in re.split(r"[\s,]+", alpha) if word]
     if "," in alpha and all(_NUMBER.match(word) for word in words):

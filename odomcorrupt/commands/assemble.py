@@ -28,7 +28,7 @@ def command(
     run: Path, output: str | None, output_option: str | None, original: Path | None, *, console: Console, **given: Any
 ) -> None:
     """Write the whole bag of RUN, an overlay made by `batch --output overlay` that has only the changed topics."""
-    from odomcorrupt.api.assembly import assemble
+    from odomcorrupt.api.batch import assemble
 
     with Stages("assembling", quiet=console.quiet):
         result = assemble(run, chosen_output(output, output_option), original, **bag_words(given))

@@ -32,7 +32,7 @@ def command(
     odomcorrupt convert-alpha 5deg 2deg/m 0.05 0.01 --from diffusion \\
         --to quadratic --to-step 0.25m,0.2rad
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.api.noise import Noise, convert_alpha
+    from odomcorrupt.api.model import Noise, convert_alpha
 
     with usage_errors(ModelError):
         console.show(convert_alpha(Noise(alpha=alphas, law=source, step=step), target, step=to_step))

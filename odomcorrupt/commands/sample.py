@@ -18,8 +18,7 @@ from odomcorrupt.errors import ModelError
 from odomcorrupt.result_files import write_text
 
 if TYPE_CHECKING:
-    from odomcorrupt.api.motion import Samples
-    from odomcorrupt.api.particles import Particles
+    from odomcorrupt.api.motion import Particles, Samples
 
 
 _RESULT = OutputFile(*PICTURES, "csv", "json")
@@ -52,8 +51,7 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
     odomcorrupt sample drive.mcap -n 500 -o cloud.png            # the cloud spreading along a drive
     odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.api.motion import sample
-    from odomcorrupt.api.particles import sample_along
+    from odomcorrupt.api.motion import sample, sample_along
     from odomcorrupt.trajectories import read_drive
 
     following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png" if bag is None else "cloud.png"]

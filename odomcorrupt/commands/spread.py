@@ -18,7 +18,7 @@ from odomcorrupt.commands._standard import Console, overwrite_option, standard_o
 @standard_options
 def command(directory: Path, output: Path | None, *, console: Console) -> None:
     """Show how position and heading of a batch's runs spread with the distance, and what the linear model predicts."""
-    from odomcorrupt.api.spread import spread
+    from odomcorrupt.api.batch import spread
 
     result = spread(directory)
     following = ("spread", directory, "-o", "spread.png") if output is None else ("score", "-h")

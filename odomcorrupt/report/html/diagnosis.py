@@ -11,9 +11,8 @@ from odomcorrupt.report.findings import dependences_found, effects_found, foremo
 from odomcorrupt.report.html.comparison import sequence_table
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
-from odomcorrupt.report.plots.comparison import draw_errors
+from odomcorrupt.report.plots.comparison import draw_errors, draw_residuals
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
-from odomcorrupt.report.plots.residuals import draw_residuals
 from odomcorrupt.report.text.comparison import SIGNS, rejection, size
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.text.diagnosis import NOTHING, evidence_words, selected_instead, unnamed
