@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.bags.checksum import crc32
-from odomcorrupt.bags.codecs import PackedInSource, beginning, decompress, unpacked
+from odomcorrupt.bags.codecs import Packed, beginning, decompress, unpacked
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def read_chunks(source: Source, head: ChunkHead, record_bytes: RecordBytes, *, v
 
 def beginning_of_chunk(source: Source, head: ChunkHead, record_bytes: RecordBytes) -> Iterator[Chunk]:
     """Yield what the file has of a chunk that is truncated by its end, as far as it decompresses."""
-    packed = PackedInSource(source, (source.size or 0) - source.position, head.what)
+    packed = Packed(source, (source.size or 0) - source.position, head.what)
     yield from _chunks_of(beginning(head.codec, packed, source.budget), head, source, record_bytes)
 
 
@@ -146,7 +146,7 @@ def _read_whole(source: Source, head: ChunkHead, named: str) -> NDArray[np.uint8
 
 def _pieces(source: Source, head: ChunkHead, named: str, budget: Budget | None) -> Iterator[bytes | memoryview]:
     """Yield the decompressed pieces of a chunk, and read its record to the end."""
-    packed, crc = PackedInSource(source, head.packed, head.what), 0
+    packed, crc = Packed(source, head.packed, head.what), 0
     for piece in unpacked(head.codec, packed, head.size, named, budget):
         crc = crc32(piece, crc) if head.crc else 0
         yield piece

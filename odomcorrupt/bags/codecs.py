@@ -5,7 +5,8 @@ from __future__ import annotations
 import bz2
 import threading
 from contextlib import suppress
-from typing import TYPE_CHECKING, Protocol
+from io import BytesIO
+from typing import TYPE_CHECKING, Self
 
 import lz4.frame
 import numpy as np
@@ -13,6 +14,7 @@ import xxhash
 import zstandard
 
 from odomcorrupt.bags.budget import ARENA_BYTES, Budget
+from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.budget import BufferPool
-    from odomcorrupt.bags.source import Source
 
 
 _PIECE_BYTES = 1 << 20
@@ -36,43 +37,22 @@ DAMAGE = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, Memo
 """What the codecs raise on bytes that are not theirs, or on a size no machine has."""
 
 
-class Packed(Protocol):
-    """Compressed bytes of a chunk.
-
-    left : bytes not yet read
-    """
-
-    left: int
-
-    def read(self, size: int) -> memoryview:
-        """Return the next bytes, fewer at the end; valid until the next call."""
-
-
-class PackedInMemory:
-    """Compressed bytes in memory."""
-
-    def __init__(self, data: bytes | memoryview) -> None:
-        self._data = memoryview(data)
-        self.left = len(data)
-
-    def read(self, size: int) -> memoryview:
-        """Return the next bytes, fewer at the end."""
-        begin = len(self._data) - self.left
-        piece = self._data[begin : begin + size]
-        self.left -= len(piece)
-        return piece
-
-
-class PackedInSource:
+class Packed:
     """Compressed bytes that are next in a file or pipe.
 
     source : where they are read from
     size : how many there are
     what : name of the chunk in error messages
+    left : bytes not yet read
     """
 
     def __init__(self, source: Source, size: int, what: str) -> None:
         self._source, self.left, self._what = source, size, what
+
+    @classmethod
+    def in_memory(cls, data: memoryview) -> Self:
+        """Return the same for compressed bytes in memory."""
+        return cls(Source(BytesIO(data), "memory"), len(data), "chunk")
 
     def read(self, size: int) -> memoryview:
         """Return the next bytes, fewer at the end; valid until the source is read again."""
@@ -342,7 +322,7 @@ def decompress(
         return placed
     budget = Budget() if budget is None else budget
     if codec == "bz2" or size > ARENA_BYTES or (codec == "zstd" and not _is_one_frame(data, size)):
-        pieces = unpacked(codec, PackedInMemory(data), size, what, budget)
+        pieces = unpacked(codec, Packed.in_memory(data), size, what, budget)
         placed, came = pool.place(size), 0
         for piece in pieces:
             placed.data[came : came + len(piece)] = piece

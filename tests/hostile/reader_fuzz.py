@@ -44,7 +44,7 @@ from smallbags import Small, make_small_bags
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.bags.budget import BufferPool
 from odomcorrupt.bags.chunk import Chunk
-from odomcorrupt.bags.codecs import PackedInMemory, beginning, decompress
+from odomcorrupt.bags.codecs import Packed, beginning, decompress
 from odomcorrupt.bags.mcap import chunk as of_mcap
 from odomcorrupt.bags.mcap.reader import read_summary
 from odomcorrupt.bags.mcap.records import ChannelRecord, SchemaRecord
@@ -219,7 +219,7 @@ class ReaderFuzz:
         harmed = self._harmed(data, rng)[: 1 << 16]
         if rng.random() < 0.3:
             size = int(2 ** rng.uniform(0, 34))
-        begun = b"".join(beginning(codec, PackedInMemory(harmed), Source(io.BytesIO(), "").budget))
+        begun = b"".join(beginning(codec, Packed.in_memory(harmed), Source(io.BytesIO(), "").budget))
         try:
             out = decompress(codec, memoryview(harmed), size, "chunk", BufferPool())
         except OdomCorruptError:

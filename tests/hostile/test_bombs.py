@@ -17,7 +17,7 @@ import pytest
 import zstandard
 
 from odomcorrupt.bags.budget import VARIABLE, Budget, limited, size_of
-from odomcorrupt.bags.codecs import PackedInMemory, beginning
+from odomcorrupt.bags.codecs import Packed, beginning
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import cli, run
 from odomcorrupt.errors import BagError
@@ -166,9 +166,9 @@ def test_the_beginning_of_a_cut_bomb_goes_as_far_as_the_budget(codec, monkeypatc
     pack = {"zstd": zstandard.compress, "bz2": bz2.compress, "lz4": lz4.frame.compress}[codec]
     whole = pack(bytes(64 * MB))
     for cut in (whole[: len(whole) // 2], whole[:-1], whole):
-        assert sum(map(len, beginning(codec, PackedInMemory(cut), Budget()))) <= 8 * MB + 1000 * len(cut)
+        assert sum(map(len, beginning(codec, Packed.in_memory(cut), Budget()))) <= 8 * MB + 1000 * len(cut)
     sound = pack(bytes(range(256)) * 4096)
-    assert b"".join(beginning(codec, PackedInMemory(sound), Budget())) == bytes(range(256)) * 4096
+    assert b"".join(beginning(codec, Packed.in_memory(sound), Budget())) == bytes(range(256)) * 4096
 
 
 ZEROS = {"zeros": b"\0" * 9, "private records": packed(0x80), "schemas": packed(0x7F)}
@@ -177,7 +177,7 @@ ZEROS = {"zeros": b"\0" * 9, "private records": packed(0x80), "schemas": packed(
 @pytest.mark.parametrize("recover", [False, True])
 @pytest.mark.parametrize("name", ZEROS)
 def test_a_chunk_of_a_million_empty_records_is_refused(name, recover, tmp_path, monkeypatch):
-    for module in ("chunk_messages", "resync"):
+    for module in ("chunk", "resync"):
         monkeypatch.setattr(f"odomcorrupt.bags.mcap.{module}.MOST_RECORDS", 10_000)
     path = tmp_path / "in.mcap"
     path.write_bytes(mcap_of([ZEROS[name] * 200_000]))
