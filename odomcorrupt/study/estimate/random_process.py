@@ -26,12 +26,10 @@ if TYPE_CHECKING:
 
 CORRELATED_NOISE = ("gauss_markov", "gyro_bias_walk")
 """Names of the random coefficients: effects that are part of a fit's covariance."""
-_TAUS_S = (2.0, 5.0, 15.0, 40.0)
-_LADDER_S, _STEP = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0), 1.7
-"""Grid of correlation times, s, on which one is refined, and the largest ratio of a neighbour to the present value."""
-_QUICKEST_S = 5.0
-"""Shortest correlation time of a bias, s: ten intervals. That of a gyro is tens of seconds or more (the minimum of its
-Allan deviation, Woodman 2007); a shorter one is hardly separable from noise of each step."""
+_TAUS_S, _STEP = (2.0, 5.0, 15.0, 40.0), 1.5
+"""Correlation times that are tried, s, and the ratio of a neighbour to the best one. Those of a bias are not below the
+second: that of a gyro is tens of seconds or more (the minimum of its Allan deviation, Woodman 2007), a shorter one
+hardly separable from noise of each step."""
 _MOST_KNOTS = 400
 _COARSELY, FINELY = 2.0, 8.0
 """Knots per correlation time: few suffice to detect a process, more show how rough it is."""
@@ -160,7 +158,7 @@ def knots_of(effect: Effect, problem: Problem) -> Knots:
 
 
 def processes() -> list[Process]:
-    """Return the candidate processes; biases with the shortest correlation time are left out, see `_QUICKEST_S`."""
+    """Return the candidate processes; biases without the shortest correlation time, see `_TAUS_S`."""
     return _processes(_TAUS_S, _TAUS_S[1:])
 
 
@@ -184,10 +182,9 @@ def _processes(taus_s: Sequence[float], biases_s: Sequence[float]) -> list[Proce
 def processes_like(effect: Effect, *, beside: bool = False) -> list[Process]:
     """Return the process of an effect; with `beside`, also those with neighbouring correlation times."""
     tau_s = getattr(effect, "tau", 0.0)
-    near = [t for t in _LADDER_S if tau_s / _STEP < t < tau_s * _STEP] if beside else []
     channel = getattr(effect, "channel", None)
-    taus_s = sorted({tau_s, *near})
-    every = _processes(taus_s, [t for t in taus_s if t >= _QUICKEST_S or t == tau_s])
+    taus_s = [tau_s / _STEP, tau_s, tau_s * _STEP] if beside and tau_s else [tau_s]
+    every = _processes(taus_s, [t for t in taus_s if t >= _TAUS_S[1] or t == tau_s])
     own = [p for p in every if p.kind is type(effect) and p.fixed.get("channel") == channel]
     return [p for p in own if (p.tau is None) == (tau_s == 0.0)]
 
