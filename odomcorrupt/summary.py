@@ -144,6 +144,10 @@ def _within(lines: Sequence[Line], width: int, most: int) -> list[_Block]:
         # names never take the place of what has to be said first
         if sum(line.weight >= FIRST for line, _ in kept) < sum(line.weight >= FIRST for line, _ in most_kept):
             break
+        left = [block for block in shorter if all(block[0] is not line for line, _ in kept)]
+        if len(left) == 1 and len(left[0][1]) <= rows:  # a line takes no more room than its mention
+            every = [next((one for one in kept if one[0] is line), (line, parts)) for line, parts in shorter]
+            return [*every, *commands]
         more = _folded("plain", visible(_rest(others, kept)), width)
         if len(more) <= rows:
             return [*kept, (Line("", " ".join(more)), more), *commands]

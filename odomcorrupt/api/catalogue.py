@@ -67,7 +67,7 @@ class EffectDescription(Result):
     def summary(self) -> Summary:
         """Return the meaning of the effect and of its parameters, and a command that applies it to a bag."""
         kind = self.kind
-        lines = [Line(kind.name, f"{kind.summary} ({kind.kind})", "good")]
+        lines = [Line(kind.name, f"{kind.summary} ({kind.kind})")]
         lines += [Line(p.name, f"{p.meaning}; typically {p.typical:g} {p.unit}".rstrip()) for p in parameters(kind)]
         lines += [Line(word, " or ".join(options)) for word, options in choices(kind).items()]
         if kind.aliased_with is not None:
@@ -153,7 +153,7 @@ class PresetList(Result):
         for p in self.presets:
             kinds["noise" if not p.spread else "robots" if p.marks else "qualities"].append(p.name)
         count = f"{len(self.presets)} models; -v has their numbers, ranges and sources"
-        lines = [Line("PRESETS", count, "good"), *(Line(kind, ", ".join(names)) for kind, names in kinds.items())]
+        lines = [Line("PRESETS", count), *(Line(kind, ", ".join(names)) for kind, names in kinds.items())]
         lines.append(Line("use", "odomcorrupt batch in.mcap runs/ --runs 40 --preset rosbot"))
         return Summary((*lines, command_line("odomcorrupt presets rosbot > robot.toml")))
 

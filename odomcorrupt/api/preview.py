@@ -16,6 +16,7 @@ from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.forecasting.forecast import brief, forecast, forecast_json, forecast_text, read_clean_drive
 from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.rng import draw_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,7 +77,7 @@ def preview(
     bag: str | PathLike[str],
     model: ModelLike = "typical",
     *,
-    seed: int = 0,
+    seed: int | None = None,
     run: int = 0,
     runs: int = 100,
     within: MapCondition | str | PathLike[str] | None = None,
@@ -91,8 +92,8 @@ def preview(
         Bag of any kind, read once; "-" is a pipe.
     model : Model, Noise, path of a model file or name of a preset
         By default the preset `typical`.
-    seed : int
-        Seed of all random draws: run k is the one that `corrupt` draws with this seed and `run=k`.
+    seed : int, optional
+        Seed of all random draws: run k is the one that `corrupt` draws with this seed and `run=k`; by default drawn.
     run, runs : int
         Number of the first run, and number of runs, two or more.
     within : MapCondition or path of a map's .yaml, optional
@@ -129,6 +130,7 @@ def preview(
         drive = read_clean_drive(reader, robot, wanted, watch)
         losses = tuple(reader.losses)
     systematic = SystematicEffects(robot)
+    seed = draw_seed() if seed is None else seed
     paths = (
         (None if condition is None else condition.path(robot, seed, number, drive))
         or NoisyPath(robot, seed, number, systematic=systematic)

@@ -12,6 +12,7 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.errors import EffectError, OdomCorruptError
 from odomcorrupt.extras import part_of_study
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
+from odomcorrupt.rng import draw_seed
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ class Simulation(Result):
         """Return a description of the recording, and the path of its answer."""
         what, robot = self._said
         lines = [Line("RECORDED", f"{what} in {self.target or 'stdout'}", "good"), Line("robot", robot)]
+        lines.append(Line("seed", str(self.settings["seed"])))
         if self.answer_path is not None:
             lines.append(Line("answer", f"its faults are listed in {self.answer_path}"))
         if self.target is not None:
@@ -110,7 +112,7 @@ def simulate(
     effects: Sequence[str] = (),
     parameters: Mapping[str, Mapping[str, float | str]] | None = None,
     size: float = 1.0,
-    seed: int = 0,
+    seed: int | None = None,
     robot: int | None = None,
     route: str = "office",
     drive: str | PathLike[str] | None = None,
@@ -133,8 +135,8 @@ def simulate(
         Parameters of faults by name, instead of drawn ones.
     size : float
         Factor on the magnitude of a drawn fault.
-    seed, robot : int
-        Seeds of the drive with its noise, and of the robot with its fault; `robot` defaults to `seed`.
+    seed, robot : int, optional
+        Seeds of the drive with its noise, by default drawn, and of the robot with its fault, by default `seed`.
     route : str
         office, loops, shuttle, slalom, yard or umbmark.
     drive : path, optional
@@ -180,6 +182,7 @@ def simulate(
     for file in (path, secret):
         refuse_existing(file, overwrite=overwrite)
     source = _HEADINGS[heading] if heading else None
+    seed = draw_seed() if seed is None else seed
     robot_seed = seed if robot is None else robot
     if not effects:
         hidden = draw_causes(robot_seed, source)
@@ -223,4 +226,4 @@ def simulate(
         write_text(secret, text)
     if path is not None:
         write_bytes(path, bag.getvalue())
-    return Simulation(path, secret, text, settings, run, bag.getvalue())
+    return Simulation(path, secret, text, {"seed": seed, **settings}, run, bag.getvalue())

@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from odomcorrupt.commands._options import FILE, POSE, Decorator, EffectText, added, setting, usage_errors
+from odomcorrupt.commands._options import FILE, POSE, TRACK, Decorator, EffectText, added, setting, usage_errors
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from odomcorrupt.api.model import Model
 
-_MOST = 6
-"""Largest number of coefficients of any law."""
+_FEWEST, _MOST = 4, 6
+"""Smallest and largest number of coefficients of any law."""
 
 _NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
 
 
-def _completing(module: str, table: str) -> Callable[..., list[str]]:
+def completing(module: str, table: str) -> Callable[..., list[str]]:
     """Return a shell completion over the names in a module's table; the module is imported on use."""
 
     def complete(_ctx: click.Context, _param: click.Parameter, typed: str) -> list[str]:
@@ -44,7 +44,7 @@ def _model_options(default: str) -> Decorator:
             "order), and amcl's alphas are --law quadratic. [omni: 4 or 5 numbers, velocity: 4 to 6]",
         ),
         setting(
-            "--law", metavar="NAME", shell_complete=_completing("model.noise_laws", "LAWS"),
+            "--law", metavar="NAME", shell_complete=completing("model.noise_laws", "LAWS"),
             help="Noise law of A1...: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
         ),
         setting(
@@ -55,17 +55,17 @@ def _model_options(default: str) -> Decorator:
             help="Apply a step-dependent law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
         ),
         setting(
-            "--preset", metavar="NAME", shell_complete=_completing("model.presets", "PRESETS"),
+            "--preset", metavar="NAME", shell_complete=completing("model.presets", "PRESETS"),
             help="Ready-made robot or noise, as turtlebot3-burger; odomcorrupt presets lists them. "
             f"[default: {default}]",
         ),
         setting(
-            "--effect", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
-            shell_complete=_completing("effects", "registry"), help="Systematic error (repeatable).",
+            "--effect", "--add", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
+            shell_complete=completing("effects", "registry"), help="Systematic error (repeatable).",
         ),
         click.option("--model", type=FILE, help="Motion model, as `fit` writes it."),
         setting(
-            "--track", type=float, metavar="M",
+            "--track", type=TRACK, metavar="M",
             help="Distance between the wheels, for effects of single wheels. [default: the model's]",
         ),
     )  # fmt: skip
@@ -90,8 +90,11 @@ class AlphaCommand(click.Command):
                 count = next(
                     (i for i, word in enumerate(rest[:_MOST]) if not _NUMBER.match(word)), min(len(rest), _MOST)
                 )
-                # at least four values are taken, so that an error can name one that is not a number
-                count = max(count, min(4, len(rest))) if not rest or "," not in rest[0] else 1
+                if rest and "," in rest[0]:
+                    count = 1
+                elif count < min(_FEWEST, len(rest)):
+                    said = f"--alpha: {count} numbers, then {rest[count]!r}; every law takes {_FEWEST} numbers or more"
+                    raise click.UsageError(said, ctx)
                 joined.append(" ".join(rest[:count]))
                 del rest[:count]
         return super().parse_args(ctx, joined + rest)
@@ -116,10 +119,6 @@ def choose_model(given: Mapping[str, Any]) -> Model:
         raise click.UsageError(f"{' and '.join(noisy)} both define noise; give one of them")
     if law is not None and alpha is None:
         raise click.UsageError(f"--law {law}: what coefficients mean depends on the law, so give them with --alpha")
-    if track is not None and not 0.0 < track < 100.0:
-        raise click.UsageError(
-            f"--track {track:g}: it must be the distance between the wheels in metres, more than zero"
-        )
     base = None if model is None else Model.load(model)
     try:
         chosen = base or Model()
@@ -133,10 +132,27 @@ def choose_model(given: Mapping[str, Any]) -> Model:
         chosen = _refined(chosen, given.get("step"), given.get("twist_noise"))
         if track is not None:
             chosen = Model.of(replace(chosen.motion_model, track_m=track), chosen.origin)
+        ctx = click.get_current_context()
+        if not ctx.params.get("quiet") and not ctx.meta.setdefault("odomcorrupt.hinted", ()):
+            ctx.meta["odomcorrupt.hinted"] = given.get("effects") or ()
+            _hint_at_percent(ctx.meta["odomcorrupt.hinted"])
         return chosen.with_effects(given.get("effects") or ())
     except ModelError as error:
         said = str(error)
         raise click.UsageError(f"--{said}" if said.startswith("effect ") else said) from error
+
+
+def _hint_at_percent(effects: Iterable[str]) -> None:
+    """Print a hint, once a command, for a fraction that is so large that a percentage was probably meant."""
+    from odomcorrupt.effects.effect import amplitudes
+    from odomcorrupt.model.effect_notation import parse_effect
+
+    for effect in (parse_effect(text).effect for text in effects):
+        for p in amplitudes(effect):
+            value = getattr(effect, p.name)
+            if not p.unit and abs(value) > max(0.5, 20.0 * p.typical):
+                usual = f"robots have about {100.0 * p.typical:g} %; write {p.name}={value:g}% for {value:g} %"
+                click.echo(f"{effect.name}: {p.name}={value:g} is {100.0 * value:g} %; {usual}", err=True)
 
 
 def _command_line_first(brings: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -142,7 +142,7 @@ class Share(Number):
 _TURN_RAD = 6.2832
 """A full turn: a larger heading without a unit is most likely in degrees."""
 
-TRACK = Number("metres between the wheels", 0.0, 99.0, above=True, else_="leave it out where it is not known")
+TRACK = Number("metres between the wheels", 0.0, 10.0, above=True, else_="42.3 cm are 0.423; leave it out if unknown")
 
 
 class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only

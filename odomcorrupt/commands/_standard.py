@@ -45,32 +45,38 @@ class Console(NamedTuple):
     quiet: bool = False
     as_json: bool = False
 
-    def show(self, result: Result, *, files: Files | None = None, err: bool = False) -> None:
+    def show(self, result: Result, *, files: Files | None = None, bag: str | None = None) -> None:
         """Print a result.
 
         result : result to print
         files : output files, written after the verdict is printed and before the suggested next command
-        err : whether to print on stderr, because stdout may carry a bag
+        bag : the bag that was written: text goes to stderr, because stdout may carry a bag; JSON to stdout, except
+            if the bag is "-"
         """
-        brief = "" if self.as_json or self.verbose or self.quiet else result.summary()
+        brief = "" if self.as_json or self.quiet else result.summary()
         details = result.details() if self.verbose and not self.as_json else ""
-        self.print(brief, details, result.to_dict() if self.as_json else None, files=files, err=err)
+        self.print(brief, details, result.to_dict() if self.as_json else None, files=files, bag=bag)
 
     def print(
-        self, brief: Summary | str, details: str, values: Any, *, files: Files | None = None, err: bool = False
+        self, brief: Summary | str, details: str, values: Any, *, files: Files | None = None, bag: str | None = None
     ) -> None:
         """Print a result that is a summary, a text and values; parameters as of `show`."""
         files, following = files or {}, ""
+        err = bag == "-" if self.as_json else bag is not None
         stream = sys.stderr if err else sys.stdout
         columns = shutil.get_terminal_size((_WIDTH, 24)).columns if stream.isatty() else None
         if self.as_json:
             click.echo(json.dumps(finite(values), indent=2, allow_nan=False), err=err)
-        elif self.verbose:
-            click.echo(details if columns is None else wrapped(details, columns), err=err)
         elif not self.quiet:
-            width = min(_WIDTH, columns or _WIDTH)
+            verdict = ""
             if not isinstance(brief, str):
-                brief, following = brief.parts(width, colour=_colours(stream))
+                # the full report ends as the summary does: with the verdict, which a list has not, and the next command
+                verdict = brief.headline if brief.lines[0].tone != "plain" else ""
+                brief, following = brief.parts(min(_WIDTH, columns or _WIDTH), colour=_colours(stream))
+                following = "" if self.verbose and not verdict else following
+            if self.verbose:
+                brief = "\n".join([details, *([verdict] if verdict and verdict not in details else [])])
+                brief = brief if columns is None else wrapped(brief, columns)
             click.echo(brief, err=err)
         for path, write in files.items():
             said = write()

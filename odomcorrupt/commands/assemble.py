@@ -30,6 +30,7 @@ def command(
     """Write the whole bag of RUN, an overlay made by `batch --output overlay` that has only the changed topics."""
     from odomcorrupt.api.batch import assemble
 
+    target = chosen_output(output, output_option)
     with Stages("assembling", quiet=console.quiet):
-        result = assemble(run, chosen_output(output, output_option), original, **bag_words(given))
-    console.show(result, err=True)
+        result = assemble(run, target, original, **bag_words(given))
+    console.show(result, bag=target)

@@ -84,6 +84,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
     Called again, it makes the missing runs. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
     from odomcorrupt.api.batch import batch, estimate_batch
+    from odomcorrupt.batching.manifest import BEGINNING, read_records
     from odomcorrupt.commands._progress import Rate
 
     inputs, target = _paths(paths, output_option)
@@ -94,8 +95,13 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
             cost = estimate_batch(inputs, target, **options)
             console.print(cost.details(), cost.details(), cost.to_dict())
             return 0
-        done = batch(inputs, target, **options, progress=functools.partial(Rate, quiet=console.quiet))
-    console.show(done, err=True)
+        try:
+            done = batch(inputs, target, **options, progress=functools.partial(Rate, quiet=console.quiet))
+        except KeyboardInterrupt:
+            kept = sum(len(read_records(path.parent)) for path in target.rglob(BEGINNING))
+            console.note(f"interrupted: {kept} runs are complete in {target}; the same command makes the others")
+            raise
+    console.show(done, bag=str(target))
     return 1 if done.failures else 3 if done.losses else 0
 
 

@@ -21,7 +21,7 @@ from odomcorrupt.errors import EffectError
 @output_option()
 @click.option("--model", type=FILE, help="Motion model, as `fit` and `learn` write it.")
 @setting(
-    "--effect", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
+    "--effect", "--add", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
     help="Systematic error (repeatable).",
 )  # fmt: skip
 @setting(
@@ -64,5 +64,5 @@ def command(input_: str, output: str | None, output_option: str | None, *, conso
             require_start(chosen.motion_model)
     with Progress(quiet=console.quiet) as progress:
         done = correct(input_, target, model=chosen, start_xyt=given["start"], watch=progress, **bag_words(given))
-    console.show(done, err=True)
+    console.show(done, bag=target)
     return 3 if done.losses else 0

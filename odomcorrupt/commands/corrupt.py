@@ -93,5 +93,5 @@ def command(
     with Progress(quiet=console.quiet) as progress:
         asked = {name: given[name] for name in ("seed", "run", "also")} | {"within": condition, "watch": progress}
         done = corrupt(input_, target, model=model, **asked, **options)
-    console.show(done, err=True)
+    console.show(done, bag=target)
     return 3 if done.losses else 0

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.command(
     "density", cls=AlphaCommand, short_help="Evaluate the density of end poses, p(x_t | u_t, x_t-1), and draw samples."
 )
-@click.option("-o", "--output", type=PICTURE, help="Picture: .png, .svg or .pdf.")
+@click.option("--plot", "-o", "--output", "output", type=PICTURE, help="Picture: .png, .svg or .pdf.")
 @move_options
 @one_of(
     "--reading", among=["pose", "product", "hypothetical"],
@@ -45,7 +45,7 @@ def command(
     """Evaluate the density of end poses of one motion in closed form, and draw samples of it.
 
     \b
-    odomcorrupt density -o density.png
+    odomcorrupt density --plot density.png
     odomcorrupt density --example balanced --at 1,0.35,40deg --at 1.1,0.3,40deg
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import density
@@ -60,7 +60,7 @@ def command(
         seed = draw_seed() if given["seed"] is None else given["seed"]
         save_picture(path, found.draw_beside(chosen.count, seed))
 
-    following = ["density", *typed_words("--output", "--overwrite"), "-o", "density.png"]
+    following = ["density", *typed_words("--output", "--overwrite"), "--plot", "density.png"]
     if output is not None:
         following = ["sample", *typed_words("--output", "--overwrite", "--at", "--reading")]
     shown = replace(found, following=("odomcorrupt", *following))

@@ -26,7 +26,7 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
 @click.command("export", short_help="Print a model as parameters of ros2_control, nav2 or robot_localization.")
 @click.argument("model", type=FILE)
 @click.option(
-    "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization"]), required=True,
+    "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization"]),
     help="Wheel multipliers, amcl's alphas, or covariances.",
 )  # fmt: skip
 @setting(
@@ -51,7 +51,7 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
 @click.option("-o", "--output", type=OUTPUT, help="Write the YAML to a file.")
 @overwrite_option()
 @standard_options
-def command(model: Path, *, target: Target, output: Path | None, console: Console, **given: Any) -> None:
+def command(model: Path, *, target: Target | None, output: Path | None, console: Console, **given: Any) -> None:
     """Print a model's parameters as YAML for another program.
 
     -v adds comments: assumptions, and effects that the program cannot express. -o writes all of it to a file.
@@ -60,6 +60,8 @@ def command(model: Path, *, target: Target, output: Path | None, console: Consol
     from odomcorrupt.api.export import export_parameters
     from odomcorrupt.api.model import Model
 
+    if target is None:
+        raise click.UsageError("--to: says which program; give --to ros2_control, --to nav2 or --to robot_localization")
     robot = Model.load(model)
     with usage_errors(ModelError):
         result = export_parameters(robot, target, **given)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from odomcorrupt.commands._model import completing
 from odomcorrupt.commands._options import FILE, OUTPUT
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
 @click.argument("recordings", nargs=-1, required=True)
 @click.option("-o", "--output", type=OUTPUT, help="Model file to write.")
 @recording_options(
-    click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable)."),
+    click.option(
+        "--add", "--effect", "add", multiple=True, metavar="EFFECT", shell_complete=completing("effects", "registry"),
+        help="Effect to add to the start model (repeatable).",
+    ),
     click.option("--start", type=FILE, help="Model file whose effects to refit."),
     click.option(
         "--law", help="Noise law, or all: select the most likely. [default: that of the start model, or diffusion]"

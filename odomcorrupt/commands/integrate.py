@@ -16,6 +16,7 @@ from odomcorrupt.commands._standard import (
     output_option,
     overwrite_option,
     standard_options,
+    typed_words,
     written,
 )
 from odomcorrupt.errors import ModelError, TopicError
@@ -68,6 +69,8 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
         result = integrate(input_, **given)
     if output is not None:
         result = replace(result, following=("odomcorrupt", "info", output))
+    elif plot is None:
+        result = replace(result, following=("odomcorrupt", "integrate", *typed_words(), "--plot", "errors.png"))
 
     def save(path: Path) -> str:
         done = result.save(path, overwrite=overwrite)

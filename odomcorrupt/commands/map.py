@@ -22,7 +22,12 @@ _ASKED = ("seed", "run", "scan", "odom_topic", "truth", "laser_pose", "max_yaw_r
 @click.command("map", cls=AlphaCommand, short_help="Draw laser maps with clean and with noisy odometry.")
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option(
-    "-o", "--output", type=FILE, help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml."
+    "-o",
+    "--output",
+    "--plot",
+    "output",
+    type=FILE,
+    help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml.",
 )
 @model_options
 @setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import click
 
+from odomcorrupt.commands._model import completing
 from odomcorrupt.commands._options import usage_errors
 from odomcorrupt.commands._standard import Console, standard_options
 from odomcorrupt.errors import ModelError
 
 
 @click.command("presets", short_help="List the ready-made noise models, or print one as a model file.")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=completing("model.presets", "PRESETS"))
 @standard_options
 def command(name: str | None, *, console: Console) -> None:
     """List the presets with law, numbers and source, or print one of them as a model file, to edit and to add effects.

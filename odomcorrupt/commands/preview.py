@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 @click.command("preview", cls=AlphaCommand, short_help="Forecast what a motion model will do to a bag.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @model_options
-@setting("--seed", type=click.IntRange(0), default=0, metavar="N", help="Seed of all draws. [default: 0]")
+@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
 @click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="The first of the runs. [default: 0]")
 @click.option(
     "--runs", type=click.IntRange(2, 100_000), default=100, metavar="N", help="How many to draw. [default: 100]"
 )
 @bag_options
 @map_options
-@click.option("-o", "--output", type=PICTURE, help="Picture to write: png, svg or pdf.")
+@click.option("--plot", "-o", "--output", type=PICTURE, help="Picture: .png, .svg or .pdf.")
 @overwrite_option("an existing picture")
 @standard_options
-def command(input_: str, output: Path | None, *, console: Console, **given: Any) -> int:
+def command(input_: str, plot: Path | None, *, console: Console, **given: Any) -> int:
     """Draw many runs of a motion model over a bag's odometry and show how far they drift; no bag is written.
 
     Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command that
@@ -49,10 +49,11 @@ def command(input_: str, output: Path | None, *, console: Console, **given: Any)
     with Progress(quiet=console.quiet) as progress:
         asked = {"seed": given["seed"], "run": given["run"], "runs": given["runs"], "within": condition}
         result = preview(input_, model, **asked, watch=progress, **options)
-    following = ["odomcorrupt", "preview", *typed_words("--output", "--overwrite"), "-o", "fan.png"]
-    if output is not None:
-        following = ["odomcorrupt", *typed_words("--output", "--overwrite", "--runs"), "noisy.mcap"]
-    console.show(replace(result, following=tuple(following)), files=written(output, result.plot))
+    seed = () if given["seed"] is not None else ("--seed", str(result.seed))
+    following = ["odomcorrupt", "preview", *typed_words("--plot", "--overwrite"), *seed, "--plot", "fan.png"]
+    if plot is not None:
+        following = ["odomcorrupt", *typed_words("--plot", "--overwrite", "--runs"), "noisy.mcap", *seed]
+    console.show(replace(result, following=tuple(following)), files=written(plot, result.plot))
     return report_losses(result.losses)
 
 

@@ -26,7 +26,7 @@ _RESULT = OutputFile(*PICTURES, "csv", "json")
 
 @click.command("sample", cls=AlphaCommand, short_help="Sample the end poses of one motion (the banana-shaped cloud).")
 @click.argument("bag", metavar="[BAG]", type=click.Path(path_type=Path), required=False)
-@click.option("-o", "--output", type=_RESULT, help="Result: .png, .svg, .pdf, .csv or .json.")
+@click.option("-o", "--output", "--plot", "output", type=_RESULT, help="Result: .png, .svg, .pdf, .csv or .json.")
 @move_options
 @map_options
 @click.option(

@@ -78,7 +78,7 @@ def _size(text: str) -> float:
 @click.option(
     "--size", default="medium", show_default=True, help="Size of a drawn fault: weak, medium, strong, number."
 )
-@setting("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the drive and its noise.")
+@setting("--seed", type=click.IntRange(0), help="Seed of the drive and its noise. [default: drawn, and printed]")
 @click.option("--robot", type=click.IntRange(0), help="Seed of the robot and its fault. [default: the drive's]")
 @click.option(
     "--route", type=click.Choice(["office", "loops", "shuttle", "slalom", "yard", "umbmark"]), default="office",
@@ -142,4 +142,4 @@ def command(
         sys.stdout.buffer.write(done.bag)
         console.note(f"wrote stdout: {done.settings['duration_s']:g} s; its faults are listed in {done.answer_path}")
     else:
-        console.show(done, err=True)
+        console.show(done, bag=target)

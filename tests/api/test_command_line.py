@@ -20,8 +20,21 @@ READS = {
         ["preview", str(OFFICE), *ALPHA, "--seed", "4", "--run", "3", "--runs", "2"],
     ),
     "preview of a topic": (
-        lambda: oc.preview(OFFICE, runs=2, odom_topic="odom", odom_frame="odom", base_frame="base_link"),
-        ["preview", str(OFFICE), "--runs", "2", "--odom", "odom", "--odom-frame", "odom", "--base-frame", "base_link"],
+        lambda: oc.preview(OFFICE, runs=2, seed=5, odom_topic="odom", odom_frame="odom", base_frame="base_link"),
+        [
+            "preview",
+            str(OFFICE),
+            "--runs",
+            "2",
+            "--seed",
+            "5",
+            "--odom",
+            "odom",
+            "--odom-frame",
+            "odom",
+            "--base-frame",
+            "base_link",
+        ],
     ),
     "spread": (lambda: oc.spread("runs"), ["spread", "runs"]),
     "info": (lambda: oc.info(OFFICE), ["info", str(OFFICE)]),
@@ -42,7 +55,7 @@ def test_values_texts_and_pictures_are_those_of_the_command_line(name, tmp_path,
     assert run([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result.to_dict()))
     assert run([*words, "-v"]) == 0
-    assert capsys.readouterr().out == result.details() + "\n"
+    assert capsys.readouterr().out.startswith(result.details() + "\n")
     assert run(words) == 0
     shown, own = (text.partition("\nnext")[0].rstrip().splitlines() for text in (capsys.readouterr().out, str(result)))
     shown = [line for line in shown if "more line" not in line]  # the next command takes a line or two of eight
@@ -110,7 +123,7 @@ def test_values_and_texts_are_those_of_the_command_line(name, tmp_path, monkeypa
     assert run([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result.to_dict()))
     assert run([*words, "-v"]) == 0
-    assert capsys.readouterr().out == result.details() + "\n"
+    assert capsys.readouterr().out.startswith(result.details() + "\n")
     assert result.rows()
     assert run(words) == 0
     if words[0] != "export":  # which prints the YAML, condensed

@@ -10,6 +10,7 @@ import click
 import pytest
 
 from odomcorrupt.cli import cli, run
+from odomcorrupt.commands._options import PICTURE
 from odomcorrupt.commands._standard import _colours
 
 ROOT = Path(__file__).parent.parent.parent
@@ -52,8 +53,72 @@ def test_a_verdict_everything_nothing_or_values(tmp_path, capsys):
     assert len(brief.splitlines()) <= 8
     assert "computed from the poses of /odom" in said("-v")
     assert said("-q") == ""
-    assert json.loads(said("--json"))["seed"] == 1
+    # the full report ends as the summary does
+    assert said("-v").splitlines()[-3].startswith(("MOVED 2", "MOVED 1", "MOVED 0", "next"))
+    assert "next      odomcorrupt info" in said("-v")
+    assert said("--json") == ""
     assert run([OFFICE, str(tmp_path / "a.mcap"), "-q", "-v"]) == 2
+
+
+def test_json_goes_to_stdout_unless_a_bag_does(tmp_path, capfdbinary):
+    assert run([OFFICE, str(tmp_path / "a.mcap"), "--seed", "1", "--json"]) == 0
+    said = capfdbinary.readouterr()
+    assert json.loads(said.out)["seed"] == 1
+    assert said.err == b""
+    assert run([OFFICE, "-", "--seed", "1", "--json"]) == 0
+    said = capfdbinary.readouterr()
+    assert said.out == (tmp_path / "a.mcap").read_bytes()
+    assert json.loads(said.err)["seed"] == 1
+    batch = ["batch", OFFICE, str(tmp_path / "runs"), "--runs", "1", "--output", "overlay", "--seed", "1", "--json"]
+    for words in (batch, ["assemble", str(tmp_path / "runs" / "run_000000.mcap"), str(tmp_path / "b.mcap"), "--json"]):
+        assert run(words) == 0
+        assert json.loads(capfdbinary.readouterr().out)["schema"] == 2
+
+
+@pytest.mark.parametrize("words", [["preview", OFFICE, "--runs", "2"], ["simulate", "OUT", "--duration", "15"]])
+def test_a_seed_is_drawn_and_printed_where_none_is_given(words, tmp_path, capsys):
+    seen = set()
+    for name in ("a", "b"):
+        given = [word.replace("OUT", str(tmp_path / f"{name}.mcap")) for word in words]
+        assert run([*given, "--json"]) == 0
+        seen.add(json.loads(capsys.readouterr().out)["seed"])
+    assert len(seen) == 2
+
+
+@pytest.mark.parametrize(("value", "hinted"), [("2", True), ("2%", False), ("-0.6", True), ("0.3", False)])
+def test_a_fraction_that_should_be_a_percentage_gets_a_hint(value, hinted, tmp_path, capsys):
+    words = [OFFICE, str(tmp_path / "a.mcap"), "--seed", "1", "--effect", f"wheelbase:e={value}"]
+    assert run(words) == 0
+    assert ("robots have about 1.5 %" in capsys.readouterr().err) is hinted
+    assert run([*words, "--overwrite", "-q"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_an_option_of_one_meaning_has_one_name_in_all_commands():
+    options = {
+        name: {word: option for option in cli.get_command(click.Context(cli), name).params for word in option.opts}
+        for name in cli.list_commands(click.Context(cli))
+    }
+    for words in options.values():
+        assert ("--add" in words) <= ("--effect" in words)
+        pictures = {word for word, option in words.items() if option.type is PICTURE}
+        assert not pictures or "--plot" in pictures
+    drawing = ("preview", "spread", "score", "density", "integrate", "learn", "map", "sample", "compare")
+    assert all("--plot" in options[name] for name in drawing)
+
+
+def test_an_interrupted_batch_says_what_is_kept(tmp_path, capsys, monkeypatch):
+    words = ["batch", OFFICE, str(tmp_path / "runs"), "--output", "trajectories", "--seed", "1"]
+    assert run([*words, "--runs", "2"]) == 0
+    capsys.readouterr()
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("odomcorrupt.api.batch.run_batch", interrupted)
+    assert run([*words, "--runs", "9"]) == 130
+    said = capsys.readouterr().err
+    assert f"interrupted: 2 runs are complete in {tmp_path / 'runs'}; the same command makes the others" in said
 
 
 def test_colours_are_for_terminals_whose_user_wants_them(monkeypatch):
@@ -140,3 +205,15 @@ def test_a_step_may_be_a_distance_alone(tmp_path, capsys):
     assert "once per 0.25m,0.2rad" in capsys.readouterr().err
     assert run([OFFICE, str(tmp_path / "b.mcap"), *numbers, "--step", "0.1rad"]) == 0
     assert "once per 0.25m,0.1rad" in capsys.readouterr().err
+
+
+def test_a_topic_is_not_its_own_truth_and_centimetres_are_no_metres(capsys):
+    for words, said in (
+        (["learn", OFFICE, "--truth", "/odom"], "--truth /odom is the odometry itself"),
+        (["fit", OFFICE, "--odom", "/odom", "--truth", "odom"], "is the odometry itself"),
+        (["learn", OFFICE, "--truth", "/odom", "--track", "42.3"], "42.3 cm are 0.423"),
+        ([OFFICE, "out.mcap", "--track", "42.3"], "42.3 cm are 0.423"),
+        (["export", "robot.toml"], "give --to ros2_control, --to nav2 or --to robot_localization"),
+    ):
+        assert run(words) in (1, 2)
+        assert said in capsys.readouterr().err

@@ -39,7 +39,7 @@ def test_effects_of_single_wheels_take_the_track_from_the_command_line_or_the_fi
 @pytest.mark.parametrize(
     ("args", "sentence"),
     [
-        (("--track", "0"), "--track 0: it must be the distance between the wheels"),
+        (("--track", "0"), "0; write metres between the wheels, more than 0"),
         (
             ("--alpha", "5deg", "10deg/m", "5deg", "0.1"),
             "trans_trans: 5deg is an angle, but this coefficient is in metres",

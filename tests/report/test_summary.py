@@ -92,8 +92,13 @@ def test_what_was_identified_precedes_other_lines_and_names_take_no_room_from_wa
 def test_a_long_command_does_not_take_the_place_of_what_has_to_be_said_first():
     command = Line("next", " ".join(["command"] * 60), "command")
     lines = (Line("COMPLETE", "the model is complete"), Line("outliers", "two stretches " * 6, weight=FIRST), command)
-    text = Summary((*lines[:2], Line("errors", "10 s error", weight=ALWAYS), Line("clock", "late"), command)).text()
+    more = (Line("clock", "late"), Line("rate", "50 Hz"))
+    text = Summary((*lines[:2], Line("errors", "10 s error", weight=ALWAYS), *more, command)).text()
     assert "outliers" in text
     assert "errors" in text
     assert "clock" not in text
-    assert "1 more line: -v shows all" in text
+    assert "2 more lines: -v shows all" in text
+    # one line alone takes no more room than its mention
+    text = Summary((*lines[:2], Line("errors", "10 s error", weight=ALWAYS), more[0], command)).text()
+    assert "clock" in text
+    assert "more line" not in text

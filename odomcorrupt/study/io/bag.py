@@ -14,7 +14,7 @@ from odomcorrupt.study.io.fixes import Fixes, resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import headings
 from odomcorrupt.study.io.tf import EdgeReader, read_tree
-from odomcorrupt.study.io.topic_selection import EDGES, TRANSFORM, choose, named, parse_address, plain
+from odomcorrupt.study.io.topic_selection import EDGES, ODOMETRY, TRANSFORM, choose, named, parse_address, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -50,6 +50,7 @@ def read_bag(path: Path, place: str, wanted: Mapping[Role, str | None]) -> dict[
             other = sorted({c.encoding for c in reader.channels.values()})
             said = f"messages in {', '.join(other)} alone" if other else "no topics"
             raise TopicError(f"{place}: holds {said}; ROS messages (cdr or ros1) can be read")
+        _require_two(channels, addresses, place)
         readers: dict[Role, EdgeReader | _PoseReader] = {}
         taken = [plain(a.topic) for a in addresses.values() if a is not None and not a.frames]
         for role, address in addresses.items():
@@ -66,6 +67,16 @@ def read_bag(path: Path, place: str, wanted: Mapping[Role, str | None]) -> dict[
             for one in readers.values():
                 one.take(block)
     return {role: one.samples() for role, one in readers.items()}
+
+
+def _require_two(channels: list[Channel], addresses: Mapping[Role, Address | None], place: str) -> None:
+    """Refuse a truth that is the odometry itself."""
+    truth, odometry = addresses.get("truth"), addresses.get("odometry")
+    if truth is None or truth.frames or "odometry" not in addresses:
+        return
+    named = {plain(c.topic) for c in channels if c.msgtype == ODOMETRY} if odometry is None else {plain(odometry.topic)}
+    if named == {plain(truth.topic)} and not (odometry and odometry.frames):
+        raise TopicError(f"{place}: --truth {truth.topic} is the odometry itself, and a topic cannot be its own truth")
 
 
 def _edge_reader(
