@@ -89,21 +89,6 @@ class RunScore:
         return self.name.rpartition("/")[0]
 
 
-@dataclass(frozen=True, slots=True)
-class Point:
-    """Errors at one point of a sweep, or on one of several inputs; "" if there is one batch only.
-
-    drift : median of the runs' drifts
-    ate : position errors (ATE), metres, infinite for runs without a complete output
-    """
-
-    name: str
-    drift: float
-    runs: int
-    lost: int
-    ate: Summary
-
-
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class ScoreReport:
     """Scores of n runs.
@@ -140,17 +125,21 @@ class ScoreReport:
 
     def summary(self, metric: str) -> Summary:
         """Return statistics of a metric over the runs; an error is infinite for a run without a complete output."""
-        return _summary(self.runs, metric)
+        unknown, without = float("nan"), float("inf") if metric in ERRORS else float("nan")
+        values = [run.metrics.get(metric, unknown) if run.scored else without for run in self.runs]
+        return summarise(np.array(values))
 
     @property
-    def points(self) -> list[Point]:
-        """Errors of each batch, in the order of their drifts."""
-        found = []
-        for name in dict.fromkeys(run.point for run in self.runs):
-            runs = [run for run in self.runs if run.point == name]
-            drift = float(np.median([run.drift for run in runs]))
-            found.append(Point(name, drift, len(runs), sum(run.failed for run in runs), _summary(runs, "ate_m")))
-        return sorted(found, key=lambda point: point.drift)
+    def drift(self) -> float:
+        """Median of the runs' drifts."""
+        return float(np.median([run.drift for run in self.runs]))
+
+    @property
+    def points(self) -> list[ScoreReport]:
+        """The report of each batch alone, i.e. of each point of a sweep or each input, in the order of their drifts."""
+        names = dict.fromkeys(run.point for run in self.runs)
+        parts = [tuple(run for run in self.runs if run.point == name) for name in names]
+        return sorted((replace(self, runs=part) for part in parts), key=lambda part: part.drift)
 
     @property
     def breakdown(self) -> Breakdown:
@@ -172,11 +161,6 @@ class ScoreReport:
         paths = [(run.distance_m, run.position_m) for run in runs]
         lost = [run.failure.distance_m for run in runs if run.failure is not None]
         return sections(paths, self.clean_m, self.clean_xy, lost)
-
-
-def _summary(runs: Sequence[RunScore], metric: str) -> Summary:
-    unknown, without = float("nan"), float("inf") if metric in ERRORS else float("nan")
-    return summarise(np.array([run.metrics.get(metric, unknown) if run.scored else without for run in runs]))
 
 
 def score(

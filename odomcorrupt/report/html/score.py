@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from html import escape
-from math import isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.report.html.page import page, picture, table
 from odomcorrupt.report.plots.score import along, draw_alone, drift, places
 from odomcorrupt.report.text.score import (
-    METRIC_WORDS,
+    METRIC_HEADS,
     POINT_HEADS,
     gate_lines,
+    metric_rows,
     point_rows,
     run_cells,
     run_heads,
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.scoring.gate import Verdict
     from odomcorrupt.scoring.run import ScoreReport
-    from odomcorrupt.scoring.statistics import Quantile
 
 _ROWS = 1000
 """Largest number of runs in the table; the worst ones are listed."""
@@ -52,7 +51,7 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str
         picture("places", "Where it fails", "Crosses: where runs were lost.", draw_alone(places, report, 7.0, 6.0)),
         table(POINT_HEADS, [list(map(escape, row)) for row in point_rows(report)]) if len(report.points) > 1 else "",
         "<h2>Over runs</h2>",
-        _summary(report),
+        table(METRIC_HEADS, [list(map(escape, row)) for row in metric_rows(report)]),
         _sections(report),
         "<h2>Runs</h2>",
         _runs(report),
@@ -60,22 +59,6 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str
         f'<p class="quiet">{escape(_legend(report, version))}</p>',
     ]  # fmt: skip
     return page(title, body)
-
-
-def _summary(report: ScoreReport) -> str:
-    rows = []
-    for name, words in METRIC_WORDS.items():
-        s = report.summary(name)
-        if s.n:
-            quantiles = [_quantile(name, q) for q in (s.median, s.p90, s.p95)]
-            rows.append([escape(words), str(s.n), quantity(name, s.mean), *quantiles, quantity(name, s.max)])
-    heads = ("", "runs", "mean", "median (95 % interval)", "p90 (95 % interval)", "p95 (95 % interval)", "max")
-    return table(heads, rows)
-
-
-def _quantile(metric: str, q: Quantile) -> str:
-    high = quantity(metric, q.high) if isfinite(q.high) else "∞"
-    return f"{quantity(metric, q.value)} ({quantity(metric, q.low)} to {high})"
 
 
 def _sections(report: ScoreReport) -> str:

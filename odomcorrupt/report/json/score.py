@@ -29,7 +29,16 @@ def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[st
             "summary": {name: asdict(report.summary(name)) for name in METRICS},
             "failed": report.failed,
             "identical": report.identical,
-            "points": [asdict(point) for point in report.points],
+            "points": [
+                {
+                    "name": p.runs[0].point,
+                    "drift": p.drift,
+                    "runs": len(p.runs),
+                    "lost": p.failed,
+                    "ate": asdict(p.summary("ate_m")),
+                }
+                for p in report.points
+            ],
             "breakdown": asdict(found),
             "growth": None if grown is None else asdict(grown),
             "sections": [asdict(section) for section in report.sections],

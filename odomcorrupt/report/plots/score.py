@@ -57,7 +57,7 @@ def drift(axes: Axes, report: ScoreReport) -> None:
     if len(points) > 1:
         at = [100.0 * max(point.drift, least) for point in points]
         for quantile, style in (("median", "-"), ("p90", "--")):
-            ate = [getattr(point.ate, quantile).value for point in points]
+            ate = [getattr(point.summary("ate_m"), quantile).value for point in points]
             axes.plot(at, ate, style, color=BLACK, linewidth=1.2, label=f"{quantile} of a point")
     found = report.breakdown
     if found.drift is not None:

@@ -31,15 +31,25 @@ METRIC_WORDS = {
 _STATUSES: tuple[Status, ...] = ("lost", "diverged", "partial", "missing", "unreadable")
 _NAMED = 5
 """Runs that a failed rule names on the screen; -v, Markdown and JUnit name all."""
+METRIC_HEADS = ("over runs", "n", "median", "95 % interval", "p90", "95 % interval", "max")
 POINT_HEADS = ("drift", "runs", "lost", "median ATE", "p90", "point")
 
 
 def point_rows(report: ScoreReport) -> list[list[str]]:
     """Return the rows of the table of points: drift, runs, lost, median and p90 of the ATE, name."""
     return [
-        [_percent(p.drift), str(p.runs), str(p.lost), quantity("ate_m", p.ate.median.value),
-         quantity("ate_m", p.ate.p90.value), p.name or "all runs"]
-        for p in report.points
+        [_percent(p.drift), str(len(p.runs)), str(p.failed), *(quantity("ate_m", q.value) for q in (s.median, s.p90)),
+         p.runs[0].point or "all runs"]
+        for p in report.points for s in [p.summary("ate_m")]
+    ]  # fmt: skip
+
+
+def metric_rows(report: ScoreReport) -> list[list[str]]:
+    """Return the rows of the table over runs: metric, number of runs, median and p90 with intervals, largest value."""
+    return [
+        [words, str(s.n), quantity(name, s.median.value), _interval(name, s.median), quantity(name, s.p90.value),
+         _interval(name, s.p90), quantity(name, s.max)]
+        for name, words in METRIC_WORDS.items() if (s := report.summary(name)).n
     ]  # fmt: skip
 
 
@@ -48,13 +58,8 @@ def score_text(report: ScoreReport) -> str:
     lines = [*sentences(report), ""]
     if len(report.points) > 1:
         lines += [*_aligned([POINT_HEADS, *point_rows(report)]), ""]
-    rows = [["over runs", "n", "median", "95 % interval", "p90", "95 % interval", "max"]]
-    for name, words in METRIC_WORDS.items():
-        s = report.summary(name)
-        if s.n:
-            median, p90, largest = (quantity(name, value) for value in (s.median.value, s.p90.value, s.max))
-            rows.append([words, str(s.n), median, _interval(name, s.median), p90, _interval(name, s.p90), largest])
-    lines += [*_aligned(rows), "", *_aligned([run_heads(), *map(run_cells, report.runs)])]
+    lines += [*_aligned([METRIC_HEADS, *metric_rows(report)]), ""]
+    lines += [*_aligned([run_heads(), *map(run_cells, report.runs)])]
     lines += [f"Note: {note}." for note in report.notes]
     return "\n".join(lines)
 
@@ -127,9 +132,7 @@ def score_markdown(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
         lines += [f"* {'**' * one.failed}{_cell(one.sentence)}{'**' * one.failed}"]
         lines += [f"    * {_cell(name)}" for name in one.runs]
     lines += ["", *_table(POINT_HEADS, point_rows(report)), ""]
-    rows = [[words, *(quantity(name, value) for value in (s.median.value, s.p90.value, s.max))]
-            for name, words in METRIC_WORDS.items() if (s := report.summary(name)).n]  # fmt: skip
-    lines += [*_table(("over runs", "median", "p90", "max"), rows), ""]
+    lines += [*_table(METRIC_HEADS, metric_rows(report)), ""]
     lines += [f"* {_cell(sentence)}" for sentence in (*sentences(report)[1:], *report.notes)]
     return "\n".join(lines) + "\n"
 
@@ -149,7 +152,8 @@ def score_csv(report: ScoreReport) -> str:
     table = csv.writer(stream, lineterminator="\n")
     table.writerow(("point", "drift", "runs", "lost", "median_ate_m", "p90_ate_m"))
     for p in report.points:
-        table.writerow((p.name, p.drift, p.runs, p.lost, p.ate.median.value, p.ate.p90.value))
+        ate = p.summary("ate_m")
+        table.writerow((p.runs[0].point, p.drift, len(p.runs), p.failed, ate.median.value, ate.p90.value))
     return stream.getvalue()
 
 
