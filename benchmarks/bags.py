@@ -3,6 +3,7 @@
     python benchmarks/bags.py                        # 150 s of a robot with a camera, 600 MB raw, 3 rounds
     python benchmarks/bags.py --seconds 30 --rounds 5     # smaller bags: start-up is a larger part of it
     python benchmarks/bags.py --only "odom mcap zstd" --threads 1
+    python benchmarks/bags.py --slope --only "camera mcap none"    # seconds per GB, apart from the start
     python benchmarks/bags.py --cpp ./loop_cpp    # beside the C++ MCAP library, too; loop_cpp.cpp says how to compile
     sudo python benchmarks/bags.py --first        # on a machine that has other work: measured processes come first
 
@@ -36,6 +37,9 @@ from bag_files import WRITERS
 HERE = Path(__file__).parent
 TIMES = {"camera": 1, "odom": 8, "long": 400 / 3}
 """How many times as long as the one with a camera a bag is."""
+
+SIZES = (1.0, 3.0, 10.0)
+"""How many times as long the bags of --slope are."""
 
 _BESIDE_BYTES = 300 << 20
 """What a process needs beside an output as large as its input; without a camera the output is larger."""
@@ -107,8 +111,8 @@ def commands(case: Case, source: Path, target: Path, given: argparse.Namespace) 
     """Return what is measured: each rewrites or copies source to target."""
     cpp, threads = given.cpp, [] if given.threads is None else ["--threads", str(given.threads)]
     out = {
-        "odomcorrupt": [sys.executable, "-m", "odomcorrupt", str(source), str(target), "--seed", "1", *threads],
         "cp": ["cp", "-r", str(source), str(target)],
+        "odomcorrupt": [sys.executable, "-m", "odomcorrupt", str(source), str(target), "--seed", "1", *threads],
     }
     out |= {
         name: [sys.executable, str(HERE / f"loop_{name}.py"), str(source), str(target)]
@@ -160,10 +164,12 @@ def discard(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def measure(case: Case, folder: Path, given: argparse.Namespace) -> tuple[float, dict[str, Spent]]:
-    """Return the bag's size in MB, and medians of what each command took."""
+def measure(
+    case: Case, folder: Path, given: argparse.Namespace, times: float = 1.0
+) -> tuple[float, dict[str, list[Spent]]]:
+    """Return the size in MB of a bag `times` as long, and what each command took in each round."""
     source, target = case.file(folder, "in"), case.file(folder, "out")
-    WRITERS[case.format](source, case.kind, case.codec, given.seconds * TIMES[case.length])
+    WRITERS[case.format](source, case.kind, case.codec, times * given.seconds * TIMES[case.length])
     files = source.iterdir() if source.is_dir() else [source]
     size = sum(file.stat().st_size for file in files) / 1e6
     measured = commands(case, source, target, given)
@@ -175,7 +181,32 @@ def measure(case: Case, folder: Path, given: argparse.Namespace) -> tuple[float,
             taken[name].append(spent([*first, *command], environment(folder)))
             discard(target)
     discard(source)
-    return size, {name: _median(all_[1:]) for name, all_ in taken.items()}
+    return size, {name: all_[1:] for name, all_ in taken.items()}
+
+
+def slopes(case: Case, folder: Path, given: argparse.Namespace) -> str:
+    """Return a row for each command: wall and CPU time of no bytes, and of each GB, by a line through three sizes."""
+    sizes, rounds = [], []
+    for times in SIZES:
+        size, taken = measure(case, folder, given, times)
+        sizes.append(size * 1e-3)
+        rounds.append(taken)
+    rows, per_gb = [], {}
+    for name in rounds[0]:
+        for what in ("wall_s", "cpu_s"):
+            # a line for each round, whose commands were interleaved
+            lines = [
+                statistics.linear_regression(sizes, [getattr(taken[name][number], what) for taken in rounds])
+                for number in range(given.rounds)
+            ]
+            slopes, starts = [line.slope for line in lines], [line.intercept for line in lines]
+            per_gb[name, what] = statistics.median(slopes)
+            ratio = per_gb[name, what] / per_gb.get(("cp", what), per_gb[name, what])
+            rows.append(
+                f"| {case.name} | {name} | {what[:-2]} | {statistics.median(starts):.2f} | "
+                f"{statistics.median(slopes):.2f} ({min(slopes):.2f} to {max(slopes):.2f}) | {ratio:.2f} |"
+            )
+    return "\n".join(rows)
 
 
 def _median(taken: list[Spent]) -> Spent:
@@ -199,7 +230,17 @@ def main() -> None:
     parser.add_argument("--threads", type=int, help="of odomcorrupt")
     parser.add_argument("--first", action="store_true", help="run what is measured before all else (chrt)")
     parser.add_argument("--cpp", type=Path, help="loop_cpp, compiled")
+    parser.add_argument("--slope", action="store_true", help="bags of 1, 3 and 10 times the length: cost of a GB")
     given = parser.parse_args()
+    if given.slope:
+        print(
+            "| bag | command | time | of no bytes, s | per GB, s (least to most) | of cp's |\n|---|---|---|---|---|---|"
+        )
+        with tempfile.TemporaryDirectory(dir=given.folder) as folder:
+            for case in CASES:
+                if not given.only or case.name in given.only:
+                    print(slopes(case, Path(folder), given), flush=True)
+        return
     print(
         "| bag | MB | odomcorrupt: CPU, wall s | cp | CPU and wall as parts of those of (goal) |\n|---|---|---|---|---|"
     )
@@ -207,7 +248,8 @@ def main() -> None:
         for case in CASES:
             if given.only and case.name not in given.only:
                 continue
-            size, took = measure(case, Path(folder), given)
+            size, taken = measure(case, Path(folder), given)
+            took = {name: _median(rounds) for name, rounds in taken.items()}
             ours, copied = took["odomcorrupt"], took["cp"]
             ratios = [_ratio(name, ours, took[name], goal) for name, goal in case.goals.items() if name in took]
             print(
