@@ -99,10 +99,10 @@ def _listed(directory: Path, *, recover: bool) -> BagFiles:
     there = [file for file in files if file.exists()]
     missing = [file.name for file in files if not file.exists()]
     if not there or (missing and not recover):
-        held = ", ".join(file.name for file in _bags_in(directory) if file not in files) or "no other bag"
+        held = _shortened([file.name for file in _bags_in(directory) if file not in files])
         raise BagError(
-            f"{metadata}: lists {_shortened(missing) or 'no file'}, which is not there (but {held}); restore or rename "
-            "the file, or remove metadata.yaml: the directory's files are then read by their names"
+            f"{metadata}: lists {_shortened(missing) or 'no file'}, which is not there{held and f' (but {held} is)'}; "
+            "restore or rename the file, or remove metadata.yaml: the directory's files are then read by their names"
         )
     losses = [f"{directory}: {name} is listed in metadata.yaml and is not there" for name in missing]
     count = info.get("message_count")
