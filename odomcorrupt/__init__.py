@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     )
     from odomcorrupt.api.comparison import Comparison, compare
     from odomcorrupt.api.corruption import Correction, Corruption, correct, corrupt
+    from odomcorrupt.api.drift import Drift, Drifted
     from odomcorrupt.api.export import Export, export_parameters
     from odomcorrupt.api.findings import Diagnosis, Learned, diagnose, learn
     from odomcorrupt.api.fit import Fit, SquareTest, fit, fit_returns
@@ -52,6 +53,7 @@ _HOMES = {
     ),
     "api.comparison": ("Comparison", "compare"),
     "api.corruption": ("Correction", "Corruption", "correct", "corrupt"),
+    "api.drift": ("Drift", "Drifted"),
     "api.export": ("Export", "export_parameters"),
     "api.findings": ("Diagnosis", "Learned", "diagnose", "learn"),
     "api.fit": ("Fit", "SquareTest", "fit", "fit_returns"),
@@ -73,9 +75,9 @@ _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Assembly", "Batch", "BatchCost", "Comparison", "Conversion", "Correction", "Corruption", "Density", "Diagnosis",
-    "EffectDescription", "EffectList", "Estimate", "Export", "Fit", "Info", "Integration", "Learned", "Maps", "Model",
-    "Noise", "OdomCorruptError", "Particles", "PresetList", "Preview", "Recordings", "Samples", "Score",
-    "Simulation", "Spread", "SquareTest", "__version__", "assemble", "batch", "compare",
+    "Drift", "Drifted", "EffectDescription", "EffectList", "Estimate", "Export", "Fit", "Info", "Integration",
+    "Learned", "Maps", "Model", "Noise", "OdomCorruptError", "Particles", "PresetList", "Preview", "Recordings",
+    "Samples", "Score", "Simulation", "Spread", "SquareTest", "__version__", "assemble", "batch", "compare",
     "convert_alpha", "correct", "corrupt", "density", "describe_effect", "diagnose", "draw_maps", "estimate_batch",
     "export_parameters", "fit", "fit_returns", "info", "integrate", "learn", "list_effects", "list_presets",
     "path_errors", "preview", "read_estimate", "read_recordings", "sample", "sample_along", "score", "simulate",

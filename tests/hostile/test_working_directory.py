@@ -19,9 +19,9 @@ OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
 MARK = "open({!r}, 'w').close()\n"
 COMMANDS = {name: importlib.import_module(module).command for name, module in command_names().items()}
 SETTINGS = {
-    "add", "alpha", "law", "twist-noise", "step", "preset", "effect", "track", "seed", "odom-topic", "odom", "odom-frame",
-    "base-frame", "map-pose", "robot-radius", "truth", "truth-shift", "scan", "laser-scale-accuracy", "imu",
-    "gyro-scale-accuracy", "joints", "drive-type", "laser-pose", "max-yaw-rate", "estimate",
+    "add", "alpha", "law", "twist-noise", "step", "preset", "effect", "track", "seed", "odom-topic", "odom",
+    "odom-frame", "base-frame", "map-pose", "robot-radius", "truth", "truth-shift", "scan", "laser-scale-accuracy",
+    "imu", "gyro-scale-accuracy", "joints", "drive-type", "laser-pose", "max-yaw-rate", "estimate",
 }  # fmt: skip
 
 

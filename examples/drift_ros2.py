@@ -1,0 +1,45 @@
+"""ROS 2 node for closed loop: /odom in, drifted odometry out on /odom_drifted, and its transform if asked.
+
+    python3 examples/drift_ros2.py --ros-args -p model:=robot.toml -p seed:=7 -p tf:=true
+
+Point controller and localisation at /odom_drifted. The simulator must not publish
+odom -> base_link itself if tf is true.
+"""
+
+import rclpy
+from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from tf2_ros import TransformBroadcaster
+
+import odomcorrupt as oc
+
+
+class DriftNode(Node):
+    """Publishes drifted odometry."""
+
+    def __init__(self) -> None:
+        super().__init__("odom_drift")
+        asked = {name: self.declare_parameter(name, value).value
+                 for name, value in (("model", "typical"), ("seed", 0), ("tf", False))}  # fmt: skip
+        self.drift = oc.Drift(asked["model"], asked["seed"])
+        self.tf = TransformBroadcaster(self) if asked["tf"] else None
+        self.publisher = self.create_publisher(Odometry, "/odom_drifted", 10)
+        self.create_subscription(Odometry, "/odom", self.on_odometry, 10)
+
+    def on_odometry(self, message: Odometry) -> None:
+        """Publish a message with its drift."""
+        stamp = message.header.stamp
+        self.drift.apply(message, stamp.sec * 10**9 + stamp.nanosec)
+        self.publisher.publish(message)
+        if self.tf is not None:
+            edge = TransformStamped(header=message.header, child_frame_id=message.child_frame_id)
+            edge.transform.translation.x = message.pose.pose.position.x
+            edge.transform.translation.y = message.pose.pose.position.y
+            edge.transform.rotation = message.pose.pose.orientation
+            self.tf.sendTransform(edge)
+
+
+if __name__ == "__main__":
+    rclpy.init()
+    rclpy.spin(DriftNode())

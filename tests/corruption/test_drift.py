@@ -1,0 +1,144 @@
+"""The drift of a live robot: the numbers of a corrupted bag, one message at a time, and the nodes of the examples."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+from types import SimpleNamespace as Names
+
+import numpy as np
+import pytest
+
+import odomcorrupt as oc
+from odomcorrupt.bags.messages import gather, locate
+from odomcorrupt.bags.open import open_reader
+
+ROOT = Path(__file__).parents[2]
+OFFICE = ROOT / "fixtures" / "office.mcap"
+PLANAR = np.array([0, 1, 5])
+
+
+def odometry(path):
+    """Return positions, orientations, twists and planar covariances of /odom, in order."""
+    columns = ("position", "orientation", "twist", "pose_covariance", "twist_covariance")
+    found = []
+    with open_reader(path) as reader:
+        (channel,) = (c for c in reader.channels.values() if c.topic == "/odom")
+        for block in reader.blocks():
+            for layout in locate(block, channel):
+                found.append([gather(block, layout, layout.items[0], name) for name in columns])
+    *others, pose, twist = (np.concatenate(column) for column in zip(*found, strict=True))
+    return *others, *(one.reshape(-1, 6, 6)[:, PLANAR[:, None], PLANAR] for one in (pose, twist))
+
+
+def test_steps_have_the_numbers_of_a_corrupted_bag(tmp_path):
+    model = oc.Model(oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01)), effects=["wheelbase:e=2%", "slip_burst"])
+    oc.corrupt(OFFICE, tmp_path / "noisy.mcap", model=model, seed=4, run=2)
+    stamps = oc.read_estimate(OFFICE, "/odom").trajectory.stamps_ns[:600]
+    position, quat, twist, *_ = (column[:600] for column in odometry(OFFICE))
+    noisy = [column[:600] for column in odometry(tmp_path / "noisy.mcap")]
+    drift = oc.Drift(model, 4, 2)
+    yaw = 2.0 * np.arctan2(quat[:, 2], quat[:, 3])
+    poses = np.column_stack((position[:, :2], yaw))
+    found = [drift.step(int(s), p, v) for s, p, v in zip(stamps, poses, twist[:, PLANAR], strict=True)]
+    pose, speed, pose_covariance, twist_covariance = (np.array(column) for column in zip(*found, strict=True))
+    assert np.abs(noisy[0] - position).max() > 0.05
+    np.testing.assert_allclose(pose[:, :2], noisy[0][:, :2], atol=1e-12)
+    np.testing.assert_allclose(np.sin(pose[:, 2] / 2.0), noisy[1][:, 2], atol=1e-12)
+    np.testing.assert_allclose(speed, noisy[2][:, PLANAR], atol=1e-11)
+    np.testing.assert_allclose(pose_covariance, noisy[3], atol=1e-12)
+    np.testing.assert_allclose(twist_covariance[1:], noisy[4][1:], atol=1e-12)
+
+
+def test_a_step_back_in_time_and_numbers_that_are_none_are_refused():
+    drift = oc.Drift("typical", seed=1)
+    drift.step(10, (0.0, 0.0, 0.0))
+    with pytest.raises(oc.OdomCorruptError, match="stamp 9 after 10"):
+        drift.step(9, (0.0, 0.0, 0.0))
+    with pytest.raises(oc.OdomCorruptError, match="finite numbers"):
+        drift.step(11, (0.0, float("nan"), 0.0))
+
+
+def message(x, yaw, stamp):
+    pose = Names(
+        position=Names(x=x, y=0.0, z=0.2), orientation=Names(x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2))
+    )
+    twist = Names(linear=Names(x=0.5, y=0.0, z=0.0), angular=Names(x=0.0, y=0.0, z=0.1))
+    return Names(
+        header=Names(stamp=stamp, frame_id="odom"), child_frame_id="base_link",
+        pose=Names(pose=pose, covariance=[7.0] * 36), twist=Names(twist=twist, covariance=[7.0] * 36),
+    )  # fmt: skip
+
+
+class Sink:
+    """Publisher, broadcaster and transform of the ROS libraries."""
+
+    def __init__(self, *_, **__):
+        self.sent = []
+        self.transform = Names(translation=Names(), rotation=None)
+
+    def publish(self, what):
+        self.sent.append(what)
+
+    sendTransform = publish  # noqa: N815 - the name of ROS
+
+
+def ros(seen):
+    """Return modules of ROS whose publishers and callbacks are collected in `seen`."""
+
+    class Node:
+        def __init__(self, _):
+            pass
+
+        def declare_parameter(self, name, value):
+            return Names(value={"seed": 3, "tf": True}.get(name, value))
+
+        def create_publisher(self, *_):
+            seen["ros2"] = Sink()
+            return seen["ros2"]
+
+        def create_subscription(self, _, __, callback, ___):
+            seen["on2"] = callback
+
+    def subscribed(_, __, callback):
+        seen["on1"] = callback
+
+    def published(topic, *_, **__):
+        return seen.setdefault(topic, Sink())
+
+    return {
+        "rclpy": Names(init=lambda: None, spin=lambda _: None), "rclpy.node": Names(Node=Node),
+        "geometry_msgs": Names(), "geometry_msgs.msg": Names(TransformStamped=Sink),
+        "nav_msgs": Names(), "nav_msgs.msg": Names(Odometry=object),
+        "tf2_ros": Names(TransformBroadcaster=lambda _: seen.setdefault("tf2", Sink())),
+        "tf2_msgs": Names(), "tf2_msgs.msg": Names(TFMessage=list),
+        "rospy": Names(
+            init_node=lambda _: None, spin=lambda: None, Publisher=published, Subscriber=subscribed,
+            get_param={"~seed": 3, "~tf": True}.get,
+        ),
+    }  # fmt: skip
+
+
+def test_the_nodes_of_the_examples_publish_what_steps_return(monkeypatch):
+    seen = {}
+    for name, module in ros(seen).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    for name in ("drift_ros1.py", "drift_ros2.py"):
+        runpy.run_path(str(ROOT / "examples" / name), run_name="__main__")
+    drift = oc.Drift("typical", 3)
+    for k in range(20):
+        expected = drift.step(k * 10**8, (0.05 * k, 0.0, 0.01 * k), (0.5, 0.0, 0.1))
+        seen["on2"](message(0.05 * k, 0.01 * k, Names(sec=0, nanosec=k * 10**8)))
+        seen["on1"](message(0.05 * k, 0.01 * k, Names(to_nsec=lambda k=k: k * 10**8)))
+        for sink, edges in ((seen["ros2"], seen["tf2"]), (seen["/odom_drifted"], seen["/tf"])):
+            got, edge = sink.sent[-1], edges.sent[-1]
+            assert (got.pose.pose.position.x, got.pose.pose.position.y) == pytest.approx(tuple(expected.pose_xyt[:2]))
+            assert got.pose.pose.position.z == 0.2
+            assert got.twist.twist.angular.z == pytest.approx(expected.twist[2])
+            covariance = np.reshape(got.pose.covariance, (6, 6))
+            np.testing.assert_allclose(covariance[PLANAR[:, None], PLANAR], expected.pose_covariance)
+            assert covariance[2, 3] == 7.0
+            edge = edge[0] if isinstance(edge, list) else edge
+            assert edge.transform.translation.x == got.pose.pose.position.x
+    assert abs(expected.pose_xyt[1]) > 1e-4
