@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.model.motion_model import Origin
+    from odomcorrupt.study.io.recording import Mistake
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison
     from odomcorrupt.summary import Summary
 
@@ -28,10 +29,12 @@ class Comparison(Result):
 
     result : complete numerical result
     following : suggested next command
+    mistakes : plain mistakes of wiring, units, signs and axes in the recordings
     """
 
     result: ModelComparison
     following: str = ""
+    mistakes: tuple[Mistake, ...] = ()
 
     @property
     def rejected(self) -> bool:
@@ -46,8 +49,9 @@ class Comparison(Result):
     def summary(self) -> Summary:
         """Return whether the last model is better than the first by all measures, and one line per model."""
         from odomcorrupt.report.text.comparison import comparison_brief
+        from odomcorrupt.report.text.limits import mistakes_first
 
-        return comparison_brief(self.result, self.following)
+        return mistakes_first(comparison_brief(self.result, self.following), self.mistakes)
 
     def details(self) -> str:
         """Return clocks, the table of horizons, the models in order, and all lack of fit."""
@@ -139,7 +143,8 @@ def compare(
     )
     from odomcorrupt.study.validate.compare import compare as compare_models
 
-    return Comparison(compare_models(runs, {name: model.motion_model for name, model in named.items()}))
+    found = compare_models(runs, {name: model.motion_model for name, model in named.items()})
+    return Comparison(found, mistakes=runs.mistakes)
 
 
 def _shared_origin(models: Mapping[str, Model]) -> Origin | None:

@@ -130,6 +130,7 @@ class Diagnosis(Findings):
     def summary(self) -> Summary:
         """Return the missing effects, their size and probability, and the gain of each."""
         from odomcorrupt.report.text.brief import findings_brief
+        from odomcorrupt.report.text.limits import mistakes_first
 
         found = self.result
         brief = findings_brief(
@@ -140,10 +141,11 @@ class Diagnosis(Findings):
             alerts=self.recordings.alerts,
             following=self.following,
         )
+        brief = mistakes_first(brief, self.recordings.mistakes)
         if all(run.positioned for run in self.recordings):
             return brief
         said = "wheels and a gyro alone do not show it: wheel_scale, speed_scale and similar effects are not testable"
-        return Summary((*brief.lines, Line("travel", said, "warning")))
+        return brief._replace(lines=(*brief.lines, Line("travel", said, "warning")))
 
     def details(self) -> str:
         """Return the candidates, the findings, the gain of each addition, and undecided alternatives."""
@@ -241,9 +243,10 @@ class Learned(Findings):
     def summary(self) -> Summary:
         """Return the findings, their size and probability, and the held-out errors without and with them."""
         from odomcorrupt.report.text.brief import findings_brief
+        from odomcorrupt.report.text.limits import mistakes_first
 
         found = self.result
-        return findings_brief(
+        brief = findings_brief(
             found.search,
             found.advice,
             found.comparison,
@@ -254,6 +257,7 @@ class Learned(Findings):
             alerts=(*found.alerts, *self.recordings.alerts),
             following=self.following,
         )
+        return mistakes_first(brief, self.recordings.mistakes)
 
     def details(self) -> str:
         """Return the findings, undecided alternatives, the fit, and the full comparison."""

@@ -46,8 +46,9 @@ class Fit(Result):
     def summary(self) -> Summary:
         """Return the error on the fitted data, the noise and the effects."""
         from odomcorrupt.report.text.brief import fit_brief
+        from odomcorrupt.report.text.limits import mistakes_first
 
-        return fit_brief(self.result, self.following)
+        return mistakes_first(fit_brief(self.result, self.following), self.recordings.mistakes)
 
     def details(self) -> str:
         """Return all coefficients with their intervals, effects, clocks, and downweighted segments."""

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from odomcorrupt.api.bag_options import bag_path
 from odomcorrupt.api.result import Result
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.provenance import ProvenanceWatcher
+from odomcorrupt.errors import RecordingError
 from odomcorrupt.inspection.scan import scan_bag
 from odomcorrupt.inspection.summary import brief, summarise, summary_text
 from odomcorrupt.report.json.numbers import finite
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from odomcorrupt.bags.block import Block
+    from odomcorrupt.inspection.scan import OdometryRecord
     from odomcorrupt.summary import Summary
 
 
@@ -99,6 +103,25 @@ def info(
     with open_reader(path, recover=recover) as reader:
         scan = scan_bag(reader, watcher)
         losses, remarks = tuple(reader.losses), getattr(reader, "remarks", ())
+    found = {record.topic: _mistakes(record) for record in scan.odometry}
     values = summarise(scan, odom_topic=odom_topic, odom_frame=odom_frame, base_frame=base_frame)
     values["remarks"] += remarks
+    for one in values["odometry"]:
+        one["mistakes"] = found.get(one["topic"], [])
     return Info(fspath(bag), values | {"provenance": [*watcher.provenance(path)]}, losses)
+
+
+def _mistakes(record: OdometryRecord) -> list[str]:
+    """Return the plain mistakes that odometry shows without a truth; none without the libraries of the study."""
+    try:
+        from odomcorrupt.study.io.first_look import mistakes_alone
+        from odomcorrupt.study.io.raw_trajectory import Samples, in_order
+    except ImportError:
+        return []
+    none, xyt = np.zeros(0), record.xyt
+    xyz = np.column_stack((xyt[:, :2], np.zeros(len(xyt))))
+    path = Samples("", "", record.frame, record.stamps_ns, xyz, xyt[:, 2], none.astype(np.int64), none)
+    try:
+        return [one.sentence.removeprefix(": ") for one in mistakes_alone(in_order(path))]
+    except RecordingError:  # too few poses
+        return []

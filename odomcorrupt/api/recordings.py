@@ -15,7 +15,7 @@ from odomcorrupt.extras import part_of_study
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Origin
     from odomcorrupt.study.io import Source
-    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.io.recording import Mistake, Recording
 
 PathLikes = str | PathLike[str] | Iterable[str | PathLike[str]]
 """One path or several."""
@@ -64,6 +64,11 @@ class Recordings(Sequence["Recording"]):
     def alerts(self) -> tuple[str, ...]:
         """Findings of the reader that every summary shows, in sentences."""
         return tuple(dict.fromkeys(alert for run in self.runs for alert in run.alerts))
+
+    @property
+    def mistakes(self) -> tuple[Mistake, ...]:
+        """Plain mistakes of wiring, units, signs and axes, each once."""
+        return tuple({one.name: one for run in reversed(self.runs) for one in reversed(run.mistakes)}.values())[::-1]
 
     def on_track(self, track_m: float | None) -> Recordings:
         """Return the same recordings with a known track; recordings that state their own keep it.

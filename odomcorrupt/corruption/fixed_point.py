@@ -34,8 +34,9 @@ _JUMP = 0.5
 NEWTON_ROUNDS = 60
 _NUDGE = 1e-6
 """By how much a speed is changed to see what that does to f, m/s and rad/s."""
-_FARTHEST, _JITTER = 20.0, 1e-3
-"""Odometry is not off by more than so many times the true motion, but where both are next to nothing, metres."""
+_FARTHEST, _JITTER, _LINEAR = 20.0, 1e-3, 2
+"""Odometry is not off by more than so many times the true motion, but where both are next to nothing, metres; nor where
+so many of Newton's rounds solve it: a wrong factor, as of a track in centimetres, is linear."""
 _HALVINGS, _AT_ONCE = 20, 4
 """Halvings of the interval in which the highest speed with an inverse is searched: to a millionth, because near it the
 odometry's speed changes as the square root of the difference; and how many are made at once, where rows allow it."""
@@ -198,10 +199,10 @@ def _by_newton(equations: _Equations, f: Array, open_: NDArray[np.bool_]) -> NDA
     Returns the rows (n,) without a solution in which the robot still moves the more, the more its odometry does; their
     f is zero.
     """
-    unsolved = open_.copy()
+    unsolved, linear = open_.copy(), np.zeros_like(open_)
     rows = np.flatnonzero(open_)
     f[rows] = 0.0
-    for _ in range(NEWTON_ROUNDS):
+    for made in range(NEWTON_ROUNDS):
         alone = equations.apart
         live, here = (equations.of(rows), f[rows]) if alone else (equations, f)
         own = slice(None) if alone else rows
@@ -218,12 +219,13 @@ def _by_newton(equations: _Equations, f: Array, open_: NDArray[np.bool_]) -> NDA
         done: NDArray[np.bool_] = converged & usable
         done[done] = (np.linalg.eigvals(slope[done]).real > 0.0).all(axis=1)
         unsolved[rows[done]] = False
+        linear[rows[done]] = made <= _LINEAR
         going = usable & ~converged
         rows, miss, slope = rows[going], miss[going], slope[going]
         if not len(rows):
             break
         f[rows] += np.linalg.solve(slope, miss[:, :, None])[:, :, 0]
-    far = open_ & (np.abs(f).max(axis=1) > _FARTHEST * np.abs(equations.clean).max(axis=1))
+    far = open_ & ~linear & (np.abs(f).max(axis=1) > _FARTHEST * np.abs(equations.clean).max(axis=1))
     unsolved |= far & (np.abs(f * equations.dt_s).max(axis=1) > _JITTER)
     f[unsolved] = 0.0
     return unsolved

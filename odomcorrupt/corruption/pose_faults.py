@@ -74,6 +74,13 @@ class ComponentOrder:
         return visited >= _MIN_SECTORS and bool(extent[2] <= 0.25 * extent[:2].max())
 
 
+def lacks_w(quat_xyzw: Array) -> int:
+    """Return how many quaternions (n, 4) have a w of 0 and are neither zero nor of unit length: w was never set."""
+    with np.errstate(all="ignore"):
+        length2 = np.sum(quat_xyzw**2, axis=1)
+    return _count((quat_xyzw[:, 3] == 0.0) & (length2 > 0.0) & (np.abs(length2 - 1.0) > 1e-3))
+
+
 W_FIRST = (
     "its quaternions roll while they never turn: their components are w, x, y, z in the place of x, y, z, w. Write "
     "x, y, z, w and record again"
@@ -164,6 +171,7 @@ class PoseFaults:
     """Counts of unusable poses of an odometry topic.
 
     no_orientation : quaternions that are zero
+    no_w : quaternions whose w was never set, see `lacks_w`
     upright : pitches beyond 85 deg
     far : positions beyond `FAR_M`
     order : test of the order of the quaternions' components
@@ -171,6 +179,7 @@ class PoseFaults:
     """
 
     no_orientation: int = 0
+    no_w: int = 0
     upright: int = 0
     far: int = 0
     order: ComponentOrder = field(default_factory=ComponentOrder)
@@ -179,6 +188,7 @@ class PoseFaults:
     def take(self, position: Array, quat_xyzw: Array) -> None:
         """Count the unusable poses of position (n, 3), metres, and quat_xyzw (n, 4)."""
         self.order.take(position, quat_xyzw)
+        self.no_w += lacks_w(quat_xyzw)
         with np.errstate(all="ignore"):
             x, y, z, w = quat_xyzw.T
             length2 = x * x + y * y + z * z + w * w
@@ -195,6 +205,8 @@ class PoseFaults:
         said += self.twists.sentences()
         if self.no_orientation:
             said.append(f"{self.no_orientation} {ZERO}: not used, and left unchanged")
+        if self.no_w:
+            said.append(f"{self.no_w} orientations are no unit quaternions, w is 0: set w = cos(yaw / 2)")
         if self.upright:
             said.append(f"{self.upright} poses pitch beyond 85 deg: their heading is undefined")
         if self.far:

@@ -51,7 +51,7 @@ Kind = Literal["effect", "setup", "noise", "event"]
 Layer = Literal["motion", "record", "draws"]
 State = Any
 _AT_BOUND = 1e-6
-"""Distance to a bound, as a fraction of the parameter's range, at which a fitted value counts as on the bound."""
+"""Distance to a bound, as a fraction of the bound, at which a fitted value counts as on the bound."""
 
 
 class TwistError(NamedTuple):
@@ -363,7 +363,7 @@ def on_bound(effect: Effect) -> tuple[str, float] | None:
     """Return name and value of an amplitude that a fit has moved to its bound; None if there is none."""
     for p in amplitudes(effect):
         value = getattr(effect, p.name)
-        if value != p.identity and min(value - p.low, p.high - value) <= _AT_BOUND * (p.high - p.low):
+        if value != p.identity and any(abs(value - bound) <= _AT_BOUND * abs(bound) for bound in (p.low, p.high)):
             return p.name, value
     return None
 

@@ -45,7 +45,7 @@ class WheelScale(Effect):
         drive="straights and turns, at two speeds",
     )
 
-    e: float = parameter("", "true over nominal wheel radius, minus one", low=-0.8, high=4.0, typical=0.01)
+    e: float = parameter("", "true over nominal wheel radius, minus one", low=-0.9995, high=1999.0, typical=0.01)
     heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
@@ -72,7 +72,7 @@ class Wheelbase(Effect):
         drive="turn on the spot both ways; only the source of the heading separates the two",
     )
 
-    e: float = parameter("", "true over nominal track, minus one", low=-0.8, high=4.0, typical=0.015)
+    e: float = parameter("", "true over nominal track, minus one", low=-0.9995, high=1999.0, typical=0.015)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: every turn has the same scale error."""
@@ -314,7 +314,7 @@ class SidewaysScale(Effect):
         drive="sideways to and fro, at two headings, and straights as long",
     )
 
-    e: float = parameter("", "true over nominal sideways travel, minus one", low=-0.8, high=4.0, typical=0.03)
+    e: float = parameter("", "true over nominal sideways travel, minus one", low=-0.9995, high=1999.0, typical=0.03)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, proportional to the sideways speed."""

@@ -72,7 +72,7 @@ class GyroScale(Effect):
         drive="turn on the spot both ways; only the source of the heading separates the two",
     )
 
-    e: float = parameter("", "odometry yaw rate over the true one, minus one", low=-0.8, high=4.0, typical=0.01)
+    e: float = parameter("", "odometry yaw rate over the true one, minus one", low=-0.9995, high=1999.0, typical=0.01)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: every turn has the same scale error."""

@@ -171,7 +171,7 @@ class SteeringScale(Effect):
 
     e: float = parameter(
         "", "true over nominal steering angle, minus one; as well nominal over true axle distance, minus one",
-        low=-0.8, high=4.0, typical=0.03,
+        low=-0.9995, high=1999.0, typical=0.03,
     )  # fmt: skip
     axles: float = axles_parameter()
     driven: str = driven_choice()

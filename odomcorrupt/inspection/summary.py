@@ -25,7 +25,7 @@ from odomcorrupt.inspection.covariance_check import CovarianceCheck
 from odomcorrupt.inspection.scan import BagScan, EdgeRecord, OdometryRecord
 from odomcorrupt.model.presets import suggested
 from odomcorrupt.standard_streams import visible
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import ALWAYS, Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -113,6 +113,8 @@ def brief(values: dict[str, Any], name: str) -> Summary:
         lines.append(Line("NO CHOICE", "several odometry topics: name one, see below", "bad"))
     elif not lines:
         lines.append(Line("NO ODOMETRY", remarks.pop(0), "bad"))
+    said = (sentence for o in values["odometry"] for sentence in o.get("mistakes", ()))
+    lines = [*(Line("MISTAKE", sentence, "bad", ALWAYS) for sentence in said), *lines]
     lines += [Line("corrupted", provenance_words(one), "warning") for one in values.get("provenance", ())]
     edges = [f"{e['parent']} -> {e['child']}" for e in values["edges"] if e["moved"]]
     topics = [o["topic"] for o in values["odometry"] if o["moved"]]

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.returns import ReturnsFit
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.result import Learned, Step
+    from odomcorrupt.study.validate.compare import ModelEvaluation
 
 SIGNIFICANT = 3.9
 """Standard errors from which a clock error or a mounting counts as significant; others were only estimated."""
@@ -106,6 +107,24 @@ def noise_found(learned: Learned) -> list[FoundNoise]:
         )
         for one in learned.noise
     ]
+
+
+_GROSS = 2.0
+"""Factor between measured and predicted errors from which noise alone is no explanation."""
+
+
+def is_unexplained(learned: Learned, last: ModelEvaluation | None, *, falls: bool = True) -> bool:
+    """Return whether held-out data reject a model in which nothing, or nothing but noise, was found.
+
+    last : evaluation of the model with all findings, if there is one
+    falls : whether the held-out error or likelihood improves with the findings
+    """
+    if learned.lacking or learned.laws:
+        return False
+    if not learned.noise:
+        return last is not None and last.verdict.fails
+    misfit = last.verdict.misfit if last is not None and last.verdict.fails else 1.0
+    return not falls or not 1.0 / _GROSS <= misfit <= _GROSS
 
 
 class LawNumber(NamedTuple):

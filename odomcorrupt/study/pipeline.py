@@ -15,6 +15,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import with_gyros_corrected
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
+from odomcorrupt.study.io.first_look import factors_of
 from odomcorrupt.study.io.message_rate import thinned
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
@@ -103,14 +104,15 @@ def learn_robot(
         with_correlation_lengths(thinned(some), choose_approach(some)) if some else some
         for some in (recordings, held_out)
     )
-    search = learn(recordings, decisions=decisions, work=work)
+    search = learn(recordings, factors_of(recordings), decisions=decisions, work=work)
     work.begin("each part on held-out data", 1.5, 4.0)
     search, (robot, proof, reproduction), remarks = _supported(search, recordings, held_out, work)
     base = fit_robot(recordings, (), law_name=LAW, clocks=search.clocks)
     work.begin("what the data leave open", 0.7, 2.5)
     advice = advise(search)
     models = {"without effects": base.model}
-    names = [*search.added, *(one.title for one in search.laws), *search.means]
+    names = [effect.name for effect in factors_of(recordings)]
+    names += [*search.added, *(one.title for one in search.laws), *search.means]
     names += [gain.effect.name for gain in search.noise]
     if names:
         models["with " + ", ".join(names)] = proof.model
@@ -233,7 +235,7 @@ def diagnose_model(
     """
     if model is not None:
         model = model.in_frame(shared_frame(recordings) or "")
-    start = () if model is None else (*model.effects, *model.setup.effects)
+    start = factors_of(recordings) if model is None else (*model.effects, *model.setup.effects)
     if model is None or not model.noise.per_message:
         recordings = thinned(recordings)
     work = Work(watch, following=3.7)

@@ -14,6 +14,7 @@ from odomcorrupt.report.findings import (
     effects_found,
     effects_with_errors,
     foremost,
+    is_unexplained,
     noise_found,
 )
 from odomcorrupt.report.text.comparison import (
@@ -103,7 +104,9 @@ def findings_brief(
     # errors and warnings follow the effects and dependences with evidence, and precede noise and clocks
     at = max(next((i for i, line in enumerate(lines) if line.label), len(lines)), 1)
     mounted = _mounting_words(search, fit)
-    named = verdict != "COMPLETE" and bool(lines)
+    falls = len(comparison.evaluations) == 1 or agreement_of(comparison).verdict in ("better", "mixed")
+    unexplained = is_unexplained(search, last, falls=falls)
+    named = verdict != "COMPLETE" and bool(lines) and not unexplained
     if named:
         first = ": ".join(filter(None, (lines[0].label.replace(_PERHAPS, ""), lines[0].text)))
         lines += [Line("set-up", mounted)] if mounted else []
@@ -113,6 +116,8 @@ def findings_brief(
         first = f"the robot's model is complete; {apart}" if apart else none
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: intervals that the fit left out as outliers"
+    if unexplained:
+        verdict, tone, first = "UNKNOWN", "warning", f"nothing found explains the errors; {_figures(search)}"
     lines = [Line(verdict, first, tone), *lines[named:]]
     if len(comparison.evaluations) == 1:
         lines[1:1] = _clock_error_lines(comparison)
@@ -136,6 +141,11 @@ def findings_brief(
         said = notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them"
         lines.append(Line("notes", said, "warning", SPARE))
     return Summary((*lines, command_line(following)))
+
+
+def _figures(search: Learned) -> str:
+    """Return the robust ratios of the first recording."""
+    return search.fit.problem.recordings[0].ratios or "a first look shows no plain mistake"
 
 
 def _error_lines(comparison: Comparison) -> list[Line]:

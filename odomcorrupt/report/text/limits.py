@@ -10,16 +10,29 @@ from odomcorrupt.effects import registry
 from odomcorrupt.report.findings import clocks_found
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.study.estimate.drive_type import readings_of
-from odomcorrupt.summary import SPARE, Line
+from odomcorrupt.summary import ALWAYS, FIRST, SPARE, Line, Summary
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
+    from odomcorrupt.study.io.recording import Mistake
     from odomcorrupt.study.select.stepwise import Learned
 
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
 """Effects that resemble errors of single wheels: a larger wheel shifts turns as the y of a lever arm does."""
 _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
+
+
+def mistakes_first(brief: Summary, mistakes: Sequence[Mistake]) -> Summary:
+    """Return a summary that begins with plain mistakes: what is seen, usual causes, and what to change."""
+    lines = []
+    for one in mistakes:
+        change = f"{one.change}; {one.then}" if one.then else one.change
+        lines += [Line("MISTAKE", one.said, "bad", ALWAYS), Line("causes", one.causes, weight=FIRST)]
+        lines.append(Line("change", change, "warning", ALWAYS))
+    return Summary((*lines, *brief.lines), brief.most + len(lines))
 
 
 def drive_lines(search: Learned) -> list[Line]:

@@ -38,6 +38,7 @@ from odomcorrupt.study.estimate.noise_fit import without_process
 from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NAMES, NoiseLikelihood
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import restore_lost
+from odomcorrupt.study.io.first_look import factors_of
 from odomcorrupt.study.io.recording import content_of, shared_frame
 
 if TYPE_CHECKING:
@@ -193,6 +194,8 @@ def fit_robot(
     effects = [*effects, *mounting_of(recordings, effects)]
     if clocks is None:
         clocks = find_clocks(recordings, approach)
+        named = {effect.name for effect in effects}
+        effects += [one for one in factors_of(recordings) if one.name not in named]
         effects = [*effects, *find_setup(recordings, effects, clocks, approach)]
         start_noise = clocks.noise
     recordings = levelled(recordings, clocks)

@@ -16,6 +16,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit_problem
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
+from odomcorrupt.study.io.first_look import factors_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -221,7 +222,8 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     """Return the common clock of runs: offset and rate if significant, else the offset alone, else no clock."""
     kinds = registry()
     rivals = _rivals(wheels=runs[0].track_m is not None, steered=drive_type_of(runs).steered)
-    nuisance: Sequence[Effect] = [kinds[name]() for name in nuisance_of(runs)]
+    known = {effect.name: effect for effect in factors_of(runs)}
+    nuisance: Sequence[Effect] = [known.get(name, kinds[name]()) for name in nuisance_of(runs)]
     clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
     noise, alone = None, None
     for free in ((True, True), (True, False)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, gather_status, locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder
+from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder, lacks_w
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io.fixes import Fixes, resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
@@ -102,6 +102,7 @@ class _PoseReader:
         self.frames: dict[tuple[str, str], int] = {}
         self.parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]] = []
         self.order = ComponentOrder()
+        self.no_w = 0
 
     def take(self, block: Block) -> None:
         """Append the topic's poses in a block."""
@@ -117,6 +118,7 @@ class _PoseReader:
                 if "orientation" in item.fields:
                     quat_xyzw = gather(block, layout, item, "orientation")
                     self.order.take(values[:, :3], quat_xyzw)
+                    self.no_w += lacks_w(quat_xyzw)
                     values[:, 3] = headings(quat_xyzw)
                 if "pose_covariance" in item.fields:
                     covariance = gather(block, layout, item, "pose_covariance")
@@ -168,4 +170,5 @@ class _PoseReader:
             child=plain(child),
             geodetic_origin=origin,
             estimated=self.channels[0].msgtype.endswith("/Odometry"),
+            no_w=self.no_w > len(stamps) / 2,
         )

@@ -24,8 +24,8 @@ from odomcorrupt.laser.trajectory import (
     without_spikes,
 )
 from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.first_look import check_alone
 from odomcorrupt.study.io.jumps import without_outliers
-from odomcorrupt.study.io.plausibility import check_itself
 from odomcorrupt.study.io.raw_trajectory import Samples, in_order
 from odomcorrupt.study.io.topic_selection import has_truth
 
@@ -115,7 +115,7 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     calm = without_outliers(odometry)
-    check_itself(calm)
+    check_alone(calm)
     guide = calm.trajectory()
     origin_ns = int(guide.stamps_ns[0])
     _check_overlap(sweeps, odometry)

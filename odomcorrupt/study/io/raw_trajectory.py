@@ -43,6 +43,7 @@ class Samples:
     geodetic_origin : origin of the frame, for satellite fixes
     localised : whether these are corrections of a localisation, whose errors are correlated along the path
     estimated : whether these are nav_msgs/Odometry messages, which estimators publish
+    no_w : whether w is 0 in quaternions that are not of unit length
     """
 
     place: str
@@ -60,6 +61,7 @@ class Samples:
     geodetic_origin: Origin | None = None
     localised: bool = False
     estimated: bool = False
+    no_w: bool = False
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

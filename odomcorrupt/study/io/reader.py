@@ -14,6 +14,7 @@ from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.trajectory import resolution_s
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.feedback import feedback_of
+from odomcorrupt.study.io.first_look import Look, Witness, check_alone, first_look, multiplied
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jumps import without_excursions, without_outliers
@@ -27,7 +28,7 @@ from odomcorrupt.study.io.localisation import (
     is_of_base,
     spaced_by_motion,
 )
-from odomcorrupt.study.io.plausibility import check_degrees, check_itself, check_pair
+from odomcorrupt.study.io.plausibility import check_pair, check_together
 from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.recording import sketch_of
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
@@ -40,7 +41,6 @@ from odomcorrupt.study.io.warnings import (
     dead_band_warnings,
     filter_warnings,
     heading_warnings,
-    without_constant_heading,
     without_course,
 )
 from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wheels_of
@@ -165,7 +165,7 @@ def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
     odometry = _odometry_of(source)
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    check_itself(without_outliers(odometry))
+    check_alone(in_order(odometry))
     wheels = _with_wheels(source, odometry)
     return wheels.odometry.trajectory(), wheels.track_m
 
@@ -317,7 +317,9 @@ def _between_clock_steps(source: Source, wheels: _Wheeled, truth: Samples) -> li
         for other in others:
             name = f"{source.title} clock {len(found) + 1}" if len(parts) * len(others) > 1 else source.title
             try:
-                found += recordings_of(name, one, other, wheels.track_m, source.truth_shift_s)
+                found += recordings_of(
+                    name, one, other, wheels.track_m, source.truth_shift_s, lambda: _witnesses(source)
+                )
             except RecordingError as error:
                 why = error
         if len(found) == before:
@@ -332,11 +334,17 @@ def _between_clock_steps(source: Source, wheels: _Wheeled, truth: Samples) -> li
 
 
 def recordings_of(
-    name: str, odometry: Samples, truth: Samples, track_m: float | None = None, truth_shift_s: float = 0.0
+    name: str,
+    odometry: Samples,
+    truth: Samples,
+    track_m: float | None = None,
+    truth_shift_s: float = 0.0,
+    witnesses: Callable[[], Sequence[Witness]] = tuple,
 ) -> list[Recording]:
     """Return the recordings of odometry and truth, checked and cleaned; several if resets split them.
 
     track_m, truth_shift_s : track, None if unknown; seconds added to the stamps of the truth
+    witnesses : other sources of turns, which decide which of the two turns the wrong way
 
     Raises
     ------
@@ -352,15 +360,16 @@ def recordings_of(
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    check_degrees(odometry, truth)
-    truth = without_float_episodes(without_course(odometry, without_constant_heading(odometry, truth)))
+    check_pair(odometry, without_float_episodes(truth))
+    found = first_look(Look((odometry, without_float_episodes(truth)), witnesses, track_m))
+    odometry, truth = found.odometry, found.truth
+    truth = without_float_episodes(without_course(odometry, truth))
     if not truth.relative:
         truth = without_excursions(odometry, corrections_alone(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
-    for path in (calm, real):
-        check_itself(path)
-    alerts = check_pair(calm, real)
+    check_together(calm, real)
     said = check_identity(calm, real) or heading_warnings(calm, real)
+    said += [mistake.sentence for mistake in found.mistakes]
     feedback = feedback_of(odometry, calm, real)
     # The reader of laser scans has checked their stamps already.
     jitter_s = stamp_jitter_s(calm, real), stamp_jitter_s(real, calm) if truth.covariance is None else 0.0
@@ -377,7 +386,10 @@ def recordings_of(
             replace(
                 r,
                 notes=(opening, *r.notes, *said),
-                alerts=tuple(alerts),
+                odometry=multiplied(r.odometry, *(1.0 / gain for gain in found.gains)),
+                mistakes=found.mistakes,
+                gains=found.gains,
+                ratios=found.ratios,
                 stamp_error_s=rounded_s / math.sqrt(12.0),
                 stamp_jitter_s=max(jitter_s),
                 localised=is_localised(truth),
@@ -399,6 +411,20 @@ def _sketch(recorded: Samples, part: Recording) -> str:
     """Return the `sketch_of` the poses as recorded in the time of a part of them."""
     first, last = part.odometry.stamps_ns[[0, -1]]
     return sketch_of(recorded.only((recorded.stamps_ns >= first) & (recorded.stamps_ns <= last)).trajectory())
+
+
+def _witnesses(source: Source) -> list[Witness]:
+    """Return the turns of a bag's gyro about z, and of its wheels."""
+    found = []
+    if (imu := _imu_of(source)) is not None:
+        gyro = read_gyro(source.path, source.place, imu)
+        seconds = np.diff(gyro.stamps_ns, prepend=gyro.stamps_ns[0]) * 1e-9
+        found.append(Witness(imu, gyro.stamps_ns, np.cumsum(gyro.rates[:, 2] * seconds), independent=True))
+    angles = None if is_text(source.path) else read_wheels(source.path, source.place, source.joints)
+    if angles is not None:
+        left, right = angles.angle.T
+        found.append(Witness(" and ".join(angles.joints), angles.stamps_ns, right - left, independent=False))
+    return found
 
 
 def _automatic_scan(source: Source) -> str | None:

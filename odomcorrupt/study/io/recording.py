@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,26 @@ class PoseStep:
     place_xy: tuple[float, float]
 
 
+class Mistake(NamedTuple):
+    """A plain mistake that was found.
+
+    name : of its row of the table in `first_look`
+    said, causes, change : what is seen; usual causes, the likeliest first; what to change
+    then : how the study goes on
+    """
+
+    name: str
+    said: str
+    causes: str
+    change: str
+    then: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """All of it in one line."""
+        return "; ".join(filter(None, (self.said, f"usual causes: {self.causes}", self.change, self.then)))
+
+
 @dataclass(frozen=True, slots=True)
 class Recording:
     """One run of a robot: its odometry and the truth, each with its own clock and frame.
@@ -44,6 +64,9 @@ class Recording:
     drive_type : steering of the wheels, see `drive_types`; "auto" if not given
     notes : removals and findings of the reader, for reports
     alerts : findings of the reader that every summary shows
+    mistakes : plain mistakes of wiring, units, signs and axes; undone but for factors
+    gains : ratios of truth to odometry in travel and turn that a first look found, 1 if about right
+    ratios : what a first look finds of travel and turns, in words
     clock : name of the clock, and of the origin, shared by stretches of one run; "" if not shared
     heading_error_rad : for a truth of positions only, upper bound of the error of the headings estimated for it: as if
         all that alignment leaves were one error
@@ -104,6 +127,9 @@ class Recording:
     odometry_topic: str = ""
     alerts: tuple[str, ...] = ()
     sketch: str = ""
+    mistakes: tuple[Mistake, ...] = ()
+    gains: tuple[float, float] = (1.0, 1.0)
+    ratios: str = ""
 
     def with_odometry(self, odometry: Trajectory) -> Recording:
         """Return the recording with its odometry processed, and the content as read."""

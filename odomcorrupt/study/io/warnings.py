@@ -83,15 +83,6 @@ def heading_warnings(odometry: Samples, truth: Samples) -> list[str]:
     return []
 
 
-def without_constant_heading(odometry: Samples, truth: Samples) -> Samples:
-    """Return the truth without headings if they never change although the odometry turns."""
-    if not truth.headed or np.ptp(truth.yaw_rad) > _SAME or np.ptp(np.unwrap(odometry.yaw_rad)) < 0.5:
-        return truth
-    return truth.without_headings().noted(
-        "its headings never change while the odometry turns: taken as positions alone"
-    )
-
-
 def without_course(odometry: Samples, truth: Samples) -> Samples:
     """Return the truth without headings if these are the direction of travel.
 

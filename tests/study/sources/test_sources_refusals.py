@@ -148,26 +148,6 @@ def test_nothing_but_nan(refused):
     assert "/truth: none of its 990 positions is a number" in refused(real=real.having(xyz=real.xyz * np.nan))
 
 
-@pytest.mark.parametrize("kind", ["PoseStamped", "PointStamped"])
-def test_a_mirrored_axis(refused, kind):
-    real = truth()
-    line = refused(real=real.having(xyz=real.xyz * [1.0, -1.0, 1.0], yaw=-real.yaw), kind=kind)
-    assert "/truth: turns right where the odometry turns left (yaw rates correlate by -" in line
-    assert line.endswith("flip it")
-
-
-def test_a_path_that_is_mirrored_against_its_own_headings(refused):
-    real = truth()
-    line = refused(real=real.having(xyz=real.xyz * [1.0, -1.0, 1.0]))
-    assert "/truth: its headings turn the other way than its path does: an axis is mirrored" in line
-
-
-def test_y_up_axes(refused):
-    real = truth()
-    line = refused(real=real.having(xyz=real.xyz[:, [0, 2, 1]] * [1.0, 1.0, -1.0]), kind="PointStamped")
-    assert "/truth: moves in its x-z plane, not in x-y: y points up there; turn it so that z does" in line
-
-
 def test_a_hill_is_not_y_up(tmp_path):
     real = truth()
     xyz = real.xyz + np.outer(real.xyz[:, 0], [0.0, 0.0, 0.2])
@@ -177,48 +157,6 @@ def test_a_hill_is_not_y_up(tmp_path):
         topic("/truth", "PoseStamped", real.having(xyz=xyz)),
     )
     assert len(read_runs(Source(bag))) == 1
-
-
-def test_degrees_for_radians_in_a_table(tmp_path, capsys):
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()))
-    real = truth()
-    gt = csv_file(tmp_path / "gt.csv", real, yaw_scale=180 / np.pi)
-    line = ending(["fit", str(bag), "--truth-bag", str(gt)], capsys)
-    assert "gt.csv: its headings are degrees, not radians; in a CSV file, name the column yaw_deg" in line
-    good = csv_file(tmp_path / "good.csv", real, "t,x,y,yaw_deg", yaw_scale=180 / np.pi)
-    (recording,) = read_runs(Source(bag, truth_path=good))
-    np.testing.assert_allclose(recording.truth.xyt[:, 2], real.yaw, atol=1e-9)
-
-
-def test_radians_under_the_name_of_degrees(tmp_path, capsys):
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()))
-    gt = csv_file(tmp_path / "gt.csv", truth(), "t,x,y,yaw_deg")
-    line = ending(["fit", str(bag), "--truth-bag", str(gt)], capsys)
-    assert "gt.csv: its headings were read as degrees, but are radians" in line
-
-
-def test_compass_headings_in_a_table(tmp_path, capsys):
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()))
-    real = truth()
-    gt = csv_file(tmp_path / "gt.csv", real.having(yaw=(90.0 - np.degrees(real.yaw)) % 360.0), "t,x,y,heading")
-    line = ending(["fit", str(bag), "--truth-bag", str(gt)], capsys)
-    assert "gt.csv: its headings are degrees of a compass (clockwise)" in line
-
-
-@pytest.mark.parametrize(("scale", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres")])
-def test_other_units_of_length(tmp_path, capsys, scale, unit):
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()))
-    gt = csv_file(tmp_path / "gt.csv", truth(), scale=scale)
-    line = ending(["fit", str(bag), "--truth-bag", str(gt)], capsys)
-    assert f"{unit} for metres?" in line
-    assert "x_mm, y_mm" in line
-
-
-def test_both_in_millimetres(refused):
-    moved, real = odometry(), truth()
-    line = refused(moved.having(xyz=moved.xyz * 1e3), real.having(xyz=real.xyz * 1e3))
-    assert "/odom: it usually moves at" in line
-    assert "millimetres for metres?" in line
 
 
 def test_a_straight_drive_is_not_taken_for_anything_else(tmp_path):

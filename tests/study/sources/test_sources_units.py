@@ -71,28 +71,6 @@ def test_a_truth_that_differs_by_a_millimetre_is_one(tmp_path):
     assert not run.alerts
 
 
-def test_quaternions_made_of_degrees(tmp_path):
-    moved, real = odometry(60.0), truth(60.0)
-    with pytest.raises(RecordingError, match="/truth: its headings are degrees"):
-        read(tmp_path, moved, real.having(yaw=np.degrees(real.yaw)))
-    with pytest.raises(RecordingError, match="/odom: its headings are degrees"):
-        read(tmp_path, moved.having(yaw=np.degrees(moved.yaw)), real.having(yaw=np.degrees(real.yaw)))
-
-
-@pytest.mark.parametrize(("metre", "unit"), [(1 / 0.3048, "feet"), (1 / 0.0254, "inches"), (100.0, "centimetres")])
-def test_a_unit_of_length_is_named(tmp_path, metre, unit):
-    real = truth()
-    with pytest.raises(RecordingError, match=f"/truth: covers .* {unit} for metres"):
-        read(tmp_path, odometry(), real.having(xyz=real.xyz * metre))
-
-
-def test_a_gear_ratio_is_said_in_every_summary(tmp_path):
-    real = truth()
-    (run,) = read(tmp_path, odometry(), real.having(xyz=real.xyz * 2.0))
-    (said,) = run.alerts
-    assert "/truth travels 1.96 times as far as /odom" in said
-
-
 @pytest.mark.parametrize("topic_", ["/odom", "/truth"])
 def test_quaternions_in_the_order_w_x_y_z(tmp_path, topic_):
     moved, real = odometry(), truth()

@@ -1,0 +1,68 @@
+"""Write the page of plain mistakes, docs/how-to/mistakes.md, from the table in `study/io/first_look.py`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from odomcorrupt.study.io.first_look import PATTERNS
+
+PAGE = Path(__file__).parent / "how-to" / "mistakes.md"
+HEAD = """# Plain mistakes
+
+Most odometry is wrong for a plain reason: a wheel wired backwards, a track in centimetres, forward that is -x. Before
+any statistics `learn`, `diagnose`, `fit` and `compare` look at sums of the motion over a second or some, in odometry
+and truth: ratios of travel and of turns, signs, which motion goes with which, and whether each trajectory agrees with
+itself. What they find stands in the first line, with its figures:
+
+    odomcorrupt learn drive.mcap -o robot.toml
+
+    MISTAKE  /odom turns 10 times as far as the truth, left and right alike; travel agrees
+    causes   wheel separation (or steering ratio, or gyro scale) wrong by this factor
+    change   `wheel_separation` x 10; the model has the factor, and is of this odometry as it is
+
+Mend it and record again. Meanwhile signs, axes and units are undone and the study goes on with the rest; factors are
+parts of the model, however large, so that `correct` undoes them in these bags. Where nothing can be learned, the
+command ends with that line and exit code 1. `info` names the rows marked (alone) without a truth.
+
+Odometry and truth that contradict each other do not show which of the two is wrong. The one that contradicts itself is,
+or else the one that a gyro in the bag contradicts (its z axis up), or the odometry if its own wheel joints do. If
+nothing decides, both are named.
+
+The rows are looked for in this order, and each is undone before the next:
+
+| what is seen | usual causes | change | how the study goes on |
+|---|---|---|---|
+"""
+FIGURES = {
+    "who": "/odom", "other": "/truth", "count": 100, "wheel_m": 0.944, "width": "often 16 bits", "speed": 310,
+    "unit": "degrees, not radians", "factor": 0.0175, "plane": "x-z", "up": "y", "what": "never change", "off": 12.0,
+    "side": "left", "best": 0.9, "near": 0.1, "shift": 12.0, "corr": -1,
+    "fault": "whether the odometry or the truth is wrong, these data do not show", "share": "6%",
+    "how": "drives forwards there", "far": 1000,
+    "travels": "3.3 times as far as", "turns": "10 times as far as", "hint": "", "v": 0.303, "inverse": 10,
+    "track": " (0.016 -> 0.16 m)", "sides": ", left and right alike", "truth": "",
+}  # fmt: skip
+"""Example of each figure."""
+OWN = {
+    "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth"},
+    "late clock": {"who": "/truth", "side": "behind"},
+    "forward is y": {"side": "y"}, "never turns one way": {"side": "right"},
+    "unit of the truth": {"who": "/truth", "other": "/odom", "unit": "millimetres"},
+}  # fmt: skip
+"""Examples of single rows."""
+
+
+def page() -> str:
+    """Return the page in Markdown."""
+    rows = []
+    for pattern in PATTERNS:
+        figures = FIGURES | OWN.get(pattern.name, {})
+        seen, causes, change, then = (
+            text.format(**figures) for text in (pattern.seen, pattern.causes, pattern.change, pattern.then)
+        )
+        rows.append(f"| {seen}{' (alone)' if pattern.alone else ''} | {causes} | {change} | {then or 'it ends here'} |")
+    return HEAD + "\n".join(rows) + "\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf8")

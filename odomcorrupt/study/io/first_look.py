@@ -1,0 +1,778 @@
+"""First look at odometry and truth: plain mistakes of wiring, units, signs and axes, before any statistics.
+
+From sums of the motion over windows of some seconds come robust ratios, signs and correlations of the two trajectories,
+and the consistency of each with itself. Every mistake is one row of `PATTERNS`: what is seen, its usual causes, what to
+change, and how the study goes on. A row that is found is undone and the rest is looked at again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from odomcorrupt.drive_types import STEERED
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
+from odomcorrupt.geometry.trajectory import distance_along
+from odomcorrupt.study.io.plausibility import cross_correlation
+from odomcorrupt.study.io.recording import Mistake
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.geometry.trajectory import Trajectory
+    from odomcorrupt.study.io.raw_trajectory import Samples
+    from odomcorrupt.study.io.recording import Recording
+
+_GRID_S, _LAG_S = 0.1, 3.0
+"""Step and largest size of the lags at which motions are compared."""
+_MOVING = 0.2
+"""Part of the usual largest motion from which a window counts as moving."""
+_FEWEST = 8
+"""Fewest windows in motion for a ratio."""
+_CLEAR, _UNCLEAR = 0.6, 0.4
+"""Correlations that two motions have, and do not have, if they are the same but for a factor. Of 19 recordings by
+others the better one of speed and yaw rate has at least 0.9."""
+_FOLLOWS, _MISSES = 0.9, 0.6
+"""Agreement of headings with the path for a reading that is right, and for one that is wrong."""
+_TRAVEL, _TURNS, _SKIDS = 1.3, 1.3, 1.9
+"""Factors from which travel and turns are plainly wrong; skid steering turns up to 1.9 times less than its wheels."""
+_CHORDS = 12
+"""Fewest directions of a path that are compared with its headings."""
+_ALIKE = 0.06
+"""Relative difference of two factors that are the same."""
+_FAST_MPS, _ROBOT_MPS = 60.0, 10.0
+"""Speed that no robot has, and one that few have."""
+_DEGREE = np.pi / 180.0
+READINGS = (1.0, -1.0, _DEGREE, -_DEGREE, 1.0 / _DEGREE)
+"""Factors by which headings may have to be multiplied."""
+UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
+"""Units of length that are confused with metres, per metre."""
+_HINTS = {
+    2.0: "diameter for radius, or one edge of the encoder counted instead of two", 4.0: "quadrature counted once",
+    1.0 / _DEGREE: "degrees for radians", 2.0 * np.pi: "turns for radians", 100.0: "centimetres for metres",
+    1000.0: "millimetres for metres", 1.0 / 0.3048: "feet for metres", 1.0 / 0.0254: "inches for metres",
+}  # fmt: skip
+"""Likely causes of factors near these or their inverses."""
+
+
+class Ratio(NamedTuple):
+    """Ratio of the truth's motion to the odometry's in windows, its relative spread, and the number of windows."""
+
+    value: float = 1.0
+    spread: float = np.inf
+    number: int = 0
+
+    @property
+    def sure(self) -> bool:
+        """Whether windows are enough and alike."""
+        return self.value > 0.0 and self.number >= _FEWEST and self.spread < 0.5
+
+    def beyond(self, high: float, low: float = 0.0) -> bool:
+        """Return whether the ratio is above one factor, or below the inverse of that or of another one."""
+        return self.sure and not 1.0 / (low or high) <= self.value <= high
+
+
+def ratio_of(a: Array, b: Array) -> Ratio:
+    """Return the ratio of b (n,) to a (n,): least absolute deviations through the origin, a weighted median."""
+    used = a != 0.0
+    if not used.any():
+        return Ratio()
+    each, weight = b[used] / a[used], np.abs(a[used])
+
+    def median(x: Array) -> float:
+        order = np.argsort(x)
+        total = np.cumsum(weight[order])
+        return float(x[order][np.searchsorted(total, total[-1] / 2.0)])
+
+    value = median(each)
+    return Ratio(value, 1.48 * median(np.abs(each - value)) / max(abs(value), 1e-12), len(each))
+
+
+class _Travel(NamedTuple):
+    """Times (n,), and the sums (n, 3) of a trajectory's motion forwards, to the left and about z."""
+
+    t_s: Array
+    sums: Array
+
+    def within(self, starts_s: Array, window_s: float) -> Array:
+        """Return the motion (k, 3) in windows from times (k,)."""
+        edges = (starts_s, starts_s + window_s)
+        begin, end = (np.stack([np.interp(t, self.t_s, s) for s in self.sums.T], axis=1) for t in edges)
+        return np.asarray(end - begin)
+
+
+def _travel(path: Samples, origin_ns: int) -> _Travel:
+    """Return the motion of a trajectory; positions without headings head along their chords, modulo pi."""
+    t_s, xyt = path.seconds_since(origin_ns), path.trajectory().xyt
+    forwards = 1.0
+    if not path.headed:
+        t_s, xyt = _along_chords(t_s, xyt[:, :2])
+        forwards = 1.0 if increments(xyt).ds_m.sum() >= 0.0 else -1.0
+    rows = increments(xyt).rows * [forwards, forwards, 1.0]
+    return _Travel(t_s, np.concatenate((np.zeros((1, 3)), np.cumsum(rows, axis=0))))
+
+
+def _along_chords(t_s: Array, xy: Array) -> tuple[Array, Array]:
+    """Return times and poses (k, 3) of positions, headed along chords that are long beside the positions' noise."""
+    noise = float(np.median(np.abs(np.diff(xy, n=2, axis=0)))) if len(xy) > 2 else 0.0
+    step_s = max(float(np.median(np.diff(t_s))), 2.0 * _GRID_S)
+    while True:
+        grid = np.arange(t_s[0], t_s[-1], step_s)
+        own = np.stack([np.interp(grid, t_s, x) for x in xy.T], axis=1)
+        chord = np.gradient(own, axis=0) if len(grid) > 1 else 0.0 * own
+        length = np.linalg.norm(chord, axis=1)
+        usual = float(np.percentile(length, 90.0))
+        if usual > 15.0 * noise or step_s > 2.0:
+            break
+        step_s *= 1.5
+    moves = length > _MOVING * usual
+    double = np.unwrap(2.0 * np.arctan2(chord[moves, 1], chord[moves, 0]))
+    yaw = np.interp(grid, grid[moves], double / 2.0) if moves.any() else 0.0 * grid
+    return grid, np.column_stack((own, yaw))
+
+
+class Own(NamedTuple):
+    """A trajectory by itself.
+
+    speed_mps : usual speed while it moves
+    agreement : for each of `READINGS`, 1 if its path has the directions of its headings so multiplied, 0 if none
+    chords : number of directions compared
+    fixed : 1 if its headings are constant or opposite
+    """
+
+    speed_mps: float
+    agreement: tuple[float, ...]
+    chords: int
+    fixed: float
+
+
+def own_of(path: Samples) -> Own:
+    """Return the numbers of a trajectory by itself.
+
+    Chords of a path point along its headings or straight backwards, up to a constant mounting angle, so twice their
+    difference is constant.
+    """
+    t_s = path.t_s
+    later = np.searchsorted(t_s, t_s + 2.0)
+    here = np.flatnonzero(later < len(t_s))
+    later = later[here]
+    speed = np.linalg.norm(path.xyz[later, :2] - path.xyz[here, :2], axis=1) / (t_s[later] - t_s[here])
+    usual = float(np.median(speed[speed > 0.0])) if np.any(speed > 0.0) else 0.0
+    if not path.headed:
+        return Own(usual, (0.0,) * len(READINGS), 0, 0.0)
+    course, middle = _chords(path.xyz[:, :2])
+    readings = [path.yaw_rad[middle], np.unwrap(path.yaw_rad)[middle]]
+    agreement = [max(_concentration(2.0 * (course - k * yaw)) for yaw in readings) for k in READINGS]
+    return Own(usual, tuple(agreement), len(course), _concentration(2.0 * path.yaw_rad))
+
+
+def _concentration(angle: Array) -> float:
+    return float(np.abs(np.mean(np.exp(1j * angle)))) if len(angle) else 0.0
+
+
+def _chords(xy: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return the angles of chords (k,) of a path (n, 2), a fortieth of its extent long, and samples in the middle."""
+    noise = float(np.median(np.abs(np.diff(xy, n=2, axis=0)))) if len(xy) > 2 else 0.0
+    extent = float(np.linalg.norm(np.diff(np.percentile(xy, [16.0, 84.0], axis=0), axis=0))) / 2.0
+    length = max(extent / 40.0, 15.0 * noise, 1e-6)
+    picked, at = [0], 0
+    # The travelled distance only bounds the chord from above: continue until the chord itself is long enough.
+    gone = distance_along(xy)
+    while (at := int(np.searchsorted(gone, gone[at] + length))) < len(xy):
+        if np.linalg.norm(xy[at] - xy[picked[-1]]) > length / 2.0:
+            picked.append(at)
+    ends = np.array(picked)
+    chord = np.diff(xy[ends], axis=0)
+    return np.arctan2(chord[:, 1], chord[:, 0]), (ends[:-1] + ends[1:]) // 2
+
+
+class Witness(NamedTuple):
+    """Turns by a third source, a gyro or wheels: increasing stamps (n,), and angles (n,) of any scale.
+
+    independent : whether the odometry is not made of it, so that it may contradict the truth
+    """
+
+    name: str
+    stamps_ns: NDArray[np.int64]
+    angle: Array
+    independent: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Odometry and truth, and numbers of both.
+
+    paths : odometry and truth
+    witnesses : other sources of turns, read only if the two contradict each other
+    track_m : as given
+    """
+
+    paths: tuple[Samples, Samples]
+    witnesses: Callable[[], Sequence[Witness]] = tuple
+    track_m: float | None = None
+
+    @cached_property
+    def own(self) -> tuple[Own, Own]:
+        """Each trajectory by itself."""
+        return own_of(self.paths[0]), own_of(self.paths[1])
+
+    @property
+    def window_s(self) -> float:
+        """Length of the windows, s: four samples of either trajectory and more."""
+        return float(np.clip(4e-9 * max(float(np.median(np.diff(p.stamps_ns))) for p in self.paths), 1.0, 8.0))
+
+    @cached_property
+    def windows(self) -> tuple[Array, Array, Array]:
+        """Motions (n, 3) of odometry and truth in windows, at the lag at which they are most alike, and their times."""
+        origin, window_s = int(self.paths[0].stamps_ns[0]), self.window_s
+        one, other = (_travel(p, origin) for p in self.paths)
+        first, last = max(one.t_s[0], other.t_s[0]), min(one.t_s[-1], other.t_s[-1]) - window_s
+        margin_s = min(_LAG_S, (last - first) / 4.0)
+        starts = np.arange(first + margin_s, last - margin_s, window_s / 4.0)
+        here, best = one.within(starts, window_s), (-np.inf, 0.0)
+        for lag_s in np.arange(-margin_s, margin_s, _GRID_S).tolist():
+            c = _correlations(here, other.within(starts + lag_s, window_s))
+            best = max(best, (float(np.sum(c[[0, 0, 2, 2], [0, 2, 0, 2]] ** 2)) - 1e-3 * abs(lag_s), lag_s))
+        there = other.within(starts + best[1], window_s)
+        if self.paths[1].headed:
+            return here, there, starts
+        return *_by_speeds(here, there), starts
+
+    @cached_property
+    def turns_agree(self) -> tuple[float, ...]:
+        """For each of `READINGS`, 1 if the truth's headings so multiplied turn as the odometry does, 0 if not."""
+        (here, _, starts), truth = self.windows, self.paths[1]
+        if not truth.headed:
+            return (1.0, *(0.0 for _ in READINGS[1:]))
+        t_s = truth.seconds_since(int(self.paths[0].stamps_ns[0]))
+        ends = [np.minimum(np.searchsorted(t_s, at), len(t_s) - 1) for at in (starts, starts + self.window_s)]
+        turned = [yaw[ends[1]] - yaw[ends[0]] for yaw in (truth.yaw_rad, np.unwrap(truth.yaw_rad))]
+        used = _moving(here[:, 2])
+        return tuple(max(float(np.mean(np.cos(k * x - here[:, 2])[used])) for x in turned) for k in READINGS)
+
+    @cached_property
+    def correlations(self) -> Array:
+        """Correlations (3, 3) through the origin of the odometry's v, vy, omega with the truth's."""
+        return _correlations(*self.windows[:2])
+
+    def ratio(self, axis: int, other: int | None = None, side: int = 0) -> Ratio:
+        """Return the ratio of the truth's motion along an axis to the odometry's, where the odometry moves."""
+        here, there, _ = self.windows
+        used = _moving(here[:, axis], side)
+        return ratio_of(here[used, axis], there[used, axis if other is None else other])
+
+    @cached_property
+    def travel(self) -> Ratio:
+        """Ratio of travel forwards."""
+        return self.ratio(0) if self.correlations[0, 0] > _CLEAR else Ratio()
+
+    @cached_property
+    def turn(self) -> Ratio:
+        """Ratio of turns."""
+        return self.ratio(2) if self.correlations[2, 2] > _CLEAR else Ratio()
+
+    @property
+    def words(self) -> str:
+        """Ratios of travel and turns in words, "" if they are not sure."""
+        inside = f"in {self.window_s:.2g} s"
+        both = zip(("travels", "turns"), (self.travel, self.turn), strict=True)
+        said = [f"{what} {r.value:.3g} times as far (+-{r.spread:.1%} {inside})" for what, r in both if r.sure]
+        return f"the truth {' and '.join(said)}" if said else ""
+
+    def at_fault(self) -> tuple[int | None, str]:
+        """Return which one turns the wrong way according to a third source, if any does, and that source."""
+        here, there, starts = self.windows
+        origin = int(self.paths[0].stamps_ns[0])
+        for one in self.witnesses():
+            t_s = (one.stamps_ns - origin) * 1e-9
+            window_s = 4.0 * (starts[1] - starts[0])
+            turned = np.interp(starts + window_s, t_s, one.angle) - np.interp(starts, t_s, one.angle)
+            agrees = [float(_correlations(np.column_stack((turned,) * 3), x)[0, 2]) for x in (here, there)]
+            fault = int(agrees[1] < agrees[0])
+            if max(map(abs, agrees)) > _CLEAR and (one.independent or fault == 0):
+                return fault, one.name
+        return None, ""
+
+
+def _by_speeds(here: Array, there: Array) -> tuple[Array, Array]:
+    """Return motions (n, 3) beside positions alone: speeds with the odometry's sign, turns between long chords only."""
+    here, there = here.copy(), there.copy()
+    ahead = np.abs(here[:, 1]) < 0.3 * np.abs(here[:, 0])
+    sign = np.where(here[:, 0] < 0.0, -1.0, 1.0)
+    for one in (here, there):
+        one[:, 0], one[:, 1] = sign * np.hypot(one[:, 0], one[:, 1]), 0.0
+    steady = _moving(here[:, 0]) & _moving(there[:, 0]) & ahead
+    for k in range(1, 5):  # both neighbours that share no time with a window
+        steady[k:] &= (_moving(there[:, 0]) & ahead)[:-k]
+        steady[:-k] &= (_moving(there[:, 0]) & ahead)[k:]
+    here[~steady, 2] = there[~steady, 2] = 0.0
+    return here, there
+
+
+def _moving(x: Array, side: int = 0) -> NDArray[np.bool_]:
+    """Return where a motion (n,) is clearly not at rest, on one side of zero if one is named."""
+    size = np.abs(x)
+    big = size > _MOVING * np.percentile(size, 95.0) if len(x) else size > 0.0
+    return np.asarray(big & (x * side > 0.0) if side else big)
+
+
+def _correlations(a: Array, b: Array) -> Array:
+    """Return the correlations (3, 3) through the origin of motions (n, 3), clipped at 1.5 times the largest."""
+
+    def scaled(x: Array) -> Array:
+        most = 1.5 * np.percentile(np.abs(x), 95.0, axis=0)
+        x = np.clip(x, -most, most)
+        size = np.sqrt(np.mean(x**2, axis=0))
+        return np.asarray(x / np.where(size > 1e-9, size, np.inf))
+
+    return np.asarray(scaled(a).T @ scaled(b) / max(len(a), 1))
+
+
+Figures: TypeAlias = dict[str, Any]
+"""Figures of a mistake for its texts. `i` is the path at fault, 0 for the odometry (default) and 1 for the truth;
+`undo` a function of that path that undoes it; `gains` the ratios of truth to odometry in travel and turns that do;
+without either nothing can be learned."""
+
+
+class Pattern(NamedTuple):
+    """A row of the table: texts with their figures in braces, and how it is found.
+
+    find : figures of the mistake in a look, None if it is not there
+    alone : whether one path shows it by itself; `find` has its number as another argument
+    """
+
+    name: str
+    seen: str
+    causes: str
+    change: str
+    find: Callable[..., Figures | None]
+    then: str = ""
+    alone: bool = False
+
+
+class FirstLook(NamedTuple):
+    """Odometry and truth with all mistakes undone, and the mistakes.
+
+    gains : ratios of truth to odometry in travel and turns by which the odometry is multiplied, 1 if about right
+    ratios : what is left of them, in words
+    """
+
+    odometry: Samples
+    truth: Samples
+    mistakes: tuple[Mistake, ...] = ()
+    gains: tuple[float, float] = (1.0, 1.0)
+    ratios: str = ""
+
+
+def first_look(look: Look) -> FirstLook:
+    """Return odometry and truth without plain mistakes, and the mistakes.
+
+    Raises
+    ------
+    RecordingError
+        If nothing can be learned from them as they are; the message says why.
+    """
+    found: list[Mistake] = []
+    gains = (1.0, 1.0)
+    for pattern in PATTERNS:
+        for n in (0, 1) if pattern.alone else (None,):
+            figures = pattern.find(look) if n is None else pattern.find(look, n)
+            if figures is None:
+                continue
+            mistake = _mistake(pattern, look, figures)
+            gains, undo = figures.get("gains", gains), figures.get("undo")
+            if "gains" in figures:
+                undo = _by(np.diag((gains[0], *gains)))
+            if undo is None:
+                raise RecordingError(mistake.sentence)
+            i = figures.get("i", 0)
+            found.append(mistake)
+            one, other = look.paths
+            look = replace(look, paths=(one, undo(other)) if i else (undo(one), other))
+    return FirstLook(*look.paths, tuple(found), gains, look.words)
+
+
+def mistakes_alone(path: Samples) -> list[Mistake]:
+    """Return the plain mistakes that odometry shows by itself."""
+    look = Look((path, path))
+    found = ((pattern, pattern.find(look, 0)) for pattern in PATTERNS if pattern.alone)
+    return [_mistake(pattern, look, figures) for pattern, figures in found if figures is not None]
+
+
+def check_alone(path: Samples) -> None:
+    """Refuse odometry that shows a plain mistake by itself.
+
+    Raises
+    ------
+    RecordingError
+        With the mistake.
+    """
+    for mistake in mistakes_alone(path):
+        raise RecordingError(mistake.sentence)
+
+
+def _mistake(pattern: Pattern, look: Look, figures: Figures) -> Mistake:
+    i = figures.get("i", 0)
+    who = look.paths[i].name if {"undo", "gains"} & figures.keys() else look.paths[i].place
+    words = {"who": who, "other": look.paths[1 - i].name} | figures
+    words = {key: f"{value:.3g}" if isinstance(value, float) else value for key, value in words.items()}
+    texts = (pattern.seen, pattern.causes, pattern.change, pattern.then)
+    return Mistake(pattern.name, *(text.format(**words) for text in texts))
+
+
+def multiplied(path: Trajectory, travel: float, turn: float) -> Trajectory:
+    """Return a trajectory whose travel and turns are multiplied by two factors."""
+    if travel == turn == 1.0:
+        return path
+    rows = increments(path.xyt).rows * [travel, travel, turn]
+    return replace(path, xyt=accumulate(path.xyt[0], Increments.of_rows(rows)))
+
+
+def factors_of(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
+    """Return the effects that multiply an odometry's travel and turns as plain mistakes require, none if they do not.
+
+    All recordings are of one robot, so the first one counts.
+    """
+    (travel, turn), drive_type = recordings[0].gains, recordings[0].drive_type
+    if travel == turn:
+        return (effect_from_values("wheel_scale", {"e": travel - 1.0}),) if travel != 1.0 else ()
+    found = [effect_from_values("wheel_scale", {"e": travel - 1.0, "heading": "gyro"})] if travel != 1.0 else []
+    if turn != 1.0 and drive_type in STEERED:
+        found.append(effect_from_values("steering_scale", {"e": turn - 1.0}))
+    elif turn != 1.0:
+        found.append(effect_from_values("wheelbase", {"e": 1.0 / turn - 1.0}))
+    return tuple(found)
+
+
+def _moved_by(path: Samples, rows: Array) -> Samples:
+    """Return a trajectory with other motions (n - 1, 3)."""
+    moved = accumulate(path.trajectory().xyt[0], Increments.of_rows(rows))
+    return replace(path, xyz=np.column_stack((moved[:, :2], path.xyz[:, 2])), yaw_rad=moved[:, 2])
+
+
+def _by(matrix: Array) -> Callable[[Samples], Samples]:
+    """Return the function that multiplies a trajectory's motions by a matrix (3, 3)."""
+    return lambda path: _moved_by(path, increments(path.trajectory().xyt).rows @ matrix.T)
+
+
+def _mirrored(path: Samples) -> Samples:
+    return replace(path, xyz=path.xyz * [1.0, -1.0, 1.0], yaw_rad=-path.yaw_rad)
+
+
+def _speed(look: Look, i: int) -> Figures | None:
+    speeds = look.own[i].speed_mps, look.own[1].speed_mps
+    undo = lambda path: replace(path, xyz=path.xyz * 1e-3)  # noqa: E731
+    return {"i": i, "speed": speeds[0], "undo": undo} if min(speeds) > _FAST_MPS else None
+
+
+def _no_w(look: Look, i: int) -> Figures | None:
+    return {"i": i} if look.paths[i].no_w and look.own[i].fixed > _FOLLOWS else None
+
+
+def _mirrored_headings(look: Look, i: int) -> Figures | None:
+    """Find headings that turn the other way than the path; what contradicts the other trajectory is mirrored."""
+    own = look.own[i]
+    if own.chords < _CHORDS or own.agreement[0] > _MISSES or own.agreement[1] < _FOLLOWS:
+        return None
+    axis = 1.0 if look.correlations[2, 2] < 0.0 else -1.0
+    undo = lambda path: replace(path, xyz=path.xyz * [1.0, axis, 1.0], yaw_rad=-axis * path.yaw_rad)  # noqa: E731
+    return {"i": i, "undo": undo}
+
+
+def _unit_of_headings(look: Look, i: int) -> Figures | None:
+    """Find headings in another unit by the path, or by the odometry's turns if the path has other directions."""
+    own, path = look.own[i], look.paths[i]
+    by_path = own.chords >= _CHORDS and max(own.agreement) > _FOLLOWS
+    agreement = own.agreement if by_path or i == 0 else look.turns_agree
+    k = int(np.argmax(agreement[2:])) + 2
+    if not path.headed or agreement[0] > _MISSES or agreement[k] < _FOLLOWS or not (by_path or i):
+        return None
+    words = ("degrees, not radians", "degrees of a compass (clockwise)", "read as degrees, but are radians")
+
+    def undo(path: Samples) -> Samples:
+        course, middle = _chords(path.xyz[:, :2])
+        readings = (READINGS[k] * path.yaw_rad, READINGS[k] * np.unwrap(path.yaw_rad))
+        return replace(path, yaw_rad=max(readings, key=lambda yaw: _concentration(2.0 * (course - yaw[middle]))))
+
+    return {"i": i, "factor": READINGS[k], "unit": words[k - 2], "undo": undo}
+
+
+def _unrelated(look: Look, i: int) -> Figures | None:
+    """Find headings that follow neither their own path nor the other trajectory."""
+    (own, other), (path, beside) = (look.own, look.paths) if i == 0 else (look.own[::-1], look.paths[::-1])
+    undo = {"undo": lambda path: path.without_headings()} if i else {}
+    if path.headed and beside.headed and np.ptp(path.yaw_rad) < 1e-6 and np.ptp(np.unwrap(beside.yaw_rad)) > 0.5:
+        return {"i": i, "what": "never change", **undo}
+    few = min(own.chords, other.chords) < 2 * _CHORDS
+    if few or max(own.agreement) > _MISSES or other.agreement[0] < _FOLLOWS or abs(look.correlations[2, 2]) > _UNCLEAR:
+        return None
+    return {"i": i, "what": "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise", **undo}
+
+
+def _upright(look: Look) -> Figures | None:
+    def width(plane: Array) -> float:  # the smaller standard deviation of points about their axes
+        return float(np.linalg.svd(plane - plane.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(plane)))
+
+    wide, xyz = width(look.paths[0].xyz[:, :2]), look.paths[1].xyz
+    if wide < 0.05 or width(xyz[:, :2]) > 0.25 * wide:
+        return None
+    for up, plane in (("y", [2, 0]), ("x", [1, 2])):
+        if width(xyz[:, plane]) > 0.5 * wide:
+            columns = [*plane, "xyz".index(up)]
+            undo = lambda path, order=columns: replace(path, xyz=path.xyz[:, order]).without_headings()  # noqa: E731
+            return {"i": 1, "up": up, "plane": "-".join(sorted("xyz"[k] for k in plane)), "undo": undo}
+    return None
+
+
+def _late(look: Look) -> Figures | None:
+    """Find a clock that is seconds off; a periodic drive looks mirrored half a period later."""
+    odometry, truth = (p.trajectory() for p in look.paths)
+    corr = cross_correlation(odometry, truth, min(60.0, look.paths[0].span_s / 2.0))
+    near = np.abs(corr.lag_s) <= _LAG_S
+    best, here = int(np.argmax(corr.both)), float(corr.both[near].max())
+    most, lag_s = float(corr.both[best]), float(corr.lag_s[best])
+    if most < max(0.7, 2.0 * here, float(corr.mirrored[near].max()) + 0.02):
+        return None
+    side = "behind" if lag_s > 0.0 else "ahead of"
+    return {"i": 1, "off": f"{abs(lag_s):.1f}", "side": side, "shift": f"{lag_s:.1f}", "best": most, "near": here}
+
+
+def _one_encoder(look: Look) -> Figures | None:
+    """Find odometry that turns by the travel and travels by the turns: the difference of the wheels is their sum."""
+    c = look.correlations
+    crossed = min(abs(c[0, 2]), abs(c[2, 0]))
+    if crossed < _CLEAR or max(abs(c[0, 0]), abs(c[2, 2])) > crossed - (1.0 - _CLEAR):
+        return None
+    travel, turn = look.ratio(2, 0).value, look.ratio(0, 2).value
+    undo = _by(np.array(((0.0, 0.0, travel), (0.0, 1.0, 0.0), (turn, 0.0, 0.0))))
+    return {"side": "left" if travel > 0.0 else "right", "undo": undo}
+
+
+def _reversed(look: Look, turn: float) -> Figures | None:
+    """Find odometry that drives backwards and turns as the truth does (1) or the other way (-1)."""
+    c = look.correlations
+    if not look.paths[1].headed or c[0, 0] > -_CLEAR or c[2, 2] * turn < _CLEAR:
+        return None
+    return {"corr": float(c[0, 0]), "undo": _by(np.diag((-1.0, -1.0, turn)))}
+
+
+def _sideways(look: Look) -> Figures | None:
+    c = look.correlations
+    for i, corr in ((0, float(c[1, 0])), (1, float(c[0, 1]))):
+        x = look.windows[i]
+        aside = np.std(x[:, 1]) > np.std(x[:, 0]) and look.paths[1].headed
+        if aside and abs(corr) > _CLEAR and abs(c[0, 0]) < _UNCLEAR:
+            turn = np.sign(corr) * np.pi / 2.0
+            undo = lambda path, turn=turn: replace(path, yaw_rad=path.yaw_rad + turn)  # noqa: E731
+            return {"i": i, "side": "y" if corr > 0.0 else "-y", "corr": corr, "undo": undo}
+    return None
+
+
+def _exchanged(look: Look) -> Figures | None:
+    c = look.correlations
+    aside = all(np.std(x[:, 1]) > 0.3 * np.std(x[:, 0]) for x in look.windows[:2])
+    corr = min(float(c[2, 2]), float(c[1, 1]) if aside and abs(c[2, 2]) < _UNCLEAR else 0.0)
+    if corr > -_CLEAR or c[0, 0] < _CLEAR:
+        return None
+    fault, source = look.at_fault()
+    words = "whether the odometry or the truth is wrong, these data do not show"
+    if fault is not None:
+        words = f"{source} turns as {look.paths[1 - fault].name} does, so {look.paths[fault].name} is wrong"
+    return {"i": fault or 0, "corr": corr, "fault": words, "undo": _mirrored}
+
+
+def _overflows(look: Look, i: int) -> Figures | None:
+    """Find steps of odometry that are far longer than usual and of about equal length."""
+    if i:
+        return None
+    rows = increments(look.paths[0].trajectory().xyt).rows
+    size = np.hypot(rows[:, 0], rows[:, 1])
+    at = np.flatnonzero(size > 10.0 * np.percentile(size[size > 0.0], 90.0)) if size.any() else np.zeros(0, int)
+    if not 1 < len(at) < 0.05 * len(rows):
+        return None
+    before = np.maximum(at - 1, 0)
+    wheel_m = 2.0 * float(np.median(size[at] + size[before]))  # the wheel goes on meanwhile
+    if np.mean(np.abs(2.0 * size[at] - wheel_m) < 0.1 * wheel_m) < 0.5:
+        return None
+    steps = np.unique(np.round(np.abs(2.0 * np.delete(rows[:, 0], at)), 9))
+    gaps = np.diff(steps[steps < 0.1 * wheel_m])
+    gaps = gaps[gaps > 1e-8]
+    tick = float(np.median(gaps[gaps < 1.5 * gaps.min()])) if len(gaps) else np.inf
+    bits = np.log2(max(wheel_m / tick, 1.0))
+    known = bits > 7.5 and abs(bits - round(bits)) < 0.02
+    width = (
+        f"2^{round(bits)} ticks of {tick * 1e3:.3g} mm: a counter of {round(bits)} bits" if known else "often 16 bits"
+    )
+    rows[at] = rows[before]
+    return {"count": len(at), "wheel_m": wheel_m, "width": width, "undo": lambda path: _moved_by(path, rows)}
+
+
+def _one_way(look: Look, axis: int) -> Figures | None:
+    """Find motions of the truth to a side of zero on which the odometry's motion along an axis never is."""
+    here, there, _ = look.windows
+    straight = ~_moving(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
+    for side in (-1, 1) if look.paths[1].headed else ():
+        real, counted = _moving(there[:, axis], side) & straight, _moving(here[:, axis], side)
+        if real.sum() < max(_FEWEST, 0.01 * len(real), 10.0 * counted.sum()):
+            continue
+        if _moving(there[:, axis], -side).any() and np.mean(here[real, axis] * side > 0.0) < 0.1:
+            back = float(-np.median(here[real, axis] / there[real, axis]))
+            how = "drives forwards there" if back > 0.5 else "stands there"
+            return {"share": f"{real.mean():.0%}", "how": how, "side": "right" if side < 0 else "left"}
+    return None
+
+
+def _truth_unit(look: Look) -> Figures | None:
+    k, speeds = look.travel.value, [own.speed_mps for own in look.own]
+    unit = next((name for name, per_m in UNITS.items() if look.travel.sure and abs(k / per_m - 1.0) < 0.1), None)
+    if unit is None or speeds[1] < _ROBOT_MPS or speeds[0] > _ROBOT_MPS:
+        return None
+    undo = lambda path: replace(path, xyz=path.xyz / UNITS[unit])  # noqa: E731
+    return {"i": 1, "far": k, "unit": unit, "speed": speeds[1], "undo": undo}
+
+
+def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Figures | None:  # noqa: FBT001
+    """Find which of travel and turns are plainly wrong, by the same factor or not."""
+    v, w = look.travel, look.turn
+    wrong = v.beyond(_TRAVEL)
+    same = v.sure and w.sure and abs(v.value / w.value - 1.0) < _ALIKE
+    if (wrong, w.beyond(_TURNS, _TURNS if wrong else _SKIDS)) != (travel, turn) or same is not alike:
+        return None
+    gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
+    sides = [look.ratio(2, side=side) for side in (1, -1)]
+    large = [max(k, 1.0 / k) for k in gains]
+    far = [f"{x:.3g} times {'less than' if k > 1.0 else 'as far as'}" for x, k in zip(large, gains, strict=True)]
+    hints = [said for near, said in _HINTS.items() if any(abs(x / near - 1.0) < _ALIKE for x in large)]
+    beside = ", left and right alike" if all(s.sure for s in sides) else ""
+    if beside and abs(sides[0].value / sides[1].value - 1.0) > 2.0 * _ALIKE:
+        beside = f", left {sides[0].value:.3g} and right {sides[1].value:.3g} times"
+    return {
+        "travels": far[0], "turns": far[1], "hint": f" ({hints[0]})" if hints else "", "v": gains[0], "gains": gains,
+        "inverse": 1.0 / gains[1], "sides": beside,
+        "track": f" ({look.track_m:.4g} -> {look.track_m / gains[1]:.4g} m)" if look.track_m else "",
+        "truth": "; or lengths of the truth in another unit" if gains[0] > 1.0 else "",
+    }  # fmt: skip
+
+
+_RECORD = "mend it and record again"
+_KEPT = "the model has the factor, and is of this odometry as it is"
+
+# fmt: off
+PATTERNS = (
+    Pattern(
+        "overflow", "{who}: {count} jumps of the same size, {wheel_m} m of one wheel", "a counter overflows: {width}",
+        "subtract counts as signed integers of the counter's width", _overflows, "the jumps are taken out", alone=True,
+    ),
+    Pattern(
+        "speed", "{who}: usually moves at {speed} m/s", "millimetres for metres", "give metres (columns x_mm, y_mm)",
+        _speed, "its lengths are divided by 1000", alone=True,
+    ),
+    Pattern(
+        "quaternion without w",
+        "{who}: its orientations are no unit quaternions (w is 0 in all): its headings never change",
+        "w was never set beside z = sin(yaw / 2)",
+        "set w = cos(yaw / 2), or make poses of its twists with `odomcorrupt integrate`", _no_w, alone=True,
+    ),
+    Pattern(
+        "mirrored headings", "{who}: its headings turn the other way than its path does",
+        "an axis is mirrored; compass headings", "turn a compass by 90 deg - yaw, or flip the axis", _mirrored_headings,
+        "mirrored so that it turns as {other} does", alone=True,
+    ),
+    Pattern(
+        "unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
+        "degrees given to a function of radians, or the other way round; a column with the wrong name",
+        "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions", _unit_of_headings,
+        "its headings are multiplied by {factor}", alone=True,
+    ),
+    Pattern(
+        "plane", "{who}: moves in its {plane} plane, not in x-y: {up} points up there", "axes of a camera or of a game",
+        "turn it so that z points up", _upright, "turned so; its positions alone are used",
+    ),
+    Pattern(
+        "headings of the truth", "{who}: its headings do not follow its own path: they {what}",
+        "its attitude turns about another axis (y up); orientation not estimated; another body", "publish yaw about z",
+        lambda look: _unrelated(look, 1), "its positions alone are used",
+    ),
+    Pattern(
+        "headings of the odometry", "{who}: its headings do not follow its own path: they {what}",
+        "orientation never filled in, or filled from another source than the position", _RECORD,
+        lambda look: _unrelated(look, 0),
+    ),
+    Pattern(
+        "late clock",
+        "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they are)",
+        "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", _late,
+    ),
+    Pattern(
+        "one encoder reversed", "{who} drives ahead where the truth turns, and turns where it drives ahead",
+        "the {side} wheel counts the wrong way: channels A and B of its encoder, or its motor, are exchanged",
+        "negate the counts of the {side} wheel", _one_encoder, "travel and turns are exchanged back",
+    ),
+    Pattern(
+        "forward is -x",
+        "{who} drives backwards where the truth drives forwards (correlation {corr}); turns agree",
+        "the base frame looks backwards; both wheels are negated and exchanged; the truth is mounted backwards",
+        "negate and exchange left and right, or turn the base frame by 180 deg", lambda look: _reversed(look, 1.0),
+        "the odometry is turned by 180 deg",
+    ),
+    Pattern(
+        "both wheels negated", "{who} drives backwards and turns right where the truth drives ahead and turns left",
+        "both encoders count the wrong way", "negate the counts of both wheels", lambda look: _reversed(look, -1.0),
+        "the odometry's motions are negated",
+    ),
+    Pattern(
+        "forward is y", "{who} drives along its {side} axis where {other} drives along x (correlation {corr})",
+        "x and y exchanged; a base or a marker turned by 90 deg", "turn its frame by 90 deg", _sideways,
+        "turned by 90 deg",
+    ),
+    Pattern(
+        "left and right exchanged", "odometry and truth turn opposite ways (correlation {corr}): {fault}",
+        "left and right wheels or encoders exchanged; an axis of the truth mirrored, or compass headings",
+        "exchange left and right, or flip the axis", _exchanged, "{who} is mirrored",
+    ),
+    Pattern(
+        "never reverses", "{who} never drives in reverse, the truth does in {share} of its time; it {how}",
+        "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds",
+        "count both channels, or give speeds the sign of the command; " + _RECORD, lambda look: _one_way(look, 0),
+    ),
+    Pattern(
+        "never turns one way", "{who} never turns {side}, the truth does in {share} of its time",
+        "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD,
+        lambda look: _one_way(look, 2),
+    ),
+    Pattern(
+        "unit of the truth", "{who} travels {far} times as far as {other}, usually at {speed} m/s",
+        "{unit} for metres", "give metres (columns x_mm, y_cm, z_ft name their unit)", _truth_unit, "taken as {unit}",
+    ),
+    Pattern(
+        "wheel radius", "{who} travels and turns {travels} the truth, by the same factor",
+        "wheel radius, gear ratio or ticks per turn wrong by this factor{hint}", "`wheel_radius` x {v}",
+        lambda look: _ratios(look, True, True, alike=True), _KEPT,
+    ),
+    Pattern(
+        "wheel separation", "{who} turns {turns} the truth{sides}; travel agrees",
+        "wheel separation (or steering ratio, or gyro scale) wrong by this factor{hint}",
+        "`wheel_separation` x {inverse}{track}", lambda look: _ratios(look, False, True), _KEPT,
+    ),
+    Pattern(
+        "travel", "{who} travels {travels} the truth; turns agree",
+        "gear ratio, ticks per turn or wheel radius, and headings from a gyro{hint}{truth}", "`wheel_radius` x {v}",
+        lambda look: _ratios(look, True, False), _KEPT,
+    ),
+    Pattern(
+        "travel and turns", "{who} travels {travels} the truth, and turns {turns} it",
+        "wheel radius (gear ratio, ticks per turn){hint}, and wheel separation", "`wheel_radius` x {v}, then the turns",
+        lambda look: _ratios(look, True, True), _KEPT,
+    ),
+)
+# fmt: on
+"""Plain mistakes in the order in which they are looked for and undone."""
