@@ -6,7 +6,7 @@ import struct
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
+from odomcorrupt.bags.mcap.records import RECORD_HEADER_BYTES, Op
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class ProvenanceWatcher:
 
     def __call__(self, block: Block) -> None:
         """Read the metadata of a block."""
-        if isinstance(block.raw, McapFraming) and block.raw.opcode == METADATA:
+        if isinstance(block.raw, McapFraming) and block.raw.opcode == Op.METADATA:
             content = block.data.tobytes()[RECORD_HEADER_BYTES:]
             try:
                 if _name_of(content) == NAME:

@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.bags.block import TABLE, Block, PartFraming, without
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
+from odomcorrupt.bags.mcap.records import RECORD_HEADER_BYTES, Op
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.provenance import mapping_of
@@ -225,7 +225,7 @@ class _Messages:
 
     def _messages(self) -> Iterator[tuple[str, int, memoryview]]:
         for block in self._reader.blocks():
-            if isinstance(block.raw, McapFraming) and block.raw.opcode == METADATA:
+            if isinstance(block.raw, McapFraming) and block.raw.opcode == Op.METADATA:
                 self.provenance = mapping_of(block.data.tobytes()[RECORD_HEADER_BYTES:])
             for channel, log_ns, offset, length in block.table.tolist():
                 yield self._reader.channels[channel].topic, log_ns, block.data.data[offset : offset + length]

@@ -16,8 +16,7 @@ from rosbags.rosbag2 import Writer as Ros2LibraryWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from odomcorrupt.bags.block import Definition
-from odomcorrupt.bags.convert.message_types import convert_type
-from odomcorrupt.bags.convert.qos import latched_qos, stays_for_late_subscribers
+from odomcorrupt.bags.convert.message_types import convert_type, latched_qos, stays_for_late_subscribers
 from odomcorrupt.bags.definition import md5sum_of
 from odomcorrupt.bags.open import open_reader, target_of
 from odomcorrupt.cli import run

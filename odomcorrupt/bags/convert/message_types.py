@@ -13,12 +13,14 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from rosbags.convert.converter import is_same_wireformat, migrate_bytes
+from rosbags.convert.converter import LATCH, is_same_wireformat, migrate_bytes
 from rosbags.interfaces import Nodetype
+from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from odomcorrupt.bags.definition import plain_text
+from odomcorrupt.bags.rosbag2.bounded_yaml import load_plain
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -27,6 +29,28 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
     from odomcorrupt.bags.block import Definition
+
+
+_TRANSIENT_LOCAL = (1, "1", "transient_local")
+"""As metadata of all versions name it."""
+
+
+@lru_cache(maxsize=1)
+def latched_qos() -> str:
+    """Return the profile of a publisher that latches its last message: reliable and transient local."""
+    return dump_qos_v8(list(LATCH))
+
+
+def stays_for_late_subscribers(profiles: str) -> bool:
+    """Return whether some publisher's last messages are sent to late subscribers: durability is transient local."""
+    try:
+        offered: Any = load_plain(profiles) if profiles else []
+    except ValueError:
+        return False
+    if not isinstance(offered, list):
+        return False
+    return any(isinstance(one, dict) and one.get("durability") in _TRANSIENT_LOCAL for one in offered)
+
 
 Generation = Literal[1, 2]
 """Of ROS."""

@@ -148,7 +148,7 @@ class ConvertedReader(RewrittenReader):
 
     def _described(self, channel: Channel, new: MessageType, definition: Definition) -> Definition:
         """Return the definition of a converted channel."""
-        from odomcorrupt.bags.convert.qos import latched_qos, stays_for_late_subscribers  # noqa: PLC0415 - YAML is slow
+        from odomcorrupt.bags.convert.message_types import latched_qos, stays_for_late_subscribers  # noqa: PLC0415 - YAML is slow
 
         if self._ros == 1:
             latched = stays_for_late_subscribers(definition.metadata.get("offered_qos_profiles", ""))

@@ -11,7 +11,7 @@ import numpy as np
 from odomcorrupt.bags.block import TABLE, Block, Framing
 from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.chunk import ChunkHead, gaps_between, windows
-from odomcorrupt.bags.mcap.records import MESSAGE, MESSAGE_HEADER_BYTES, RECORD_HEADER_BYTES
+from odomcorrupt.bags.mcap.records import MESSAGE_HEADER_BYTES, RECORD_HEADER_BYTES, Op
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def record_bytes(data: memoryview, at: int) -> int:
     if at + RECORD_HEADER_BYTES > len(data):
         return RECORD_HEADER_BYTES
     size = RECORD_HEADER_BYTES + int.from_bytes(data[at + 1 : at + RECORD_HEADER_BYTES], "little")
-    return 0 if data[at] == 0 or (data[at] == MESSAGE and size < MESSAGE_HEADER_BYTES) else size
+    return 0 if data[at] == 0 or (data[at] == Op.MESSAGE and size < MESSAGE_HEADER_BYTES) else size
 
 
 def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
@@ -80,7 +80,7 @@ def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
         return None
     heads = _heads(data, starts)
     lengths = heads["length"].astype(np.int64)  # as above
-    if (heads["opcode"] != MESSAGE).any() or lengths.max() > data.size or lengths.min() < 22:
+    if (heads["opcode"] != Op.MESSAGE).any() or lengths.max() > data.size or lengths.min() < 22:
         return None
     ends = starts + lengths + RECORD_HEADER_BYTES
     gaps = gaps_between(starts, ends, data.size)
@@ -111,12 +111,12 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> tuple[list[int],
             )
         content = at + RECORD_HEADER_BYTES
         after = content + int.from_bytes(data[at + 1 : content], "little")
-        if content > end or after > end or (data[at] == MESSAGE and after < at + MESSAGE_HEADER_BYTES):
+        if content > end or after > end or (data[at] == Op.MESSAGE and after < at + MESSAGE_HEADER_BYTES):
             raise BagError(
                 f"{what}: the record at byte {at} of the chunk does not fit its {end} bytes; the bag is damaged, "
                 "--recover saves the intact part"
             )
-        if data[at] == MESSAGE:
+        if data[at] == Op.MESSAGE:
             starts.append(at)
         else:
             others.append(Record(data[at], content, after))
@@ -177,7 +177,7 @@ class Loose:
     def append(self, opcode: int, content: bytes, what: str) -> None:
         """Append a record."""
         self.data += struct.pack("<BQ", opcode, len(content))
-        if opcode != MESSAGE:
+        if opcode != Op.MESSAGE:
             self.others.append((opcode, content))
         elif len(content) < 22:
             raise BagError(f"{what}: a message record of {len(content)} bytes is shorter than its fields; damaged bag")

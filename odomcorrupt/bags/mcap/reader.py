@@ -12,28 +12,10 @@ import numpy as np
 from odomcorrupt.bags.block import Block, Channel, Definition, without
 from odomcorrupt.bags.checksum import combined, crc32
 from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
+from odomcorrupt.bags.magic import MCAP as MAGIC
 from odomcorrupt.bags.magic import ZSTD
 from odomcorrupt.bags.mcap.chunk import Loose, McapFraming, read_chunk_head, read_contents, read_pieces, record_bytes
-from odomcorrupt.bags.mcap.records import (
-    ATTACHMENT,
-    CHANNEL,
-    CHUNK,
-    DATA_END,
-    FOOTER,
-    HEADER,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    RECORD_HEADER_BYTES,
-    SCHEMA,
-    STATISTICS,
-    ChannelRecord,
-    Fields,
-    SchemaRecord,
-    record,
-    string,
-)
+from odomcorrupt.bags.mcap.records import RECORD_HEADER_BYTES, ChannelRecord, Fields, Op, SchemaRecord, record, string
 from odomcorrupt.bags.mcap.resync import (
     loss_of_cut_chunk,
     next_record,
@@ -77,7 +59,7 @@ def require_data_crc(stated: int, crc: int, length: int, header: bytes, what: st
     header : content of the header record
     what : name in the error
     """
-    begin = record(HEADER, header)
+    begin = record(Op.HEADER, header)
     before = (crc32(MAGIC + begin), crc32(begin))
     if stated not in (0, crc, *(combined(one, crc, length) for one in before)):
         raise BagError(f"{what}: the checksum of all its data does not match its bytes: {_ADVICE}")
@@ -85,7 +67,7 @@ def require_data_crc(stated: int, crc: int, length: int, header: bytes, what: st
 
 def _crc_of_summary(footer: bytes, crc: int) -> int:
     """Return the checksum that a footer's content should state, of CRC-32 `crc` of the section before it."""
-    return crc32(struct.pack("<BQ", FOOTER, len(footer)) + footer[:16], crc)
+    return crc32(struct.pack("<BQ", Op.FOOTER, len(footer)) + footer[:16], crc)
 
 
 def require_summary_crc(footer: bytes, crc: int, what: str) -> None:
@@ -102,7 +84,7 @@ def require_summary_crc(footer: bytes, crc: int, what: str) -> None:
 
 PRIVATE = 0x80
 """Opcodes from here on belong to applications."""
-_END_OF_DATA = struct.pack("<BQI", DATA_END, 4, 0)
+_END_OF_DATA = struct.pack("<BQI", Op.DATA_END, 4, 0)
 """Of a data section without a checksum."""
 
 
@@ -125,11 +107,11 @@ class Summary:
 
     def keep(self, opcode: int, content: bytes, what: str, private: list[bytes] | None = None) -> None:
         """Add a record of the summary section if it is needed; private ones to a separate list."""
-        if opcode == SCHEMA:
+        if opcode == Op.SCHEMA:
             self.schemas.append(content)
-        elif opcode == CHANNEL:
+        elif opcode == Op.CHANNEL:
             self.channels.append(content)
-        elif opcode == STATISTICS:
+        elif opcode == Op.STATISTICS:
             fields = Fields(content, what)
             self.message_count = fields.number("Q")
             fields.number("H")
@@ -149,7 +131,7 @@ def require_named(opcode: int, head: bytes, what: str) -> int:
         If it does not start with the fields that its index requires.
     """
     fields = Fields(head, what)
-    if opcode != ATTACHMENT:
+    if opcode != Op.ATTACHMENT:
         fields.string()
         return 0
     times, names = (fields.number("Q"), fields.number("Q")), (fields.blob(), fields.blob())
@@ -169,7 +151,7 @@ def read_summary(source: Source, size: int) -> Summary:
         source.seek(size - tail_bytes)
         tail = source.read(tail_bytes, "footer")
         opcode, length = struct.unpack_from("<BQ", tail)
-        if tail.endswith(MAGIC) and (opcode, length) == (FOOTER, FOOTER_BYTES):
+        if tail.endswith(MAGIC) and (opcode, length) == (Op.FOOTER, FOOTER_BYTES):
             return _read_section(source, tail[RECORD_HEADER_BYTES : -len(MAGIC)], size - tail_bytes)
     raise BagError(
         f"{source.name}: the file of {size} bytes has no MCAP footer at its end: it is truncated or was never closed; "
@@ -214,7 +196,7 @@ class SchemaRegistry:
 
     def register(self, opcode: int, content: bytes) -> None:
         """Register a schema or channel; a repetition must be identical."""
-        if opcode == SCHEMA:
+        if opcode == Op.SCHEMA:
             schema = SchemaRecord.parse(content, self.name)
             if self.schemas.setdefault(schema.id, schema) != schema:
                 raise BagError(f"{self.name}: schema {schema.id} is defined twice, differently; damaged bag")
@@ -276,16 +258,16 @@ class SchemaRegistry:
 
     def _learn_within(self, data: NDArray[np.uint8], other: Record) -> None:
         """Register a record in a chunk's data if it is a schema or channel."""
-        if other.opcode in (SCHEMA, CHANNEL):
+        if other.opcode in (Op.SCHEMA, Op.CHANNEL):
             self.register(other.opcode, data[other.start : other.end].tobytes())
 
 
 _BATCH_BYTES = 1 << 20
 _NAMES_BYTES = 1 << 16
 """How much of an attachment is looked at."""
-_LOOSE = (MESSAGE, SCHEMA, CHANNEL)
-_ENDS = (DATA_END, FOOTER)
-_DATA = (CHUNK, MESSAGE, MESSAGE_INDEX, ATTACHMENT, METADATA)
+_LOOSE = (Op.MESSAGE, Op.SCHEMA, Op.CHANNEL)
+_ENDS = (Op.DATA_END, Op.FOOTER)
+_DATA = (Op.CHUNK, Op.MESSAGE, Op.MESSAGE_INDEX, Op.ATTACHMENT, Op.METADATA)
 """Records that have no place behind the end of the data section."""
 
 
@@ -379,18 +361,18 @@ class McapReader(RecordReader):
 
     def _single(self, source: Source, opcode: int, length: int, what: str) -> Iterator[Chunk | Block]:
         """Yield a record that is not collected with others; the footer and indexes without chunks are skipped."""
-        if opcode == MESSAGE_INDEX:
+        if opcode == Op.MESSAGE_INDEX:
             source.read(length, what)
-        elif opcode == CHUNK and self._recover and source.position + length > (source.size or 0):
+        elif opcode == Op.CHUNK and self._recover and source.position + length > (source.size or 0):
             self.losses.append(loss_of_cut_chunk(source, length, what))
             for chunk in beginning_of_chunk(source, read_chunk_head(source, length, what), record_bytes):
                 yield replace(chunk, data=whole_records(chunk.data))
-        elif opcode == CHUNK:
+        elif opcode == Op.CHUNK:
             source.require(length, what)
             yield from read_chunks(source, read_chunk_head(source, length, what), record_bytes, verify=self._recover)
         elif opcode not in _ENDS:
             summed = 0
-            if opcode in (ATTACHMENT, METADATA):
+            if opcode in (Op.ATTACHMENT, Op.METADATA):
                 summed = require_named(opcode, source.sniff(min(length, _NAMES_BYTES)), f"{self.name}: {what}")
             yield from read_pieces(source, opcode, length, what, summed)
 
@@ -400,7 +382,7 @@ class McapReader(RecordReader):
         try:
             while opcode not in _ENDS:
                 what = f"record at byte {source.position}"
-                if self._recover and not (stands_behind(source, last) if opcode == CHUNK else stands_here(source)):
+                if self._recover and not (stands_behind(source, last) if opcode == Op.CHUNK else stands_here(source)):
                     self.losses.append(f"{self.name}: {what} is invalid: the bag is truncated or damaged")
                     if not next_record(source, last):
                         return
@@ -424,11 +406,11 @@ class McapReader(RecordReader):
         content = source.read(length, what)
         private: list[bytes] = []
         end = source.position
-        if opcode == DATA_END:
+        if opcode == Op.DATA_END:
             self._check_data_crc(source, content, crc, f"{self.name}: {what}")
             source.crc, source.summing = 0, True
         try:
-            while opcode != FOOTER:
+            while opcode != Op.FOOTER:
                 if source.sniff(len(MAGIC)) == MAGIC:
                     break
                 begin, crc = source.position, source.crc
@@ -441,7 +423,7 @@ class McapReader(RecordReader):
                     source.seek(begin)
                     return False
                 content = source.read(length, what)
-                if (opcode, length) == (FOOTER, FOOTER_BYTES) and int.from_bytes(content[:8], "little") == end:
+                if (opcode, length) == (Op.FOOTER, FOOTER_BYTES) and int.from_bytes(content[:8], "little") == end:
                     require_summary_crc(content, crc, self.name)
                 self.summary.keep(opcode, content, self.name, private)
             if source.read(len(MAGIC), "magic at the end") != MAGIC:
@@ -492,10 +474,10 @@ class McapReader(RecordReader):
     def _learn_summary(self) -> None:
         """Register the channels of the summary; those without a schema there are read from the data section."""
         for schema in self.summary.schemas:
-            self._registry.register(SCHEMA, schema)
+            self._registry.register(Op.SCHEMA, schema)
         for channel in self.summary.channels:
             if self._registry.defines(channel):
-                self._registry.register(CHANNEL, channel)
+                self._registry.register(Op.CHANNEL, channel)
 
     def _learn_all(self) -> None:
         """Register the channels of a file that its summary lacks."""
@@ -508,7 +490,7 @@ class McapReader(RecordReader):
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as an MCAP does")
         opcode, length = struct.unpack("<BQ", source.read(RECORD_HEADER_BYTES, "header"))
-        if opcode != HEADER:
+        if opcode != Op.HEADER:
             raise BagError(f"{self.name}: its first record is {opcode:#04x}, not a header; the bag is damaged")
         return source.read(length, "header")
 
@@ -516,5 +498,5 @@ class McapReader(RecordReader):
 def _continues(pending: Chunk | Loose | Block, opcode: int) -> bool:
     """Return whether a record belongs to the part being collected."""
     if isinstance(pending, Chunk):
-        return opcode == MESSAGE_INDEX
+        return opcode == Op.MESSAGE_INDEX
     return isinstance(pending, Loose) and opcode in _LOOSE and len(pending.data) < _BATCH_BYTES

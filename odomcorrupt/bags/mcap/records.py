@@ -5,55 +5,31 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from odomcorrupt.bags.magic import MCAP as MAGIC
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = [
-    "ATTACHMENT",
-    "ATTACHMENT_INDEX",
-    "CHANNEL",
-    "CHUNK",
-    "CHUNK_INDEX",
-    "DATA_END",
-    "FOOTER",
-    "HEADER",
-    "MAGIC",
-    "MESSAGE",
-    "MESSAGE_HEADER_BYTES",
-    "MESSAGE_INDEX",
-    "METADATA",
-    "METADATA_INDEX",
-    "RECORD_HEADER_BYTES",
-    "SCHEMA",
-    "STATISTICS",
-    "SUMMARY_OFFSET",
-    "ChannelRecord",
-    "Fields",
-    "SchemaRecord",
-    "chunk_head",
-    "mapping",
-    "record",
-    "string",
-]
 
-HEADER: Final = 0x01
-FOOTER: Final = 0x02
-SCHEMA: Final = 0x03
-CHANNEL: Final = 0x04
-MESSAGE: Final = 0x05
-CHUNK: Final = 0x06
-MESSAGE_INDEX: Final = 0x07
-CHUNK_INDEX: Final = 0x08
-ATTACHMENT: Final = 0x09
-ATTACHMENT_INDEX: Final = 0x0A
-STATISTICS: Final = 0x0B
-METADATA: Final = 0x0C
-METADATA_INDEX: Final = 0x0D
-SUMMARY_OFFSET: Final = 0x0E
-DATA_END: Final = 0x0F
+class Op:
+    """Kinds of records."""
+
+    HEADER: Final = 0x01
+    FOOTER: Final = 0x02
+    SCHEMA: Final = 0x03
+    CHANNEL: Final = 0x04
+    MESSAGE: Final = 0x05
+    CHUNK: Final = 0x06
+    MESSAGE_INDEX: Final = 0x07
+    CHUNK_INDEX: Final = 0x08
+    ATTACHMENT: Final = 0x09
+    ATTACHMENT_INDEX: Final = 0x0A
+    STATISTICS: Final = 0x0B
+    METADATA: Final = 0x0C
+    METADATA_INDEX: Final = 0x0D
+    SUMMARY_OFFSET: Final = 0x0E
+    DATA_END: Final = 0x0F
+
 
 RECORD_HEADER_BYTES: Final = 9
 MESSAGE_HEADER_BYTES: Final = 31
@@ -77,7 +53,7 @@ class SchemaRecord(NamedTuple):
     def pack(self) -> bytes:
         """Return the whole record."""
         head = struct.pack("<H", self.id) + string(self.name) + string(self.encoding)
-        return record(SCHEMA, head, struct.pack("<I", len(self.data)), self.data)
+        return record(Op.SCHEMA, head, struct.pack("<I", len(self.data)), self.data)
 
 
 class ChannelRecord(NamedTuple):
@@ -98,7 +74,7 @@ class ChannelRecord(NamedTuple):
     def pack(self) -> bytes:
         """Return the whole record."""
         ids = struct.pack("<HH", self.id, self.schema)
-        return record(CHANNEL, ids, string(self.topic), string(self.encoding), mapping(self.metadata))
+        return record(Op.CHANNEL, ids, string(self.topic), string(self.encoding), mapping(self.metadata))
 
 
 class Fields:
@@ -165,4 +141,4 @@ def chunk_head(start_ns: int, end_ns: int, *, size: int, crc: int, codec: str, p
     """
     name = string("" if codec == "none" else codec)
     length = 28 + len(name) + 8 + packed
-    return struct.pack("<BQQQQI", CHUNK, length, start_ns, end_ns, size, crc) + name + struct.pack("<Q", packed)
+    return struct.pack("<BQQQQI", Op.CHUNK, length, start_ns, end_ns, size, crc) + name + struct.pack("<Q", packed)

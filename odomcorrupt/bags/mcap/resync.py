@@ -8,23 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.mcap.chunk import CODECS, MOST_RECORDS
-from odomcorrupt.bags.mcap.records import (
-    ATTACHMENT,
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    FOOTER,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    METADATA_INDEX,
-    RECORD_HEADER_BYTES,
-    SCHEMA,
-    STATISTICS,
-    SUMMARY_OFFSET,
-)
+from odomcorrupt.bags.mcap.records import RECORD_HEADER_BYTES, Op
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -42,18 +26,26 @@ _ADDED_BYTES = 32
 """Fields that later versions may append to a record; no other record has room in them."""
 _SHORTEST_MESSAGE = 22
 _FIELDS = {
-    SCHEMA: (2, (4, 4, 4), 0),
-    CHANNEL: (4, (4, 4, 4), 0),
-    MESSAGE_INDEX: (2, (4,), 0),
-    ATTACHMENT: (16, (4, 4, 8), 4),
-    METADATA: (0, (4, 4), 0),
+    Op.SCHEMA: (2, (4, 4, 4), 0),
+    Op.CHANNEL: (4, (4, 4, 4), 0),
+    Op.MESSAGE_INDEX: (2, (4,), 0),
+    Op.ATTACHMENT: (16, (4, 4, 8), 4),
+    Op.METADATA: (0, (4, 4), 0),
 }
 """Of a record's content: the bytes before fields with a length of their own, the widths of these, the bytes behind."""
-_EXACT = {DATA_END: 4, FOOTER: 20}
-_BETWEEN_CHUNKS = (CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
+_EXACT = {Op.DATA_END: 4, Op.FOOTER: 20}
+_BETWEEN_CHUNKS = (Op.CHUNK, Op.MESSAGE_INDEX, Op.ATTACHMENT, Op.METADATA, Op.DATA_END)
 """Records that never stand in a chunk, and whose length their fields repeat."""
-_EVERYTHING = range(FOOTER, DATA_END + 1)
-_SUMMARY = (SCHEMA, CHANNEL, CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS, METADATA_INDEX, SUMMARY_OFFSET)
+_EVERYTHING = range(Op.FOOTER, Op.DATA_END + 1)
+_SUMMARY = (
+    Op.SCHEMA,
+    Op.CHANNEL,
+    Op.CHUNK_INDEX,
+    Op.ATTACHMENT_INDEX,
+    Op.STATISTICS,
+    Op.METADATA_INDEX,
+    Op.SUMMARY_OFFSET,
+)
 _PRIVATE = 0x80
 
 
@@ -83,8 +75,8 @@ def stands_behind(source: Source, begin: int, *, failed: bool = False) -> bool:
     if not failed and source.sniff(1)[0] in _BETWEEN_CHUNKS:
         return True
     source.seek(begin)
-    claimed = source.sniff(1)[:1] == bytes([CHUNK])
-    swallowed = claimed and any(_leads_to(source, at, here) for at, _ in _found(source, begin + 1, here, (CHUNK,)))
+    claimed = source.sniff(1)[:1] == bytes([Op.CHUNK])
+    swallowed = claimed and any(_leads_to(source, at, here) for at, _ in _found(source, begin + 1, here, (Op.CHUNK,)))
     source.seek(here)
     return not swallowed
 
@@ -106,7 +98,7 @@ def next_record(source: Source, begin: int, kinds: Container[int] = _EVERYTHING)
     Messages inside a chunk do not count, as they have no checksum of their own.
     """
     source.seek(begin)
-    if source.sniff(1)[:1] == bytes([CHUNK]) and stands_here(source):
+    if source.sniff(1)[:1] == bytes([Op.CHUNK]) and stands_here(source):
         kinds = _BETWEEN_CHUNKS
     size = source.size or 0
     at, _ = next(_found(source, begin + 1, size, kinds), (size, size))
@@ -124,7 +116,7 @@ def loss_of_cut_chunk(source: Source, length: int, what: str) -> str:
     """
     here, left = source.position, _left(source)
     lost = f"{source.name}: {what} needs {length} bytes, {left} are left: the bag is truncated in a chunk"
-    if any(_found(source, here, here + left, (CHUNK,))):
+    if any(_found(source, here, here + left, (Op.CHUNK,))):
         raise BagError(lost)
     source.seek(here)
     return lost
@@ -137,7 +129,7 @@ def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
         if at + RECORD_HEADER_BYTES > data.size:
             break
         opcode, length = struct.unpack_from("<BQ", view, at)
-        if length > data.size - at - RECORD_HEADER_BYTES or (opcode == MESSAGE and length < _SHORTEST_MESSAGE):
+        if length > data.size - at - RECORD_HEADER_BYTES or (opcode == Op.MESSAGE and length < _SHORTEST_MESSAGE):
             break
         if opcode == 0 or opcode in _BETWEEN_CHUNKS:
             break
@@ -160,7 +152,7 @@ def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Itera
             return
         # lengths are less than 2^40, so three of their bytes are zero
         quiet = (data[6 : 6 + count] | data[7 : 7 + count] | data[8 : 8 + count]) == 0
-        for at in np.flatnonzero(quiet & (data[:count] > 1) & (data[:count] <= DATA_END)).tolist():
+        for at in np.flatnonzero(quiet & (data[:count] > 1) & (data[:count] <= Op.DATA_END)).tolist():
             if window[at] in kinds and _believable(window, at, left - at) and _chained(source, begin + at):
                 yield begin + at, begin + at + RECORD_HEADER_BYTES + int.from_bytes(window[at + 1 : at + 9], "little")
         begin += _WINDOW_BYTES
@@ -179,9 +171,9 @@ def _chained(source: Source, at: int) -> bool:
             return False
         # Zeros after a number often resemble a private record, which proves nothing.
         seen += opcode < _PRIVATE
-        if opcode == CHUNK or seen > 2:
+        if opcode == Op.CHUNK or seen > 2:
             return True
-        ended = ended or opcode == DATA_END
+        ended = ended or opcode == Op.DATA_END
         at += RECORD_HEADER_BYTES + length
     return False
 
@@ -191,15 +183,15 @@ def _believable(window: bytes, at: int, left: int) -> bool:
         return False
     opcode, length = struct.unpack_from("<BQ", window, at)
     head = window[at + RECORD_HEADER_BYTES : at + _LOOK_BYTES]
-    if opcode == CHUNK:
+    if opcode == Op.CHUNK:
         return _is_chunk(head, length)
     if opcode in _EXACT:
-        return bool(0 <= length - _EXACT[opcode] < (_ADDED_BYTES if opcode == DATA_END else 1))
+        return bool(0 <= length - _EXACT[opcode] < (_ADDED_BYTES if opcode == Op.DATA_END else 1))
     if length > left - RECORD_HEADER_BYTES:
         return False
     if opcode in _FIELDS:
         return _adds_up(head, length, *_FIELDS[opcode])
-    return bool(opcode >= _PRIVATE or (opcode == MESSAGE and length >= _SHORTEST_MESSAGE))
+    return bool(opcode >= _PRIVATE or (opcode == Op.MESSAGE and length >= _SHORTEST_MESSAGE))
 
 
 def _adds_up(head: bytes, length: int, before: int, widths: tuple[int, ...], behind: int) -> bool:

@@ -17,26 +17,15 @@ from odomcorrupt.bags.checksum import CAN_COMBINE, crc32
 from odomcorrupt.bags.chunk import windows
 from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.definition import retyped, with_common_text
+from odomcorrupt.bags.magic import MCAP as MAGIC
 from odomcorrupt.bags.mcap.chunk import CODECS, MESSAGE_HEADER, McapFraming
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import (
-    ATTACHMENT,
-    ATTACHMENT_INDEX,
-    CHUNK_INDEX,
-    DATA_END,
-    FOOTER,
-    HEADER,
-    MAGIC,
-    MESSAGE,
     MESSAGE_HEADER_BYTES,
-    MESSAGE_INDEX,
-    METADATA,
-    METADATA_INDEX,
     RECORD_HEADER_BYTES,
-    STATISTICS,
-    SUMMARY_OFFSET,
     ChannelRecord,
     Fields,
+    Op,
     SchemaRecord,
     chunk_head,
     mapping,
@@ -227,7 +216,7 @@ class Index:
             at += len(index)
         self.chunks.append(
             record(
-                CHUNK_INDEX,
+                Op.CHUNK_INDEX,
                 struct.pack("<QQQQI", span.start_ns, span.end_ns, place.position, place.length, len(offsets)),
                 offsets,
                 struct.pack("<Q", at - place.position - place.length),
@@ -246,13 +235,13 @@ class Index:
         length = RECORD_HEADER_BYTES + int.from_bytes(head[1:RECORD_HEADER_BYTES], "little")
         fields = Fields(head[RECORD_HEADER_BYTES:], "record")
         place = struct.pack("<QQ", position, length)
-        if opcode == METADATA:
-            self.metadata.append(record(METADATA_INDEX, place, string(fields.string())))
-        elif opcode == ATTACHMENT:
+        if opcode == Op.METADATA:
+            self.metadata.append(record(Op.METADATA_INDEX, place, string(fields.string())))
+        elif opcode == Op.ATTACHMENT:
             times = struct.pack("<QQ", fields.number("Q"), fields.number("Q"))
             names = string(fields.string()) + string(fields.string())
             size = struct.pack("<Q", fields.number("Q"))
-            self.attachments.append(record(ATTACHMENT_INDEX, place, times, size, names))
+            self.attachments.append(record(Op.ATTACHMENT_INDEX, place, times, size, names))
 
     def summary(
         self, schemas: list[bytes], channels: list[bytes], private: list[bytes], begin: int
@@ -265,7 +254,7 @@ class Index:
         counts = b"".join(struct.pack("<HQ", *item) for item in sorted(self.counts.items()))
         sizes = (len(schemas), len(channels), len(self.attachments), len(self.metadata), len(self.chunks))
         statistics = record(
-            STATISTICS,
+            Op.STATISTICS,
             struct.pack("<QHIIII", sum(self.counts.values()), *sizes),
             struct.pack("<QQI", self.start_ns or 0, self.end_ns, len(counts)),
             counts,
@@ -277,7 +266,7 @@ class Index:
         for group in groups:
             if group:
                 data = b"".join(group)
-                offsets += record(SUMMARY_OFFSET, struct.pack("<BQQ", data[0], begin + len(section), len(data)))
+                offsets += record(Op.SUMMARY_OFFSET, struct.pack("<BQQ", data[0], begin + len(section), len(data)))
                 section += data
         return section + offsets, begin + len(section)
 
@@ -303,7 +292,7 @@ def message_indexes(table: NDArray[np.void], chunks: list[ChunkRows]) -> list[li
     found: list[list[tuple[int, bytes]]] = [[] for _ in chunks]
     for key, a, b in zip(keys[bounds[:-1]].tolist() if table.size else (), bounds, bounds[1:], strict=False):
         channel, content = key & 0xFFFFFFFF, packed[a * _ENTRY.itemsize : b * _ENTRY.itemsize]
-        head = struct.pack("<BQHI", MESSAGE_INDEX, 6 + len(content), channel, len(content))
+        head = struct.pack("<BQHI", Op.MESSAGE_INDEX, 6 + len(content), channel, len(content))
         found[key >> 32].append((channel, head + content))
     return found
 
@@ -364,7 +353,7 @@ def frame(
     framed = table.copy()
     framed["offset"] = ends - lengths
     heads = np.empty(table.size, dtype=MESSAGE_HEADER)
-    heads["opcode"] = MESSAGE
+    heads["opcode"] = Op.MESSAGE
     heads["length"] = lengths + (MESSAGE_HEADER_BYTES - RECORD_HEADER_BYTES)
     heads["channel"] = table["channel"]
     heads["sequence"] = sequences.take(table["channel"])
@@ -483,7 +472,7 @@ class McapWriter(OutputContext):
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
         """Write a metadata record."""
-        self._write_record(METADATA, record(METADATA, string(name), mapping(items)))
+        self._write_record(Op.METADATA, record(Op.METADATA, string(name), mapping(items)))
 
     def write(self, block: Block) -> None:
         """Write a block, its added messages last."""
@@ -582,17 +571,17 @@ class McapWriter(OutputContext):
         output = self._output
         if self._whole:
             require_all(output.name, self._reader, sum(self._index.counts.values()), self._added_count)
-        output.write(record(DATA_END, struct.pack("<I", output.crc)))
+        output.write(record(Op.DATA_END, struct.pack("<I", output.crc)))
         begin = output.position
         output.restart_crc()
         private: list[bytes] = self._reader.summary.private if isinstance(self._reader, McapReader) else []
         section, offsets = self._index.summary(*self._channel_table.packed(), private, begin)
-        footer = record(FOOTER, struct.pack("<QQI", begin, offsets, 0))[:-4]
+        footer = record(Op.FOOTER, struct.pack("<QQI", begin, offsets, 0))[:-4]
         output.write(section, footer)
         output.write(struct.pack("<I", output.crc), MAGIC)
 
     def _begin(self) -> None:
-        self._output.write(MAGIC, record(HEADER, self._channel_table.header()))
+        self._output.write(MAGIC, record(Op.HEADER, self._channel_table.header()))
 
 
 class ReframedReader:

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Framing
 from odomcorrupt.bags.chunk import ChunkHead, gaps_between, windows
-from odomcorrupt.bags.ros1.records import CONNECTION, MESSAGE, number, parse_fields
+from odomcorrupt.bags.ros1.records import Op, number, parse_fields
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -162,12 +162,12 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> Contents:
         header = bytes(data[at + 4 : header_end])
         fields = parse_fields(header, what)
         op = number(fields, "op", what)
-        if op == MESSAGE:
+        if op == Op.MESSAGE:
             time = number(fields, "time", what)
             log_ns = (time & 0xFFFFFFFF) * _SECOND_NS + (time >> 32)
             rows.append((number(fields, "conn", what), log_ns, header_end + 4, after - header_end - 4))
             starts.append(at)
-        elif op == CONNECTION:
+        elif op == Op.CONNECTION:
             connections.append((header, bytes(data[header_end + 4 : after])))
         at = after
     return Contents(np.array(rows, dtype=TABLE), np.array(starts, dtype=np.int64), connections)

@@ -11,20 +11,10 @@ import numpy as np
 from odomcorrupt.bags.block import Block, Channel, Definition, without
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
+from odomcorrupt.bags.magic import ROS1 as MAGIC
 from odomcorrupt.bags.record_reader import RecordReader
 from odomcorrupt.bags.ros1.chunk import Head, Ros1Framing, chunk_head, read_contents, read_head, record_bytes
-from odomcorrupt.bags.ros1.records import (
-    BAG_HEADER,
-    CHUNK,
-    CHUNK_INFO,
-    CONNECTION,
-    INDEX,
-    MAGIC,
-    MESSAGE,
-    Connection,
-    number,
-    pack_record,
-)
+from odomcorrupt.bags.ros1.records import Connection, Op, number, pack_record
 from odomcorrupt.bags.ros1.resync import (
     loss_of_cut_chunk,
     next_record,
@@ -96,7 +86,7 @@ class Ros1Reader(RecordReader):
 
     def _read_header(self, source: Source) -> None:
         head = read_head(source)
-        if head.op != BAG_HEADER:
+        if head.op != Op.BAG_HEADER:
             raise BagError(f"{self.name}: its first record is {head.op:#04x}, not a bag header; the bag is damaged")
         source.read(head.size, head.what)
         if head.fields.get("encryptor"):
@@ -117,17 +107,17 @@ class Ros1Reader(RecordReader):
         """Yield chunks, and connections between them."""
         chunk: Chunk | None = None
         for head in self._heads(source):
-            if chunk and not (head.op == INDEX or (head.op == MESSAGE and 0 < len(chunk.open) < _BATCH_BYTES)):
+            if chunk and not (head.op == Op.INDEX or (head.op == Op.MESSAGE and 0 < len(chunk.open) < _BATCH_BYTES)):
                 done, chunk = chunk, None
                 yield done
             begin, end = source.position - 8 - len(head.header), source.position + head.size
             try:
-                if head.op == CHUNK:
+                if head.op == Op.CHUNK:
                     for part in self._chunks(source, head):
                         if chunk:
                             yield chunk
                         chunk = part
-                elif head.op == CONNECTION and not self._recover:
+                elif head.op == Op.CONNECTION and not self._recover:
                     yield _Connected(head.header, source.read(head.size, head.what))
                 else:
                     chunk = self._take(head, source.read(head.size, head.what), chunk)
@@ -141,9 +131,9 @@ class Ros1Reader(RecordReader):
     def _heads(self, source: Source) -> Iterator[Head]:
         """Yield record headers of the data section (with recovery, of the whole file); the caller reads the data."""
         self._seen = 0
-        last, op = source.position, BAG_HEADER
+        last, op = source.position, Op.BAG_HEADER
         while self._recover and not source.at_end():
-            if not (stands_behind(source, last) if op == CHUNK else stands_here(source)):
+            if not (stands_behind(source, last) if op == Op.CHUNK else stands_here(source)):
                 self.losses.append(
                     f"{self.name}: record at byte {source.position} is invalid: the bag is truncated or damaged"
                 )
@@ -171,16 +161,16 @@ class Ros1Reader(RecordReader):
 
     def _take(self, head: Head, data: bytes, chunk: Chunk | None) -> Chunk | None:
         """Process a record between chunks; return the chunk being collected."""
-        if head.op == INDEX:
+        if head.op == Op.INDEX:
             if chunk:
                 chunk.indexes.append(data)
-        elif head.op == CONNECTION:
+        elif head.op == Op.CONNECTION:
             self._learn(head.header, data)
-        elif head.op == MESSAGE and self._recover:
+        elif head.op == Op.MESSAGE and self._recover:
             # The recorder died while it wrote this chunk: its messages stand outside of it.
             chunk = chunk or Chunk(np.empty(0, dtype=np.uint8), "none", f"{self.name}: {head.what}")
             chunk.open.extend(pack_record(head.header, data))
-        elif head.op == CHUNK_INFO and self._recover:
+        elif head.op == Op.CHUNK_INFO and self._recover:
             self._seen += _counted(data)
         else:
             raise BagError(
@@ -236,9 +226,9 @@ class Ros1Reader(RecordReader):
         for _ in range(self._connection_count + self._chunk_count):
             head = read_head(source)
             data = source.read(head.size, head.what)
-            if head.op == CONNECTION:
+            if head.op == Op.CONNECTION:
                 self._learn(head.header, data)
-            elif head.op == CHUNK_INFO:
+            elif head.op == Op.CHUNK_INFO:
                 self._stated += _counted(data)
             else:
                 raise BagError(f"{self.name}: {head.what} has op {head.op:#04x} in the index; the bag is damaged")

@@ -6,33 +6,22 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from odomcorrupt.bags.magic import ROS1 as MAGIC
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = [
-    "BAG_HEADER",
-    "CHUNK",
-    "CHUNK_INFO",
-    "CONNECTION",
-    "INDEX",
-    "MAGIC",
-    "MESSAGE",
-    "Connection",
-    "number",
-    "pack_fields",
-    "pack_record",
-    "parse_fields",
-]
 
-MESSAGE: Final = 0x02
-BAG_HEADER: Final = 0x03
-INDEX: Final = 0x04
-CHUNK: Final = 0x05
-CHUNK_INFO: Final = 0x06
-CONNECTION: Final = 0x07
+class Op:
+    """Kinds of records."""
+
+    MESSAGE: Final = 0x02
+    BAG_HEADER: Final = 0x03
+    INDEX: Final = 0x04
+    CHUNK: Final = 0x05
+    CHUNK_INFO: Final = 0x06
+    CONNECTION: Final = 0x07
+
 
 _SIZES: Final = {"op": 1, "time": 8, "index_pos": 8}
 """Bytes of the numbers in headers, those that are not 4."""
@@ -63,7 +52,7 @@ class Connection:
     @classmethod
     def build(cls, identifier: int, topic: str, fields: Mapping[str, bytes]) -> Connection:
         """Return a new connection record."""
-        header = {"conn": struct.pack("<I", identifier), "op": bytes([CONNECTION]), "topic": topic.encode()}
+        header = {"conn": struct.pack("<I", identifier), "op": bytes([Op.CONNECTION]), "topic": topic.encode()}
         return cls(identifier, topic, fields, pack_fields(header), pack_fields(fields))
 
     @property

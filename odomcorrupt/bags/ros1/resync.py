@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.ros1.chunk import CODECS, read_head
-from odomcorrupt.bags.ros1.records import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE, number, parse_fields
+from odomcorrupt.bags.ros1.records import Op, number, parse_fields
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -22,10 +22,10 @@ _LOOK_BYTES = 1 << 13
 _BACK_BYTES = 256
 """How far before its kind a record may begin: other fields of its header stand there."""
 _OP = b"\x04\0\0\0op="
-_STRONG = (CHUNK, INDEX)
+_STRONG = (Op.CHUNK, Op.INDEX)
 """What is looked for in the bytes of a chunk: its messages may be damaged, too."""
-_IN_CHUNKS = (MESSAGE, CONNECTION)
-_KINDS = (MESSAGE, INDEX, CHUNK, CHUNK_INFO, CONNECTION)
+_IN_CHUNKS = (Op.MESSAGE, Op.CONNECTION)
+_KINDS = (Op.MESSAGE, Op.INDEX, Op.CHUNK, Op.CHUNK_INFO, Op.CONNECTION)
 
 
 def stands_here(source: Source) -> bool:
@@ -48,8 +48,8 @@ def stands_behind(source: Source, begin: int, *, failed: bool = False) -> bool:
     if kind is None or (kind not in _IN_CHUNKS and not failed):
         return kind is not None
     source.seek(begin)
-    claimed = _here(source) == CHUNK
-    swallowed = claimed and any(_leads_to(source, at, here) for at in _found(source, begin + 1, here, (CHUNK,)))
+    claimed = _here(source) == Op.CHUNK
+    swallowed = claimed and any(_leads_to(source, at, here) for at in _found(source, begin + 1, here, (Op.CHUNK,)))
     source.seek(here)
     return not swallowed
 
@@ -69,7 +69,7 @@ def next_record(source: Source, begin: int) -> bool:
     """Seek to the first plausible record after byte `begin`, or to the end; return whether there is one."""
     size = source.size or 0
     source.seek(begin)
-    at = next(_found(source, begin + 1, size, _STRONG if _here(source) == CHUNK else _KINDS), size)
+    at = next(_found(source, begin + 1, size, _STRONG if _here(source) == Op.CHUNK else _KINDS), size)
     source.seek(at)
     return at < size
 
@@ -93,10 +93,10 @@ def loss_of_cut_chunk(source: Source, head: Head) -> str:
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the bytes (size,) of the intact records before the first damaged one."""
     view, at = data.tobytes(), 0
-    while (kind := _kind_at(view, at, len(view) - at)) in (MESSAGE, CONNECTION):
+    while (kind := _kind_at(view, at, len(view) - at)) in (Op.MESSAGE, Op.CONNECTION):
         middle = at + 4 + int.from_bytes(view[at : at + 4], "little")
         after = middle + 4 + int.from_bytes(view[middle : middle + 4], "little")
-        if after > len(view) or (kind == MESSAGE and not _is_message(view[at + 4 : middle])):
+        if after > len(view) or (kind == Op.MESSAGE and not _is_message(view[at + 4 : middle])):
             break
         at = after
     return data[:at]
@@ -144,7 +144,7 @@ def _kind_at(window: bytes, at: int, left: int) -> int | None:
         fields = parse_fields(header, "")
         kind = number(fields, "op", "")
         size = int.from_bytes(window[at + 4 + length : at + 8 + length], "little")
-        if kind == CHUNK:
+        if kind == Op.CHUNK:
             number(fields, "size", "")
             return kind if fields.get("compression", b"").decode(errors="replace") in CODECS else None
     except BagError:

@@ -13,21 +13,12 @@ import numpy as np
 from odomcorrupt.bags.block import TABLE, Block, Channel, Definition, Message, own_framing, require_all
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.definition import md5sum_of, retyped
+from odomcorrupt.bags.magic import ROS1 as MAGIC
 from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
 from odomcorrupt.bags.ros1.chunk import CODECS, Ros1Framing
 from odomcorrupt.bags.ros1.reader import Ros1Reader
-from odomcorrupt.bags.ros1.records import (
-    BAG_HEADER,
-    CHUNK,
-    CHUNK_INFO,
-    INDEX,
-    MAGIC,
-    MESSAGE,
-    Connection,
-    pack_fields,
-    pack_record,
-)
+from odomcorrupt.bags.ros1.records import Connection, Op, pack_fields, pack_record
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -102,7 +93,7 @@ def frame(before: bytes, messages: list[Message]) -> Framed:
     for message in messages:
         fields = {
             "conn": struct.pack("<I", message.channel),
-            "op": bytes([MESSAGE]),
+            "op": bytes([Op.MESSAGE]),
             "time": pack_time(message.log_ns),
         }
         pieces.append(pack_record(pack_fields(fields), message.data))
@@ -128,7 +119,7 @@ def indexes(framed: Framed) -> list[tuple[int, int, bytes]]:
             {
                 "conn": struct.pack("<I", connection),
                 "count": struct.pack("<I", stop - start),
-                "op": bytes([INDEX]),
+                "op": bytes([Op.INDEX]),
                 "ver": struct.pack("<I", 1),
             }
         )
@@ -314,7 +305,7 @@ class Ros1Writer(OutputContext):
         """Write a compressed chunk and its indexes."""
         position = self._output.position
         header = pack_fields(
-            {"compression": codec.encode(), "op": bytes([CHUNK]), "size": struct.pack("<I", framed.data.size)}
+            {"compression": codec.encode(), "op": bytes([Op.CHUNK]), "size": struct.pack("<I", framed.data.size)}
         )
         self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)))
         if original is None:
@@ -328,7 +319,7 @@ class Ros1Writer(OutputContext):
                 "chunk_pos": struct.pack("<Q", position),
                 "count": struct.pack("<I", len(found)),
                 "end_time": pack_time(int(times.max(initial=0))),
-                "op": bytes([CHUNK_INFO]),
+                "op": bytes([Op.CHUNK_INFO]),
                 "start_time": pack_time(int(times.min()) if times.size else 0),
                 "ver": struct.pack("<I", 1),
             }
@@ -343,7 +334,7 @@ class Ros1Writer(OutputContext):
                 "chunk_count": struct.pack("<I", len(self._infos)),
                 "conn_count": struct.pack("<I", connections),
                 "index_pos": struct.pack("<Q", index_at),
-                "op": bytes([BAG_HEADER]),
+                "op": bytes([Op.BAG_HEADER]),
             }
         )
         return pack_record(header, b" " * (size - 8 - len(header)))
