@@ -29,7 +29,7 @@ class BagOptions(TypedDict, total=False):
         by default those of the input
     ros : ROS generation, 1 or 2, of the output's messages, if its name allows both
     storage : mcap or sqlite3, for an output directory
-    exclude : topics left out of the output
+    exclude : topics left out of the output, or edges of TF, as in "/tf:map.odom"
     rename : "OLD=NEW" for topics that get another name in the output
     recover : read the undamaged parts of a damaged input
     threads : number of threads that read, compute and compress; by default one per core, at most four

@@ -105,7 +105,7 @@ container_options = added(
     ),
     click.option(
         "--exclude-topic", "exclude", multiple=True, metavar="TOPIC",
-        help="Leave a topic out of the output (repeatable).",
+        help="Leave a topic, or an edge of TF as in /tf:map.odom, out of the output (repeatable).",
     ),
     click.option(
         "--rename", multiple=True, metavar="OLD=NEW",

@@ -129,7 +129,7 @@ class Container:
     recover : read the intact parts of a damaged input
     ros : generation of ROS of the output's messages, where its format leaves a choice
     storage : "mcap" or "sqlite3", of an output that is a directory
-    exclude : topics left out
+    exclude : topics left out, or edges of TF, "TOPIC:PARENT.CHILD"
     rename : "OLD=NEW" for topics that get another name
     threads : number of threads; None: one per core, at most four
     """

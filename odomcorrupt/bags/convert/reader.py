@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.block import Channel, Definition
 from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
+from odomcorrupt.bags.convert.tf_edges import split_edge, without_edges
 from odomcorrupt.errors import BagError, TopicError
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class ConvertedReader(RewrittenReader):
 
     ros : generation of the messages; None leaves all as they are
     strict : whether messages that belong to no generation are refused
-    exclude : topics left out
+    exclude : topics left out, or edges of TF, "TOPIC:PARENT.CHILD"
     rename : "OLD=NEW" for topics that get another name; those of ROS 1 that ROS 2 forbids get one by `ros2_name`
     """
 
@@ -55,7 +56,13 @@ class ConvertedReader(RewrittenReader):
         super().__init__(reader, "ros1" if ros1 else "sqlite3", recover=recover)
         self._ros = ros
         self._strict = strict
-        self._exclude = {topic.lstrip("/") for topic in exclude}
+        known = reader.channels.values() if reader.complete else None
+        self._exclude: dict[str, frozenset[tuple[str, str]]] = {}
+        for one in exclude:
+            topic, edges = split_edge(one, known)
+            before = self._exclude.get(topic, edges)
+            self._exclude[topic] = before | edges if before and edges else frozenset()
+        self._edges_left_out = 0
         self._rename: dict[str, str] = {}
         for words in rename:
             old, _, new = words.rpartition("=")
@@ -69,7 +76,6 @@ class ConvertedReader(RewrittenReader):
         self._first: dict[tuple[str, str], int] = {}
         self._types: dict[tuple[str, str, bytes], MessageType] = {}
         if reader.complete:
-            self._require_known("--exclude-topic", exclude)
             self._require_known("--rename", self._rename)
             self._require_convertible()
             self._require_distinct()
@@ -88,7 +94,14 @@ class ConvertedReader(RewrittenReader):
             if old != new and old.lstrip("/") not in self._rename
         ]
         said = [f"ROS 2 forbids names of topics: {', '.join(forbidden)}; --rename OLD=NEW chooses others"]
-        return [*getattr(self.reader, "remarks", ()), *sorted(lost), *(said if forbidden else [])]
+        edges = ", ".join(sorted(topic for topic, edges in self._exclude.items() if edges))
+        stay = [f"/{edges}: no transform of the edge to leave out was found"]
+        return [
+            *getattr(self.reader, "remarks", ()),
+            *sorted(lost),
+            *(said if forbidden else []),
+            *(stay if edges and not self._edges_left_out else []),
+        ]
 
     def renamed(self, topic: str) -> str:
         """Return the name that a topic of the input has here."""
@@ -109,8 +122,21 @@ class ConvertedReader(RewrittenReader):
 
     def rule(self, channel: Channel) -> Rule | None:
         """Return what becomes of a channel."""
-        if channel.topic.lstrip("/") in self._exclude:
-            return None
+        edges = self._exclude.get(channel.topic.lstrip("/"))
+        if edges is None:
+            return self._converted(channel)
+        return self._without_edges(channel, self._converted(channel), edges) if edges else None
+
+    def _without_edges(self, channel: Channel, rule: Rule, edges: frozenset[tuple[str, str]]) -> Rule:
+        def rewrite(data: memoryview) -> bytes | memoryview | None:
+            left = without_edges(bytes(data), channel, edges)
+            self._edges_left_out += left is None or len(left) != len(data)
+            return left if left is None or rule.rewrite is None else rule.rewrite(memoryview(left))
+
+        return rule._replace(rewrite=rewrite)
+
+    def _converted(self, channel: Channel) -> Rule:
+        """Return what becomes of a channel that is not left out."""
         definition = self.reader.definition(channel)
         topic = self._topic(channel)
         generation = _GENERATIONS.get(channel.encoding)
@@ -128,7 +154,7 @@ class ConvertedReader(RewrittenReader):
             identifier = self._first.setdefault((topic, new.msgtype), channel.id)
         converted = Channel(identifier, topic, new.msgtype, "ros1" if self._ros == 1 else "cdr", channel.raw)
 
-        def rewrite(data: memoryview) -> bytes | memoryview:
+        def rewrite(data: memoryview) -> bytes | memoryview | None:
             try:
                 return new.convert(data)
             except BagError as error:

@@ -23,12 +23,12 @@ class Rule(NamedTuple):
 
     channel : the channel as it is read from here
     definition : its definition
-    rewrite : function of a serialised message; None leaves it alone
+    rewrite : function of a serialised message, which returns None for one to leave out; None leaves all alone
     """
 
     channel: Channel
     definition: Definition
-    rewrite: Callable[[memoryview], bytes | memoryview] | None
+    rewrite: Callable[[memoryview], bytes | memoryview | None] | None
 
 
 class RewrittenReader:
@@ -105,7 +105,7 @@ class RewrittenReader:
             rule = self._rules[number] if number in self._rules else self.rule_of(number)
             if rule is None:
                 continue
-            piece: bytes | memoryview = view[offset : offset + length]
+            piece: bytes | memoryview | None = view[offset : offset + length]
             if rule.rewrite is not None and (wanted is None or number in wanted):
                 try:
                     piece = rule.rewrite(view[offset : offset + length])
@@ -114,6 +114,8 @@ class RewrittenReader:
                         raise
                     self._lost.append(loss_of(error))
                     continue
+            if piece is None:
+                continue
             pieces.append(piece)
             rows.append((rule.channel.id, log_ns, at, len(piece)))
             at += len(piece)
