@@ -183,7 +183,7 @@ def test_white_noise_on_twists_is_said_with_the_rate_it_depends_on(corrupt):
 
 def test_what_still_tells_the_truth_is_named(corrupt):
     _, said, _ = corrupt("--seed", "1")
-    assert "still gets the true motion: /imu." in said
+    assert "/imu, /tf base_link -> wheel_left_link, /tf base_link -> wheel_right_link." in said
 
 
 def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(corrupt, tmp_path):

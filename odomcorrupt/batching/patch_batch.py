@@ -139,6 +139,7 @@ class SharedTransform(Transform):
 
     def _extend(self, ordered: Arrivals) -> None:
         if len(ordered):
+            self.odometry.faults.paths.take(ordered.xyt)
             self.growth.append(ordered)
             self._reach.until_ns = int(ordered.stamps_ns[-1])
 

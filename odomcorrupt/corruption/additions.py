@@ -51,7 +51,7 @@ class TruthTopic:
 
 @dataclass(slots=True, eq=False, repr=False)
 class CorrectionEdge:
-    """TF edge from a new frame to odom that carries the correction, one transform for each odometry message."""
+    """TF edge from a new frame to odom that carries the correction, one transform for each stamp of the odometry."""
 
     frame: str
     reader: BagReader
@@ -60,7 +60,7 @@ class CorrectionEdge:
     _channel: Channel | None = field(default=None, init=False)
 
     def add(self, block: Block, targets: list[Target], curve: Curve, odom: str) -> None:
-        """Append one transform for each of the targets' messages to a block.
+        """Append one transform for each of the targets' messages to a block, those repeated at one stamp left out.
 
         Raises
         ------
@@ -77,9 +77,12 @@ class CorrectionEdge:
             rows = block.table[target.layout.rows]
             at = curve.at(target.stamps_ns, target.time_ns)
             for row, stamp_ns, (x, y, turn) in zip(rows, target.stamps_ns.tolist(), at.xyt.tolist(), strict=True):
+                if stamp_ns == curve.published_ns:
+                    continue
+                curve.published_ns = stamp_ns
+                self.count += 1
                 data = pack_transform(self._channel.encoding, stamp_ns, (self.frame, odom), (x, y, turn))
                 block.added.append(Message(self._channel.id, int(row["log_ns"]), data))
-            self.count += len(rows)
 
     def _open(self, odometry: Channel) -> Channel:
         """Return the channel of the transforms: with the encoding and QoS of the bag's own /tf, where it has one."""

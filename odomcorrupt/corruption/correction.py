@@ -108,9 +108,11 @@ class Curve:
 
     subtracted : the plain difference of the poses in place of C, as the article's listing publishes it: no rigid
         motion once the robot has turned, so nothing but a transform of that name may be made of it
+    published_ns : stamp of the last transform made of it; None before the first
     """
 
     def __init__(self, *, subtracted: bool = False) -> None:
+        self.published_ns: int | None = None
         self._subtracted = subtracted
         self._stretches: list[_Stretch] = []
         self._count = 0

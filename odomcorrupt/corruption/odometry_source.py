@@ -160,6 +160,30 @@ def localisation_side_of(parent: str, child: str, frames: Frames) -> Side | None
     return "left" if plain(parent) == frames.odom else None
 
 
+def contains_truth(topic: str, parent: str, child: str, frames: Frames) -> bool:
+    """Return whether an edge of TF that stays contains the true motion of the robot, or of its wheels."""
+    if "static" in topic or localisation_side_of(parent, child, frames) or _last(plain(child)) in GLOBAL_FRAMES:
+        return False
+    named = any(says_truth(name) for name in (topic, parent, child))
+    return named or _last(plain(parent)) in GLOBAL_FRAMES or "wheel" in child.lower()
+
+
+def localisation_words(edges: Mapping[str, str], frames: Frames) -> list[str]:
+    """Return a sentence on localisation that stays, or none, without a full stop.
+
+    edges : topics of the edges of TF that stay, "parent -> child"
+    """
+    found = []
+    for edge, topic in sorted(edges.items()):
+        parent, _, child = edge.partition(" -> ")
+        if localisation_side_of(parent, child, frames) and "static" not in topic:
+            way_out = f"leave it out with --exclude-topic {topic}:{parent}.{child} and localise again"
+            found.append(
+                f"TF {edge} stays, and is that of the true odometry: {way_out}, or move it with --keep-localisation"
+            )
+    return found
+
+
 def _last(frame: str) -> str:
     return frame.rsplit("/", 1)[-1]
 
@@ -199,6 +223,14 @@ class OdometrySource:
                 f" (TF has {', '.join(sorted(self._edges)[:12])}); name one of these with --odom-frame and --base-frame"
             )
         return "; name another topic with --odom-topic"
+
+    @property
+    def one_publisher(self) -> str:
+        """Advice where two publishers share the source."""
+        topics = {c.topic: "" for c in self._channels.values() if c.msgtype == ODOMETRY and c.encoding in ENCODINGS}
+        others = ", ".join(topic for topic in topics if self.topic is None or plain(topic) != plain(self.topic))
+        named = f"name the odometry of one with --odom-topic ({others}), or " if others else ""
+        return f"{named}record the topic of one node alone (in a ROS 1 bag, filter by the connection's callerid)"
 
     @property
     def name(self) -> str:

@@ -166,6 +166,56 @@ class TwistTravel:
         )
 
 
+_APART_M = 0.01
+"""Poses of two publishers are this far apart at least: less is the noise of one."""
+
+
+@dataclass(slots=True)
+class Alternation:
+    """Test of a path for alternation between two, as of two publishers of one topic or TF edge.
+
+    way_m : length of the path
+    returned_m : length of the steps that the next step takes back by more than half
+    returns : their number
+    """
+
+    way_m: float = 0.0
+    returned_m: float = 0.0
+    returns: int = 0
+    _last: Array = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def take(self, xyt: Array) -> None:
+        """Add poses xyt (n, 3) in the order of their stamps."""
+        good = (np.abs(xyt[:, :2]) < FAR_M).all(axis=1)
+        path = np.concatenate((self._last, xyt[good, :2]))
+        steps = np.diff(path, axis=0)
+        length = np.hypot(steps[:, 0], steps[:, 1])
+        left = np.hypot(*(steps[1:] + steps[:-1]).T)
+        least = np.minimum(length[1:], length[:-1])
+        back = (left < least / 2.0) & (least > _APART_M)
+        new = max(len(self._last) - 1, 0)
+        self.way_m += float(length[new:].sum())
+        self.returned_m += float(least[back].sum())
+        self.returns += _count(back)
+        self._last = path[-2:]
+
+    @property
+    def alternates(self) -> bool:
+        """Whether more than half of the path is taken back at once."""
+        return self.returns > _FEW and self.returned_m > self.way_m / 2.0
+
+    def sentence(self) -> str:
+        """Return what is wrong, without a full stop."""
+        apart = self.returned_m / max(self.returns, 1)
+        return (
+            f"two publishers alternate, {apart:.2g} m apart: the pose goes to and fro {self.returns} times, which no "
+            "robot drives"
+        )
+
+
+_FEW = 10
+
+
 @dataclass(slots=True)
 class PoseFaults:
     """Counts of unusable poses of an odometry topic.
@@ -176,6 +226,7 @@ class PoseFaults:
     far : positions beyond `FAR_M`
     order : test of the order of the quaternions' components
     twists : comparison of the poses with the twists
+    paths : test for two publishers, of the poses in the order of their stamps
     """
 
     no_orientation: int = 0
@@ -184,6 +235,7 @@ class PoseFaults:
     far: int = 0
     order: ComponentOrder = field(default_factory=ComponentOrder)
     twists: TwistTravel = field(default_factory=TwistTravel)
+    paths: Alternation = field(default_factory=Alternation)
 
     def take(self, position: Array, quat_xyzw: Array) -> None:
         """Count the unusable poses of position (n, 3), metres, and quat_xyzw (n, 4)."""
@@ -202,7 +254,7 @@ class PoseFaults:
     def sentences(self) -> list[str]:
         """Return one warning for each kind of fault found, without a full stop."""
         said = [W_FIRST] if self.order.w_first else []
-        said += self.twists.sentences()
+        said += [self.paths.sentence()] if self.paths.alternates else self.twists.sentences()
         if self.no_orientation:
             said.append(f"{self.no_orientation} {ZERO}: not used, and left unchanged")
         if self.no_w:

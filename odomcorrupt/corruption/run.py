@@ -14,6 +14,7 @@ from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.transform import Transform
+from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.rng import SEED_LIMIT, stream
 
@@ -180,7 +181,7 @@ class Outcome:
     swapped : odometry messages that arrived after later ones and were sorted
     zero_stamps : odometry stamps that are zero, replaced by log times
     placed : frame in which a channel's data are given, by channel id, see `unmodified_topics`
-    stayed : TF edges that are not moved, "parent -> child"
+    stayed : topics of the TF edges that are not moved, "parent -> child"; true_edges : those with the true motion
     faults : counts of unusable odometry poses
     remarks : what the output's message types cannot hold, in sentences
     others : results of the other robots corrupted in the same pass
@@ -203,10 +204,17 @@ class Outcome:
     swapped: int
     zero_stamps: int
     placed: Mapping[int, str]
-    stayed: frozenset[str] = frozenset()
+    stayed: Mapping[str, str] = field(default_factory=dict)
+    true_edges: frozenset[str] = frozenset()
     faults: PoseFaults = field(default_factory=PoseFaults)
     remarks: tuple[str, ...] = ()
     others: tuple[Outcome, ...] = ()
+
+    @property
+    def with_true_motion(self) -> list[str]:
+        """Unmodified topics and TF edges that contain the true motion."""
+        topics = topics_with_true_motion(self.channels, self.moved_topics, self.placed, self.frames.odom)
+        return [*topics, *sorted(self.true_edges)]
 
     @property
     def moved_topics(self) -> set[str]:
@@ -326,7 +334,8 @@ def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, s
         swapped=transform.order.swapped,
         zero_stamps=transform.odometry.zero_stamps,
         placed=transform.placed,
-        stayed=frozenset(transform.stayed),
+        stayed=dict(transform.stayed),
+        true_edges=frozenset(transform.true_edges),
         faults=transform.odometry.faults,
         remarks=tuple(getattr(reader, "remarks", ())),
     )

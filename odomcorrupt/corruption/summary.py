@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.corruption.odometry_source import ODOMETRY, plain, says_truth
+from odomcorrupt.corruption.odometry_source import ODOMETRY, localisation_words, plain, says_truth
 from odomcorrupt.corruption.pose_faults import frame_faults
-from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.model.presets import DEFAULT, suggested
 from odomcorrupt.summary import Line, Summary, command_line
@@ -72,14 +71,16 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
         for other in outcome.others
     ]
     odd = [sentence for sentence in oddities(outcome) if not sentence.startswith("Lost: ")]
-    true = topics_with_true_motion(outcome.channels, outcome.moved_topics, outcome.placed, outcome.frames.odom)
+    true = outcome.with_true_motion
+    lines += [Line("note", remark, "warning") for remark in remarks if remark]
     if true and not is_identity:
         lines.append(leaks_line(true))
     named = suggested(name for c in outcome.channels for name in (c.topic, c.msgtype))
     if named and outcome.model.source.get("preset") == DEFAULT:
-        remarks = (*remarks, f"looks like a {named}: --preset {named} has its numbers")
-    lines += [Line("note", remark, "warning") for remark in remarks if remark]
+        lines.append(Line("note", f"looks like a {named}: --preset {named} has its numbers", "warning"))
     lines += [Line("anomaly", sentence, "warning") for sentence in odd]
+    if not is_identity and not outcome.added:
+        lines += [Line("note", said, "warning") for said in localisation_words(outcome.stayed, outcome.frames)]
     if not is_identity and per_message(outcome.model.noise):
         lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
@@ -139,9 +140,11 @@ def summary(outcome: Outcome, origin: str) -> str:
         parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.noise_free), *_rate(outcome)]
     parts += [f"Also moved: {moved_words(other)} ({travel_words(other)})." for other in outcome.others]
     parts += [*_faster(outcome.drift), *oddities(outcome)]
-    true = topics_with_true_motion(outcome.channels, outcome.moved_topics, outcome.placed, outcome.frames.odom)
+    true = outcome.with_true_motion
     if true and not is_identity:
         parts.append(f"Unchanged, so that a filter which reads them still gets the true motion: {', '.join(true)}.")
+    if not is_identity and not outcome.added:
+        parts += [f"{said}." for said in localisation_words(outcome.stayed, outcome.frames)]
     return " ".join(parts)
 
 

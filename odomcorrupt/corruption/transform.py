@@ -22,6 +22,7 @@ from odomcorrupt.corruption.odometry_source import (
     ODOMETRY,
     TRANSFORMS,
     OdometrySource,
+    contains_truth,
     find_odometry,
     localisation_side_of,
     plain,
@@ -97,7 +98,7 @@ class Transform:
     path : corrupted path, instead of the noisy path that the model draws
 
     seen : channels that carried messages; placed : frames in which their data are given, see `unmodified_topics`
-    stayed : TF edges that are not moved
+    stayed : topics of the TF edges that are not moved; true_edges : those that contain the true motion
     frame_met : whether some odometry message or transform has the odom frame
     """
 
@@ -121,7 +122,8 @@ class Transform:
         self.unusable = 0
         self.seen: set[int] = set()
         self.placed: dict[int, str] = {}
-        self.stayed: set[str] = set()
+        self.stayed: dict[str, str] = {}
+        self.true_edges: set[str] = set()
         self.frame_met = False
         self.truth: TruthTopic | None = None
         self.edge: CorrectionEdge | None = None
@@ -136,6 +138,8 @@ class Transform:
         faults = self.odometry.faults
         if faults.order.w_first:
             raise TopicError(f"{self.odometry.name}: {W_FIRST}{self.odometry.elsewhere}")
+        if faults.paths.alternates:
+            raise TopicError(f"{self.odometry.name}: {faults.paths.sentence()}; {self.odometry.one_publisher}")
         if faults.twists.poses_stand_still:
             raise TopicError(f"{self.odometry.name}: {faults.twists.still()}")
         asked = self.options.odom_frame
@@ -229,6 +233,7 @@ class Transform:
 
     def _extend(self, ordered: Arrivals) -> None:
         if len(ordered):
+            self.odometry.faults.paths.take(ordered.xyt)
             samples = self._path.feed(ordered.stamps_ns, ordered.xyt)
             self._curve.extend(samples, ordered.time_ns)
             for watcher in self.watchers:
@@ -260,7 +265,9 @@ class Transform:
                 side = self._side(channel, item, frames) if shares else None
                 if side is None and channel.msgtype in TRANSFORMS:
                     edge = f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}"
-                    self.stayed.add(edge if shares else f"{edge} on {channel.topic}")
+                    self.stayed.setdefault(edge if shares else f"{edge} on {channel.topic}", channel.topic)
+                    if shares and contains_truth(channel.topic, item.frame_id, item.child_frame_id, frames):
+                        self.true_edges.add(f"{channel.topic} {edge}")
                 if side is not None:
                     stamps_ns = stamps_or_log_ns(held.block, layout, number)
                     found.append(Target(channel, layout, item, side, stamps_ns, held.time_ns[layout.rows]))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.odometry_source import ENCODINGS, plain
+from odomcorrupt.corruption.odometry_source import ENCODINGS, plain, tree_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -15,12 +16,19 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block, Channel
 
 MOTION_TYPES = frozenset({
-    "DynamicJointState", "GPSFix", "Imu", "JointState", "LinkStates", "MagneticField", "ModelStates", "NavSatFix",
-    "Odometry", "ParticleCloud", "Path", "PointStamped", "Pose", "Pose2D", "PoseArray", "PoseStamped",
-    "PoseWithCovariance", "PoseWithCovarianceStamped", "TransformStamped", "TwistStamped", "TwistWithCovariance",
-    "TwistWithCovarianceStamped",
+    "DynamicJointState", "EstimatorStates", "GPSFix", "Imu", "JointState", "LinkStates", "MagneticField", "ModelStates",
+    "NavSatFix", "Odometry", "ParticleCloud", "Path", "PointStamped", "Pose", "Pose2D", "PoseArray", "PoseStamped",
+    "PoseWithCovariance", "PoseWithCovarianceStamped", "SensorCombined", "SensorGps", "SensorState", "TransformStamped",
+    "TwistStamped", "TwistWithCovariance", "TwistWithCovarianceStamped", "VehicleAcceleration",
+    "VehicleAngularVelocity", "VehicleAttitude", "VehicleGlobalPosition", "VehicleImu", "VehicleLocalPosition",
+    "VehicleOdometry",
 })  # fmt: skip
 """Messages that carry motion or poses, of whatever package: last part of the type."""
+
+_WHEELS = re.compile(r"wheel_?(tick|vel|speed|state|stat|odom|enc|rpm|angle|pos|count)|ticks?\b|encoder", re.IGNORECASE)
+"""Types, or topics of plain numbers, that carry the motion of wheels."""
+
+_COMMANDS = re.compile(r"cmd|command|target|setpoint|desired|reference")
 
 SETPOINT_TOPICS = frozenset({"clicked_point", "cmd_vel", "goal", "goal_pose", "initialpose"})
 """Topics that say where a robot should be, not where it is: last part of the name."""
@@ -51,19 +59,33 @@ def may_be_placed(channel: Channel) -> bool:
 def topics_with_true_motion(
     channels: Iterable[Channel], moved: Iterable[str], frames: Mapping[int, str], odom_frame: str
 ) -> list[str]:
-    """Return the unmodified topics with messages that contain the true motion.
+    """Return the unmodified topics with messages that contain the true motion, without those of other robots.
 
     moved : topics that are moved
     frames : by channel id, those of `frame_of`
     """
-    moved = set(moved)
+    channels, moved = tuple(channels), set(moved)
+    trees = {tree_of(topic, channels) for topic in moved}
     return sorted({
         c.topic
         for c in channels
         if c.topic not in moved
+        and (not trees or tree_of(c.topic, channels) in trees)
         and c.topic.rsplit("/", 1)[-1] not in SETPOINT_TOPICS
-        and (c.msgtype.rsplit("/", 1)[-1] in MOTION_TYPES or frames.get(c.id) == plain(odom_frame) or _is_costmap(c))
+        and (
+            c.msgtype.rsplit("/", 1)[-1] in MOTION_TYPES
+            or _of_wheels(c)
+            or frames.get(c.id) == plain(odom_frame)
+            or _is_costmap(c)
+        )
     })  # fmt: skip
+
+
+def _of_wheels(channel: Channel) -> bool:
+    """Return whether a channel carries what wheels did, by its type, or the name of a topic of plain numbers."""
+    package, _, kind = channel.msgtype.rpartition("/")
+    said = channel.topic if package.startswith("std_msgs") else kind
+    return bool(_WHEELS.search(said)) and not _COMMANDS.search(channel.topic.lower())
 
 
 def _is_costmap(channel: Channel) -> bool:

@@ -69,7 +69,7 @@ def findings(record: OdometryRecord) -> Findings:
     odd += record.faults.sentences()
     if leaps.any():
         odd.append(f"{np.count_nonzero(leaps)} stamps lie far ahead of their neighbours'")
-    if record.twist is not None:
+    if record.twist is not None and not record.faults.paths.alternates:
         odd += _twist_oddities(record.twist[sound], xyt, dt, good, speed)
     for name, watch in (("pose", record.pose_covariance), ("twist", record.twist_covariance)):
         said = watch.oddity(never_changes=name == "pose")

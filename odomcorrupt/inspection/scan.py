@@ -187,6 +187,7 @@ def _take_odometry(taken: _Odometry, block: Block, layout: Layout) -> None:
 
 def _odometry(topic: str, taken: _Odometry) -> OdometryRecord:
     whole = {name: np.concatenate(parts) for name, parts in taken.columns.items()}
+    taken.faults.paths.take(whole["xyt"][np.argsort(whole["stamps"], kind="stable")])
     return OdometryRecord(
         topic, taken.frame, taken.child, whole["stamps"], whole["xyt"], whole["twist"],
         taken.pose_covariance, taken.twist_covariance, int(np.count_nonzero(whole["zero"])), taken.faults,

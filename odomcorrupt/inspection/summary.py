@@ -6,16 +6,20 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from odomcorrupt.corruption.odometry_source import (
     GLOBAL_FRAMES,
     ODOMETRY,
     Frames,
+    contains_truth,
+    localisation_words,
     plain,
     says_truth,
     side_of,
     tree_of,
 )
-from odomcorrupt.corruption.pose_faults import frame_faults
+from odomcorrupt.corruption.pose_faults import PoseFaults, frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS, leaks_line
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.errors import ModelError, TopicError
@@ -91,7 +95,20 @@ def summarise(
             for o in drives
         ],
         "edges": edges,
-        "still_true": [] if frames is None else topics_with_true_motion(scan.channels, moved, scan.placed, frames.odom),
+        "still_true": []
+        if frames is None
+        else [
+            *topics_with_true_motion(scan.channels, moved, scan.placed, frames.odom),
+            *sorted(
+                {
+                    f"{e.topic} {e.parent} -> {e.child}"
+                    for e in scan.edges
+                    if shares(e.topic)
+                    and side_of(e.parent, e.child, frames) is None
+                    and contains_truth(e.topic, e.parent, e.child, frames)
+                }
+            ),
+        ],
         "remarks": _remarks(scan, source, frames, [e for e in scan.edges if shares(e.topic)], asked_frame=odom_frame),
     }
 
@@ -184,9 +201,11 @@ def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> EdgeR
 def _as_odometry(edge: EdgeRecord, frames: Frames) -> OdometryRecord:
     xyt = edge.xyt if edge.parent == frames.odom else inverse(edge.xyt)
     name = f"TF {frames.odom} -> {frames.base}"
+    faults = PoseFaults()
+    faults.paths.take(xyt[np.argsort(edge.stamps_ns, kind="stable")])
     return OdometryRecord(
         name, frames.odom, frames.base or "", edge.stamps_ns, xyt, None, CovarianceCheck(), CovarianceCheck(),
-        edge.zero_stamps,
+        edge.zero_stamps, faults,
     )  # fmt: skip
 
 
@@ -240,6 +259,7 @@ def _remarks(
             for e in edges
             if "static" in e.topic and side_of(e.parent, e.child, frames) is not None
         ]
+        said += localisation_words({f"{e.parent} -> {e.child}": e.topic for e in edges}, frames)
         if not any(side_of(e.parent, e.child, frames) for e in edges):
             said.append(f"no transform from or to {frames.odom} would move")
     return said
@@ -293,7 +313,7 @@ def _about(o: dict[str, Any], *, source: bool) -> list[str]:
     ]
     counts = [f"{o[key]} {words}" for key, words in _COUNTS.items() if o[key]]
     lines += [f"  {', '.join(counts)}"] if counts else []
-    if o["sideways_m"] > SIDEWAYS * o["distance_m"]:
+    if o["sideways_m"] > SIDEWAYS * o["distance_m"] and not any("two publishers" in said for said in o["oddities"]):
         lines.append(f"  moves sideways ({o['sideways_m']:.3g} m): --law omni is made for that")
     if o["tf_differs_m"] is not None and o["tf_differs_m"] > AGREE_M:
         lines.append(f"  TF and odometry differ by up to {o['tf_differs_m']:.3g} m")

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from bagged import ODOM, odometry, robot
+from drives import office
+from mcap.writer import Writer
 from test_run import FIXTURES
 
+from odomcorrupt.bags.messages import gather_stamps_ns, locate
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
+from odomcorrupt.geometry.se2 import compose
 
 OFFICE = str(FIXTURES / "office.mcap")
 
@@ -89,3 +96,69 @@ def test_a_drive_faster_than_a_learned_model_covers_is_corrupted_and_reported(co
     code, said, _ = corrupt("--model", str(model))
     assert code == 0
     assert "% faster than the model's highest valid speed: the relative error is kept constant." in said
+
+
+def written(path, messages):
+    """Write messages (channel, log time, bytes) to an MCAP."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        ids = {}
+        for channel, log_ns, data in sorted(messages, key=lambda one: one[1]):
+            if channel.topic not in ids:
+                schema = writer.register_schema(channel.msgtype, "ros2msg", b"")
+                ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema)
+            writer.add_message(ids[channel.topic], log_ns, data, log_ns)
+        writer.finish()
+    return path
+
+
+def edges_of(path):
+    with open_reader(path) as reader:
+        channel = next(c for c in reader.channels.values() if c.topic == "/tf")
+        return [
+            (item.frame_id, item.child_frame_id, int(stamp))
+            for block in reader.blocks()
+            for layout in locate(block, channel)
+            for item in layout.items
+            for stamp in gather_stamps_ns(block, layout, item)
+        ]
+
+
+def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_path, capsys):
+    source, target = written(tmp_path / "in.mcap", robot(*office(10.0, 10.0))), tmp_path / "out.mcap"
+    assert run([str(source), str(target), "--seed", "1", "-v"]) == 0
+    assert "TF map -> odom stays, and is that of the true odometry" in capsys.readouterr().err
+    moved = [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")]
+    for words in (["/tf:map.odom"], ["tf:map.odom", "/tf:base_link.laser"]):
+        exclude = [word for one in words for word in ("--exclude-topic", one)]
+        assert run([str(source), str(target), "--seed", "1", "-v", "--overwrite", *exclude]) == 0
+        assert "TF map -> odom stays" not in capsys.readouterr().err
+        kept = {("odom", "base_link"), *([("base_link", "laser")] if len(words) == 1 else [])}
+        assert {edge[:2] for edge in edges_of(target)} == kept
+        assert [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")] == moved
+    assert run([str(source), str(target), "--seed", "1", "-v", "--overwrite", "--exclude-topic", "/tf:odom.map"]) == 0
+    assert "no transform of the edge to leave out was found" in capsys.readouterr().err
+    assert run([str(source), str(target), "--overwrite", "--exclude-topic", "/odom:map.odom"]) == 1
+    assert "an edge of TF as in /tf:map.odom" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_correction_is_published_once_for_each_stamp(tmp_path):
+    t, poses = office(5.0, 10.0)
+    twice = [(ODOM, int(s) + late, odometry(s, p)) for s, p in zip(t, poses, strict=True) for late in (0, 1000)]
+    source, target = written(tmp_path / "in.mcap", twice), tmp_path / "out.mcap"
+    assert run([str(source), str(target), "--seed", "1", "--tf", "correction", "--new-odom-frame", "odom1"]) == 0
+    assert edges_of(target) == [("odom1", "odom", int(s)) for s in t]
+
+
+def test_two_publishers_are_refused_with_the_way_out(tmp_path, capsys):
+    t, poses = office(10.0, 10.0)
+    beside = compose(np.array([0.3, 0.1, 0.09]), poses)
+    both = [(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)]
+    both += [(ODOM, int(s) + 21_000_000, odometry(s + 21_000_000, p)) for s, p in zip(t, beside, strict=True)]
+    source, target = written(tmp_path / "in.mcap", both), tmp_path / "out.mcap"
+    assert run([str(source), str(target), "--seed", "1"]) == 1
+    said = capsys.readouterr().err
+    assert "two publishers alternate" in said
+    assert "sideways" not in said
+    assert not target.exists()

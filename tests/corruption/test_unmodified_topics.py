@@ -12,6 +12,7 @@ from drives import office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
+from odomcorrupt.corruption.odometry_source import Frames, contains_truth
 from odomcorrupt.corruption.unmodified_topics import frame_of, topics_with_true_motion
 
 
@@ -35,6 +36,17 @@ def channel(number, topic, msgtype, encoding="cdr"):
         ("/goal_pose", "geometry_msgs/msg/PoseStamped", False),
         ("/odom", "nav_msgs/msg/Odometry", False),
         ("/wheel/odom", "nav_msgs/msg/Odometry", True),
+        ("/wheel_ticks", "irobot_create_msgs/msg/WheelTicks", True),
+        ("/wheel_vels", "irobot_create_msgs/msg/WheelVels", True),
+        ("/wheel_status", "irobot_create_msgs/msg/WheelStatus", True),
+        ("/encoders", "acme_msgs/msg/EncoderStamped", True),
+        ("/sensor_state", "turtlebot3_msgs/msg/SensorState", True),
+        ("/fmu/out/vehicle_odometry", "px4_msgs/msg/VehicleOdometry", True),
+        ("/fmu/out/vehicle_status", "px4_msgs/msg/VehicleStatus", False),
+        ("/left_ticks", "std_msgs/msg/Int32", True),
+        ("/left_wheel_speed", "std_msgs/msg/Float32", True),
+        ("/left_wheel_speed_cmd", "std_msgs/msg/Float32", False),
+        ("/temperature", "std_msgs/msg/Float32", False),
     ],
 )
 def test_the_type_tells(topic, msgtype, tells):
@@ -99,3 +111,26 @@ def test_a_grid_in_the_odom_frame_is_named_whatever_the_bag_is_stored_as(tmp_pat
     assert json.loads(capsys.readouterr().out)["still_true"] == ["/grid_in_odom"]
     assert run([str(tmp_path / "in"), str(tmp_path / "out"), "-v", "--seed", "1"]) == 0
     assert "a filter which reads them still gets the true motion: /grid_in_odom.\n" in capsys.readouterr().err
+
+
+def test_topics_of_another_robot_say_nothing_of_this_one():
+    kinds = {"tf": "tf2_msgs/msg/TFMessage", "odom": "nav_msgs/msg/Odometry", "imu": "sensor_msgs/msg/Imu"}
+    names = [f"/robot{number}/{name}" for number in (1, 2) for name in kinds]
+    channels = [channel(i, name, kinds[name.rsplit("/", 1)[-1]]) for i, name in enumerate(names)]
+    assert topics_with_true_motion(channels, {"/robot1/odom"}, {}, "odom") == ["/robot1/imu"]
+
+
+@pytest.mark.parametrize(
+    ("topic", "parent", "child", "contains"),
+    [
+        ("/tf", "world", "base_link_gt", True),
+        ("/tf_gt", "a", "b", True),
+        ("/tf", "base_link", "wheel_left_link", True),
+        ("/tf", "map", "odom", False),
+        ("/tf", "base_link", "laser", False),
+        ("/tf_static", "base_link", "wheel_mount", False),
+        ("/tf", "world", "map", False),
+    ],
+)
+def test_edges_of_a_truth_and_of_wheels_are_known(topic, parent, child, contains):
+    assert contains_truth(topic, parent, child, Frames("odom", "base_link")) == contains

@@ -62,7 +62,7 @@ def test_the_session_says_what_the_text_beside_it_promises(session):
     done, _ = session
     info, preview, first, slipping, batch, _, last = [done[line] for line in SESSION]
     assert batch.returncode == 0
-    assert "/imu: still contains the true motion" in info.stdout
+    assert "leaks     /imu, /tf base_link -> wheel_left_link" in info.stdout
     assert "does not depend on the message rate" in preview.stdout
     assert "/odom 3000, TF odom -> base_link 3000" in first.stderr
     assert "3000 messages of clean odometry on /odom_true added" in " ".join(slipping.stderr.split())

@@ -48,7 +48,9 @@ def test_a_sound_bag_has_its_topics_edges_and_drive_reported_and_no_oddities():
     assert odom["tf_differs_m"] < 1e-9
     assert [sentence for sentence in odom["oddities"] if "covariance" not in sentence] == []
     assert values["still_true"] == ["/imu"]
-    assert values["remarks"] == []
+    (remark,) = values["remarks"]
+    assert remark.startswith("TF map -> odom stays")
+    assert "--exclude-topic /tf:map.odom" in remark
 
 
 def test_odometry_and_tf_that_differ_are_found_in_both_directions():
@@ -177,6 +179,22 @@ def test_the_command_prints_text_or_values(capsys, tmp_path):
     assert "/odom (odom -> base_link, 50 Hz): the odometry to corrupt" in text
     assert "static edges that stay" in text
     assert run(["info", office_bag, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["still_true"] == ["/imu"]
+    wheels = [f"/tf base_link -> wheel_{side}_link" for side in ("left", "right")]
+    assert json.loads(capsys.readouterr().out)["still_true"] == ["/imu", *wheels]
     assert run(["info", str(tmp_path / "none.bag")]) == 1
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_two_publishers_of_one_topic_are_said_and_a_shuttle_or_a_dithering_encoder_is_not():
+    t, poses = DRIVE
+    beside = compose(np.array([0.3, 0.1, 0.09]), poses)
+    both = np.stack((poses, beside), axis=1).reshape(-1, 3)
+    stamps = np.stack((t, t + 21_000_000), axis=1).ravel()
+    parked = np.tile(poses[:1], (len(t), 1))
+    parked[1::2, 0] += 0.002
+    shuttle = np.column_stack((np.sin(np.arange(len(t)) / 8.0), np.zeros((len(t), 2))))
+    for stamped, path, alternate in ((stamps, both, True), (t, poses, False), (t, parked, False), (t, shuttle, False)):
+        values = look([(ODOM, int(s), odometry(s, p)) for s, p in zip(stamped, path, strict=True)])
+        said = [sentence for sentence in values["odometry"][0]["oddities"] if "two publishers" in sentence]
+        assert bool(said) == alternate, said
+        assert "inches" not in str(values)
