@@ -73,11 +73,11 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     odd = [sentence for sentence in oddities(outcome) if not sentence.startswith("Lost: ")]
     true = outcome.with_true_motion
     lines += [Line("note", remark, "warning") for remark in remarks if remark]
-    if true and not is_identity:
-        lines.append(leaks_line(true))
     named = suggested(name for c in outcome.channels for name in (c.topic, c.msgtype))
     if named and outcome.model.source.get("preset") == DEFAULT:
         lines.append(Line("note", f"looks like a {named}: --preset {named} has its numbers", "warning"))
+    if true and not is_identity:
+        lines.append(leaks_line(true))
     lines += [Line("anomaly", sentence, "warning") for sentence in odd]
     if not is_identity and not outcome.added:
         lines += [Line("note", said, "warning") for said in localisation_words(outcome.stayed, outcome.frames)]

@@ -136,6 +136,8 @@ def brief(values: dict[str, Any], name: str) -> Summary:
     edges = [f"{e['parent']} -> {e['child']}" for e in values["edges"] if e["moved"]]
     topics = [o["topic"] for o in values["odometry"] if o["moved"]]
     lines.append(Line("moves", ", ".join([*topics, *(f"TF {edge}" for edge in edges)]) or "nothing"))
+    named = suggested([name for t in values["topics"] for name in (t["topic"], t["type"])])
+    lines += [Line("robot", f"looks like a {named}: --preset {named}")] if named else []
     if values["still_true"]:
         lines.append(leaks_line(values["still_true"]))
     lines += [Line("anomaly", sentence, "warning") for o in values["odometry"] for sentence in o["oddities"]]
@@ -150,8 +152,6 @@ def brief(values: dict[str, Any], name: str) -> Summary:
         if says_truth(t["topic"]) and t["type"].endswith(("Odometry", "Stamped")) and t["topic"] not in topics
     ]
     lines += [Line("note", remark, "warning") for remark in remarks]
-    named = suggested([name for t in values["topics"] for name in (t["topic"], t["type"])])
-    lines += [Line("robot", f"looks like a {named}: --preset {named}")] if named else []
     words = ["odomcorrupt", "preview", name]
     return Summary((*lines, *((command_line(words),) if values["odometry_source"] is not None else ())))
 
