@@ -65,6 +65,8 @@ def command(model: Path, *, target: Target | None, output: Path | None, console:
     robot = Model.load(model)
     with usage_errors(ModelError):
         result = export_parameters(robot, target, **given)
+    if target == "nav2" and not result.result.values["alpha1"]:
+        console.note("alpha1 is 0: amcl's particles then have no spread from turns; write 1e-4 or more")
     if output is None:
         console.print(result.result.condensed(), result.details(), result.to_dict())
         return

@@ -325,7 +325,7 @@ def maps_brief(
     clean, noisy = (100.0 * s.thickness_m[-1] for s in maps[:2])
     added = 100.0 * added_thickness(maps[0].thickness_m, maps[1].thickness_m)[-1]
     first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
-    said = f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added"
+    said = f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times); noise alone {added:.2f} cm"
     lines = [Line("THICKER", said, "warning") if noisy > clean else Line("NO THICKER", said, "good")]
     lines.append(Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"))
     lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in maps[2:]]
@@ -339,7 +339,7 @@ def maps_table(maps: Sequence[ScanMap]) -> str:
     heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in maps), "added", "hits off"]
     lines = [
         f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m),",
-        "what the noise added to it, and how far noisy hits are off the clean walls, cm",
+        "that of the noise alone (added: root of the difference of squares), and noisy hits off the clean walls, cm",
         "  after      " + "".join(f"{head:>12}" for head in heads),
     ]
     clean, noisy = (s.thickness_m for s in maps[:2])

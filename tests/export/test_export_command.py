@@ -138,3 +138,13 @@ def test_what_must_move_is_refused_in_one_line_where_it_does_not(export, flag):
     code, _, text, said = export("nav2", flag, "0")
     assert (code, text) == (2, "")
     assert len(said.splitlines()) == 1
+
+
+def test_an_amcl_without_spread_from_turns_is_said(tmp_path, capsys):
+    path = tmp_path / "robot.toml"
+    for rot_rot, said in (("0.0", True), ("0.03", False)):
+        path.write_text(MODEL.format(law="quadratic", more="").replace("rot_rot = 0.03", f"rot_rot = {rot_rot}"))
+        assert run(["export", str(path), "--to", "nav2"]) == 0
+        printed = capsys.readouterr()
+        assert YAML().load(printed.out)["amcl"]["ros__parameters"]["update_min_d"] > 0.0
+        assert ("no spread from turns" in printed.err) is said
