@@ -5,6 +5,7 @@ Commands are found by the names of the modules in `commands`; nothing heavy is i
 
 from __future__ import annotations
 
+import errno
 import gc
 import importlib
 import os
@@ -152,7 +153,8 @@ def _report_error(error: BaseException, args: Sequence[str]) -> int:
         else:
             _say(str(error))
     elif isinstance(error, OSError):
-        _say(("" if error.filename is None else f"{error.filename}: ") + str(error.strerror or error))
+        few = "; allow more (ulimit -n), or use fewer --jobs" if error.errno in (errno.EMFILE, errno.ENFILE) else ""
+        _say(("" if error.filename is None else f"{error.filename}: ") + str(error.strerror or error) + few)
     else:
         _say("there is not enough memory for this; a smaller input, or fewer --jobs, takes less")
     return code

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections import Counter
 from contextlib import ExitStack
@@ -18,7 +17,7 @@ from odomcorrupt.bags.provenance import ProvenanceWatcher
 from odomcorrupt.corruption.run import Outcome, corrupt_bag
 from odomcorrupt.corruption.summary import brief, oddities
 from odomcorrupt.corruption.summary import summary as paragraph
-from odomcorrupt.errors import BagError, OdomCorruptError
+from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.rng import draw_seed
 
@@ -200,9 +199,11 @@ def corrupt(
     with ExitStack() as kept:
         path, bag = None, bag_path(source)
         if condition is not None:
+            from odomcorrupt.bags.source import temporary_copy, temporary_folder
             from odomcorrupt.forecasting.forecast import clean_drive_of
 
-            bag = _kept_pipe(kept) if bag is None else bag
+            # a path within a map is drawn for the whole drive at once
+            bag = temporary_copy(sys.stdin.buffer, temporary_folder(kept) / "bag", "stdin") if bag is None else bag
             drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)
             path = condition.path(chosen.motion_model, drawn, run, drive)
         metadata = {} if condition is None else condition.provenance()
@@ -212,19 +213,6 @@ def corrupt(
         )  # fmt: skip
     account = "" if path is None else path.account()
     return Corruption(fspath(source), fspath(target), chosen, outcome, account, watcher.provenance(bag_path(source)))
-
-
-def _kept_pipe(kept: ExitStack) -> Path:
-    """Return a temporary file with the contents of stdin: a path within a map is drawn for the whole drive at once."""
-    import tempfile
-
-    try:
-        file = kept.enter_context(tempfile.NamedTemporaryFile(prefix="odomcorrupt"))  # noqa: SIM115 - it is one
-        shutil.copyfileobj(sys.stdin.buffer, file)
-        file.flush()
-    except OSError as error:
-        raise BagError(f"stdin: cannot be buffered: {error.strerror}; name a file") from error
-    return Path(file.name)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

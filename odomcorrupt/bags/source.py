@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Self
 
 import numpy as np
@@ -12,8 +14,6 @@ from odomcorrupt.bags.output import FileState
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 _BUFFER_BYTES = 1 << 16
@@ -23,6 +23,38 @@ _TRUSTED_BYTES = 1 << 24
 
 _LARGEST_BYTES = 1 << 32
 """More than that no chunk can have; an endless pipe must not fill the memory."""
+
+
+def not_the_end(name: str, end: int) -> str:
+    """Return the sentence for a file that goes on behind the end of its bag."""
+    return f"{name}: goes on behind the end of the bag at byte {end}; give bags that `cat` joined one by one"
+
+
+def temporary_folder(copies: ExitStack) -> Path:
+    """Return a new folder, which is removed when `copies` is closed."""
+    import tempfile  # noqa: PLC0415 - slow to import, and seldom needed
+
+    return Path(copies.enter_context(tempfile.TemporaryDirectory(prefix="odomcorrupt")))
+
+
+def temporary_copy(stream: BinaryIO, path: Path, name: str) -> Path:
+    """Write the rest of a stream to a file in a temporary folder; return its path.
+
+    Raises
+    ------
+    BagError
+        If it cannot be read, or there is not enough space.
+    """
+    import shutil  # noqa: PLC0415 - as above
+
+    try:
+        with path.open("wb") as file:
+            shutil.copyfileobj(stream, file, _BUFFER_BYTES)
+    except OSError as error:
+        raise BagError(
+            f"{name}: cannot be copied to a temporary file: {error.strerror}; TMPDIR names another directory for it"
+        ) from error
+    return path
 
 
 class Summed(NamedTuple):
@@ -74,21 +106,10 @@ class Source:
         return FileState.of(self._stream.fileno())
 
     def spooled(self) -> Self:
-        """Return the rest of a pipe as a source on a temporary, seekable file."""
-        import shutil  # noqa: PLC0415 - slow to import, and seldom needed
-        import tempfile  # noqa: PLC0415 - as above
-
-        stream = tempfile.TemporaryFile(prefix="odomcorrupt")  # noqa: SIM115 - closed by the source that is returned
-        try:
-            shutil.copyfileobj(self._stream, stream, _BUFFER_BYTES)
-            size = stream.tell()
-            stream.seek(0)
-        except OSError as error:
-            stream.close()
-            raise BagError(f"{self.name}: cannot be buffered: {error.strerror}; name a file") from error
-        source = type(self)(stream, self.name)
-        source._owned = True  # noqa: SLF001 - its own class
-        source.size = size
+        """Return the rest of a pipe as a source on a temporary, seekable file, removed once it is closed."""
+        with ExitStack() as copies:
+            source = type(self).of_file(temporary_copy(self._stream, temporary_folder(copies) / "bag", self.name))
+        source.name = self.name
         return source
 
     def sniff(self, size: int) -> bytes:
@@ -159,6 +180,11 @@ class Source:
     def at_end(self) -> bool:
         """Return whether the input is at its end."""
         return not self.sniff(1)
+
+    def require_end(self) -> None:
+        """Raise BagError if anything follows the end of the bag, such as a second one."""
+        if not self.at_end():
+            raise BagError(not_the_end(self.name, self.position))
 
     def read_array(self, size: int, what: str) -> NDArray[np.uint8]:
         """Return exactly `size` bytes in a new writable array."""

@@ -139,8 +139,8 @@ def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
     context = multiprocessing.get_context("fork" if _alone() else "spawn")
     news = context.Queue() if audience.shown else None
     with ProcessPoolExecutor(jobs, context, _prepare_worker, (news, imported_from)) as pool:
-        futures = {pool.submit(_attempt_numbered, number, task): number for number, task in left.items()}
-        try:
+        try:  # a worker that cannot be started leaves others that wait
+            futures = {pool.submit(_attempt_numbered, number, task): number for number, task in left.items()}
             waiting = set(futures)
             while waiting:
                 ready, waiting = wait(waiting, PAUSE_S if news is not None else None, FIRST_COMPLETED)
@@ -152,7 +152,9 @@ def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
             return
         except BaseException:
             for child in multiprocessing.active_children():
-                child.terminate()
+                while child.is_alive():  # one that is just starting may lose the first signal
+                    child.terminate()
+                    child.join(PAUSE_S)
             pool.shutdown(cancel_futures=True)
             raise
 
@@ -171,6 +173,7 @@ _news: Any = None
 
 def _prepare_worker(news: Any, folders: Mapping[str, str]) -> None:
     global _news  # noqa: PLW0603 - a worker's own, set once
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the pool would print an exception raised here
     _news = news
     for name, folder in folders.items():
         if name not in sys.modules:
@@ -180,8 +183,8 @@ def _prepare_worker(news: Any, folders: Mapping[str, str]) -> None:
         news.cancel_join_thread()
     # an interrupt reaches all processes of a terminal: the parent passes it on, once
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _terminated)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    signal.signal(signal.SIGTERM, _terminated)
 
 
 def _terminated(number: int, _frame: object) -> None:

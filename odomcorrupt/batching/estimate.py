@@ -125,10 +125,10 @@ def require_space(jobs: Sequence[Job], runs: range, shard: Shard) -> None:
         return
     need = need_of(jobs, runs, shard)
     if need.bytes > need.free_bytes:
+        less = f"--output overlay would need {need.overlay_bytes / 1e9:.3g} GB, or " * (need.overlay_bytes < need.bytes)
         raise BatchError(
             f"{jobs[0].shown_directory}: {need.runs} runs need about {need.bytes / 1e9:.3g} GB, "
-            f"{need.free_bytes / 1e9:.3g} GB are free; "
-            f"--output overlay would need {need.overlay_bytes / 1e9:.3g} GB, or name a directory on another disk"
+            f"{need.free_bytes / 1e9:.3g} GB are free; {less}name a directory on another disk"
         )
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-import shutil
 import sys
-import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -183,12 +182,11 @@ def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], list[str]]:
 
 def _spooled(path: Path) -> Path:
     """Return a temporary file with the contents of a pipe, because reading may take two passes; deleted at the end."""
-    folder = Path(tempfile.mkdtemp(prefix="odomcorrupt-"))
-    click.get_current_context().call_on_close(lambda: shutil.rmtree(folder, ignore_errors=True))
-    target = folder / f"stdin{path.suffix}"
-    with target.open("wb") as stream:
-        shutil.copyfileobj(sys.stdin.buffer, stream)
-    return target
+    from odomcorrupt.bags.source import temporary_copy, temporary_folder
+
+    folder = temporary_folder(copies := ExitStack())
+    click.get_current_context().call_on_close(copies.close)
+    return temporary_copy(sys.stdin.buffer, folder / f"stdin{path.suffix}", "stdin")
 
 
 def _mcap(_ctx: click.Context, _option: click.Parameter, drive: Path | None) -> Path | None:

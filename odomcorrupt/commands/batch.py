@@ -14,7 +14,7 @@ from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, one_of, setting, usage_errors
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
-from odomcorrupt.errors import BatchOptionError
+from odomcorrupt.errors import BatchError, BatchOptionError
 
 _MODEL_WORDS = {"alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step",
                 "preset": "--preset", "effects": "--effect", "track": "--track"}  # fmt: skip
@@ -102,6 +102,9 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
             console.note(f"interrupted: {kept} runs are complete in {target}; the same command makes the others")
             raise
     console.show(done, bag=str(target))
+    if done.failures and console.quiet:
+        run, reason = done.failures[0]
+        raise BatchError(f"{len(done.failures)} runs failed, tried twice; run {run}: {reason}")
     return 1 if done.failures else 3 if done.losses else 0
 
 

@@ -44,9 +44,9 @@ def may_stay(source: Path | None, reader: BagReader, form: Form) -> bool:
     if (source is not None and (source.is_dir() or not source.exists())) or getattr(reader, "mode", "none") != "none":
         return False
     if source is not None and reader.kind == "sqlite3":
-        from odomcorrupt.bags.rosbag2.database import has_log  # noqa: PLC0415 - sqlite3 is slow to import
+        from odomcorrupt.bags.rosbag2.database import unfinished  # noqa: PLC0415 - sqlite3 is slow to import
 
-        if has_log(source):
+        if unfinished(source):
             return False
     return not form.directory and form.kind == reader.kind
 

@@ -428,6 +428,7 @@ class McapReader(RecordReader):
                 self.summary.keep(opcode, content, self.name, private)
             if source.read(len(MAGIC), "magic at the end") != MAGIC:
                 raise BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged")  # noqa: TRY301
+            source.require_end()
         except BagError as error:
             self._lose(error)
             # A false end: there may be data behind it.

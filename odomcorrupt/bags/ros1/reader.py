@@ -232,6 +232,7 @@ class Ros1Reader(RecordReader):
                 self._stated += _counted(data)
             else:
                 raise BagError(f"{self.name}: {head.what} has op {head.op:#04x} in the index; the bag is damaged")
+        source.require_end()
 
 
 def _counted(data: bytes) -> int:

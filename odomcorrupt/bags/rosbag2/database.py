@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sqlite3
 import struct
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import Definition
+from odomcorrupt.bags.source import temporary_copy, temporary_folder
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 _LEAST_BYTES = 1 << 20
 _MOST_BYTES = (1 << 31) - 1
@@ -30,6 +32,14 @@ _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestam
 _TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
 _RULES = re.compile(r"\b(?:CHECK|CONFLICT|GENERATED|AS|WITHOUT|REFERENCES)\b", re.IGNORECASE)
 """Words of a table's definition that make more of it than columns: what is written could be changed or thrown away."""
+_ROW_IDS = {"rowid", "oid", "_rowid_"}
+_JOURNAL = bytes.fromhex("d9d505f920a163d7")
+"""Beginning of a rollback journal, and end of one that names a journal of several databases."""
+_SURROUNDINGS = (
+    sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN,
+)  # fmt: skip
+"""Errors that do not come from a damaged file."""
 _SWITCHES = {
     "SQLITE_DBCONFIG_ENABLE_TRIGGER": False,
     "SQLITE_DBCONFIG_ENABLE_VIEW": False,
@@ -79,31 +89,80 @@ def reported(path: Path, *, writing: bool = False, recover: bool = False) -> Ite
             raise BagError(f"{path}: cannot be written: {reason}") from error
         # sqlite3 quotes the whole text that it cannot decode
         reason = " ".join(str(error).split())[:_LONGEST] or type(error).__name__
+        if isinstance(error, OSError | MemoryError) or getattr(error, "sqlite_errorcode", 0) & 0xFF in _SURROUNDINGS:
+            raise BagError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or reason}") from error
         advice = "" if recover else "; --recover saves the intact part"
         raise BagError(f"{path}: sqlite3 reports {reason}; the bag is truncated or damaged{advice}") from error
 
 
-def has_log(path: Path) -> bool:
-    """Return whether a write-ahead log holds part of the data: the recorder is running, or was killed."""
-    log = path.with_name(path.name + "-wal")
-    return log.exists() and log.stat().st_size > 0
+def unfinished(path: Path) -> list[Path]:
+    """Return the files beside a database that are part of it, because its recorder is running or was killed.
+
+    A write-ahead log holds the latest data; a rollback journal, the earlier state of pages that were being changed.
+    """
+    log, journal = (Path(os.path.realpath(path) + end) for end in ("-wal", "-journal"))
+    found = [log] if log.is_file() and log.stat().st_size else []
+    if journal.is_file():
+        with journal.open("rb") as stream:
+            # its header is zeroed once a transaction is complete
+            found += [journal] if stream.read(1).strip(b"\0") else []
+    return found
+
+
+def settled(path: Path, name: str, copies: ExitStack) -> Path:
+    """Return a file that can be read as it is: the database, or a copy in which sqlite3 has finished what was begun.
+
+    A log is read in place if its index exists, as beside a running recorder; sqlite3 would create one.
+
+    copies : removes the copy when it is closed
+    """
+    beside, index = unfinished(path), Path(os.path.realpath(path) + "-shm")
+    if not beside or (index.is_file() and not any(one.name.endswith("-journal") for one in beside)):
+        return path
+    folder = temporary_folder(copies)
+    files = [Path(os.path.realpath(path)), *beside]
+    before = [(one.stat().st_size, one.stat().st_mtime_ns) for one in files]
+    for file in files:
+        with file.open("rb") as stream:
+            temporary_copy(stream, folder / file.name, name)
+            stream.seek(max(stream.tell() - len(_JOURNAL), 0))
+            if file.name.endswith("-journal") and stream.read() == _JOURNAL:
+                # sqlite3 would delete the file that such a journal names
+                raise BagError(f"{name}: its journal is one of several databases; open the bag with sqlite3 first")
+    if before != [(one.stat().st_size, one.stat().st_mtime_ns) for one in files]:
+        raise BagError(f"{name}: changed while it was read; run again once the recording is complete")
+    with closing(sqlite3.connect(folder / files[0].name, isolation_level=None)) as connection:
+        harden(connection)
+        connection.execute("SELECT count(*) FROM sqlite_master").fetchall()
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+    return folder / files[0].name
 
 
 def read_only(path: Path, *, whole: bool = True) -> sqlite3.Connection:
-    """Return a connection that writes nothing, not even sqlite's lock files.
+    """Return a connection to a `settled` file that writes nothing, not even sqlite's lock files.
 
     whole : False to read the rest of a truncated file
     """
-    mode = "mode=ro" if has_log(path) else "immutable=1"
+    beside = unfinished(path)
+    mode = "mode=ro&readonly_shm=1" if beside else "immutable=1"
     connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
     # No message is larger than its file, whatever it claims.
-    size = path.stat().st_size + (path.with_name(path.name + "-wal").stat().st_size if has_log(path) else 0)
+    size = sum(one.stat().st_size for one in (path, *beside))
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(max(size, _LEAST_BYTES), _MOST_BYTES))
     if not whole:
         # Lets sqlite read the rest of a truncated file; nothing is ever written.
         connection.execute("PRAGMA writable_schema = ON")
     harden(connection, defensive=whole)
     return connection
+
+
+def second_at(path: Path) -> int:
+    """Return the byte at which another database follows the first, which sqlite3 would not read; 0 if none does."""
+    with path.open("rb") as stream:
+        (page, pages) = struct.unpack(">H10xI", stream.read(32)[16:].rjust(16, b"\0"))
+        end = (65536 if page == 1 else page) * pages
+        stream.seek(end)
+        return int(end) if end and stream.read(len(magic.SQLITE)) == magic.SQLITE else 0
 
 
 def harden(connection: sqlite3.Connection, *, defensive: bool = True) -> None:
@@ -129,6 +188,8 @@ def require_plain(connection: sqlite3.Connection, path: str) -> None:
     for kind, name, table, text in connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master"):
         if kind in ("trigger", "view"):
             fault = f"has a {kind}, {name!r}"
+        elif kind == "table" and name in _TABLES and _ROW_IDS & {one.lower() for one in columns(connection, name)}:
+            fault = f"its table {name} has a column of the name of sqlite3's row numbers"
         elif kind == "table" and name in _TABLES and _RULES.search(str(text)):
             fault = f"its table {name} has constraints ({' '.join(str(text).split())[:_LONGEST]})"
         elif kind == "index" and table in _TABLES and text is not None and not _is_plain_index(connection, name):
@@ -245,7 +306,9 @@ def require_whole(path: Path, name: str) -> None:
     changes, pages = struct.unpack_from(">II", head, 24)
     (valid_for,) = struct.unpack_from(">I", head, 92)
     size = (65536 if page == 1 else page) * pages
-    if changes == valid_for and path.stat().st_size < size and not has_log(path):
+    if unfinished(path):
+        return
+    if changes == valid_for and path.stat().st_size < size:
         raise BagError(
             f"{name}: has {path.stat().st_size} bytes, its header states {size}; it is truncated, --recover "
             "saves the intact part"

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
+import os
 import sqlite3
 import struct
-import tempfile
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -25,13 +24,15 @@ from odomcorrupt.bags.rosbag2.database import (
     read_topics,
     reported,
     require_whole,
+    second_at,
+    settled,
 )
+from odomcorrupt.bags.source import not_the_end, temporary_copy, temporary_folder
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping
     from contextlib import AbstractContextManager
-    from tempfile import _TemporaryFileWrapper
 
     from numpy.typing import NDArray
 
@@ -43,19 +44,22 @@ _KINDS = {"INTEGER", "TEXT", "BLOB", "TIMESTAMP"}
 _TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
 
 
-def whole_pages(path: Path) -> _TemporaryFileWrapper[bytes] | None:
-    """Return a copy of a truncated file without its incomplete last page, which sqlite3 would fill with zeros."""
+def whole_pages(path: Path, copies: ExitStack, name: str, end: int = 0) -> Path:
+    """Return a truncated file's copy without its incomplete last page, which sqlite3 would fill with zeros.
+
+    end : byte at which another database begins, 0 if none does
+    copies : removes the copy when it is closed
+    """
     with path.open("rb") as stream:
         (page,) = struct.unpack(">H", stream.read(18)[16:].rjust(2, b"\0"))
         size = path.stat().st_size
-        rest = size % (65536 if page == 1 else max(page, 1))
+        rest = size - end if end else size % (65536 if page == 1 else max(page, 1))
         if not rest:
-            return None
+            return path
         stream.seek(0)
-        whole = tempfile.NamedTemporaryFile(prefix="odomcorrupt")  # noqa: SIM115 - closed by the reader
-        shutil.copyfileobj(stream, whole)
-        whole.truncate(size - rest)
-        return whole
+        whole = temporary_copy(stream, temporary_folder(copies) / path.name, name)
+    os.truncate(whole, size - rest)
+    return whole
 
 
 def salvaged_rows(connection: sqlite3.Connection, name: str, losses: list[str]) -> Iterator[tuple[Any, ...]]:
@@ -162,7 +166,7 @@ class SqliteReader:
     """One .db3 file.
 
     name : name in messages, by default its path
-    readable : the file, or the whole pages of a truncated one
+    readable : the file, a `settled` copy of it, or the whole pages of a truncated one
     damaged : whether sqlite3's integrity check fails; with recovery only
     packed : whether messages are compressed one by one
     losses : parts that could not be read, one sentence each, with recovery
@@ -182,12 +186,18 @@ class SqliteReader:
         self.count = 0
         self._recover = recover
         self._undecodable = Undecodable()
-        self._whole = whole_pages(path) if recover else None
-        self.readable = path if self._whole is None else Path(self._whole.name)
+        self._copies = ExitStack()
         try:
             with self._reported():
+                self.readable = settled(path, self.name, self._copies)
                 if not recover:
-                    require_whole(path, self.name)
+                    require_whole(self.readable, self.name)
+                end = second_at(self.readable)
+                if end and not recover:
+                    raise BagError(not_the_end(self.name, end))  # noqa: TRY301
+                if recover:
+                    self.losses += [not_the_end(self.name, end)] if end else []
+                    self.readable = whole_pages(self.readable, self._copies, self.name, end)
             with self._reported(), closing(read_only(self.readable, whole=not recover)) as connection:
                 topics = read_topics(connection, self.name, self.losses if recover else None)
                 self.packed = _packed(connection, recover=recover)
@@ -297,8 +307,7 @@ class SqliteReader:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        if self._whole is not None:
-            self._whole.close()
+        self._copies.close()
 
 
 def _read_large(connection: sqlite3.Connection, row: int, size: int) -> bytearray:

@@ -16,7 +16,7 @@ from odomcorrupt.bags.block import Channel, PartContents, require_all
 from odomcorrupt.bags.definition import retyped, with_common_text
 from odomcorrupt.bags.output import FileCopy
 from odomcorrupt.bags.placement import beside, place, remove, sweep
-from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, has_log, read_only, reported
+from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, read_only, reported, unfinished
 from odomcorrupt.bags.rosbag2.metadata import TopicInfo, add_provenance, edited, generated
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader, copy_tables, kept
 from odomcorrupt.errors import BagError
@@ -376,13 +376,13 @@ class SqliteWriter(SqliteOutput):
                 closing(sqlite3.connect(self._partial, isolation_level=None)) as target,
             ):
                 copy_tables(source, target)
-        elif has_log(self._reader.path):
+        elif unfinished(self._reader.readable):
             # Part of the data is in the log, which only sqlite itself can merge.
-            with closing(read_only(self._reader.path)) as source, closing(sqlite3.connect(self._partial)) as target:
+            with closing(read_only(self._reader.readable)) as source, closing(sqlite3.connect(self._partial)) as target:
                 source.backup(target)
         else:
             self._copied_to = self._partial.open("xb")
-            self._copying = FileCopy(self._reader.path, self._copied_to.fileno())
+            self._copying = FileCopy(self._reader.readable, self._copied_to.fileno())
         if not self._reader.damaged:  # while a thread copies the file
             with reported(Path(self._reader.name)), closing(read_only(self._reader.readable, whole=False)) as source:
                 self._expected = count_messages(source)
@@ -447,6 +447,6 @@ class SqliteWriter(SqliteOutput):
     def _copy_here(self) -> None:
         """Copy the file in Python, if the kernel's copy is not available or has failed."""
         try:
-            shutil.copyfile(self._reader.path, self._partial)
+            shutil.copyfile(self._reader.readable, self._partial)
         except OSError as error:
             raise BagError(f"{self._path}: cannot be written: {error.strerror}") from error
