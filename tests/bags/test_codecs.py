@@ -1,17 +1,26 @@
-"""Compressed chunks come back as they were, and lies about their size are found."""
+"""Codecs, checksums, buffers, and neighbouring writes in one."""
+
+from __future__ import annotations
 
 import bz2
+import importlib
 import io
+import sys
+import zlib
 from contextlib import suppress
 
 import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from oracles import OFFICE_BAG, OFFICE_MCAP, copy, mcap_messages, ros1_messages
 
-from odomcorrupt.bags import codecs
-from odomcorrupt.bags.budget import BufferPool
+from odomcorrupt.bags import checksum, codecs
+from odomcorrupt.bags.block import Message, joined
+from odomcorrupt.bags.budget import ARENA_BYTES, BufferPool
 from odomcorrupt.bags.codecs import compress, compress_for_ros1, decompress
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.output import Output
 from odomcorrupt.errors import BagError
 
 DATA = np.random.default_rng(0).integers(0, 3, 300_000).astype(np.uint8)
@@ -145,3 +154,163 @@ def test_a_large_lz4_chunk_is_read_piece_by_piece_with_the_same_checks(frame, mo
         test_a_wrong_size_is_an_error(codec, pack, claim)
     for place in (4, 300, -6, -1):
         test_an_lz4_frame_with_a_checksum_tells_of_every_damage(place, sized=True)
+
+
+def test_what_is_given_lies_side_by_side_and_is_not_shared():
+    pool = BufferPool()
+    one, other = pool.place(1000), pool.place(500)
+    one[:], other[:] = 1, 2
+    assert one.base is other.base
+    assert one.size == 1000
+    assert np.all(one == 1)
+    assert np.all(other == 2)
+    assert other.__array_interface__["data"][0] == one.__array_interface__["data"][0] + 1000
+
+
+def test_a_buffer_is_used_again_when_nobody_holds_it():
+    pool = BufferPool()
+    one = pool.place(ARENA_BYTES)
+    where = one.__array_interface__["data"][0]
+    view = one[10:20]
+    del one
+    assert pool.place(ARENA_BYTES).__array_interface__["data"][0] != where
+    del view
+    held = [pool.place(ARENA_BYTES) for _ in range(2)]
+    assert where in {block.__array_interface__["data"][0] for block in held}
+
+
+def test_what_is_larger_than_a_shelf_stands_alone():
+    pool = BufferPool()
+    small = pool.place(10)
+    large = pool.place(ARENA_BYTES + 1)
+    large[:] = 3
+    assert large.size == ARENA_BYTES + 1
+    assert large.base is None
+    assert pool.place(10).base is small.base
+
+
+@pytest.mark.parametrize("sizes", [(0, 0), (5, 0), (0, 7), (1, 1), (1000, 3), (3, 100_001), (70_000, 1 << 17)])
+@pytest.mark.parametrize("combining", [True, False])
+def test_crc_of_both_is_that_of_the_bytes_together(sizes, combining, monkeypatch):
+    monkeypatch.setattr(checksum, "CAN_COMBINE", combining)
+    rng = np.random.default_rng(1)
+    one, other = (rng.bytes(size) for size in sizes)
+    assert checksum.crc_of_both(zlib.crc32(one), zlib.crc32(other), other) == zlib.crc32(one + other)
+    assert checksum.combined(zlib.crc32(one), zlib.crc32(other), len(other)) == zlib.crc32(one + other)
+
+
+@pytest.mark.parametrize("size", [0, 1, 7, 700, 1 << 16, (1 << 20) + 3])
+def test_sums_are_those_of_zlib(size):
+    data = np.random.default_rng(2).bytes(size)
+    assert checksum.crc32(data) == zlib.crc32(data)
+    assert checksum.crc32(data, 12345) == zlib.crc32(data, 12345)
+
+
+def test_without_isal_zlib_sums(monkeypatch):
+    monkeypatch.setitem(sys.modules, "isal.isal_zlib", None)
+    try:
+        without = importlib.reload(checksum)
+        assert without.crc32 is zlib.crc32
+        assert without.crc_of_both(zlib.crc32(b"one"), zlib.crc32(b"two"), b"two") == zlib.crc32(b"onetwo")
+    finally:
+        monkeypatch.undo()
+        importlib.reload(checksum)
+
+
+def test_what_is_written_with_its_sum_is_summed_the_same(tmp_path):
+    output = Output(tmp_path / "file")
+    output.open()
+    output.write(b"head")
+    output.write_summed(b"known" * 100, zlib.crc32(b"known" * 100))
+    output.commit()
+    assert output.crc == zlib.crc32((tmp_path / "file").read_bytes())
+    assert output.position == 504
+
+
+def test_the_sum_of_a_file_counts_what_came_before_a_new_sum(tmp_path):
+    output = Output(tmp_path / "file")
+    output.open()
+    output.write(b"data section")
+    assert output.crc_of_all == zlib.crc32(b"data section")
+    output.restart_crc()
+    output.write(b"summary")
+    output.restart_crc()
+    output.write_summed(b"end", zlib.crc32(b"end"))
+    output.commit()
+    assert output.crc == zlib.crc32(b"end")
+    assert output.crc_of_all == zlib.crc32((tmp_path / "file").read_bytes())
+    output.summing = False
+    assert output.crc_of_all is None
+
+
+BAGS = {
+    "mcap": (OFFICE_MCAP, ".mcap", {}),
+    "mcap none": (OFFICE_MCAP, ".mcap", {"compression": "none"}),
+    "ros1": (OFFICE_BAG, ".bag", {}),
+    "ros1 to mcap": (OFFICE_BAG, ".mcap", {"compression": "lz4"}),
+}
+
+
+def copy_joined(source, target, change=None, **options):
+    with open_reader(source) as reader, open_writer(target, reader, **options) as writer:
+        for block in joined(reader.blocks()):
+            if change:
+                change(writer, block)
+            writer.write(block)
+    return target
+
+
+@pytest.mark.parametrize(("source", "suffix", "options"), BAGS.values(), ids=BAGS)
+def test_joined_or_not_the_bytes_are_the_same(source, suffix, options, tmp_path):
+    alone = copy(source, tmp_path / f"alone{suffix}", **options)
+    together = copy_joined(source, tmp_path / f"together{suffix}", **options)
+    assert alone.read_bytes() == together.read_bytes()
+
+
+@pytest.mark.parametrize("source", [OFFICE_MCAP, OFFICE_BAG], ids=["mcap", "ros1"])
+def test_joined_blocks_are_fewer_and_hold_the_same(source):
+    def messages(blocks):
+        return [
+            (channel, log_ns, block.data[offset : offset + length].tobytes())
+            for block in blocks
+            for channel, log_ns, offset, length in block.table.tolist()
+        ]
+
+    with open_reader(source) as reader:
+        alone, together = list(reader.blocks()), list(joined(reader.blocks()))
+    assert 2 * len(together) < len(alone)
+    assert messages(together) == messages(alone)
+    for block in together:
+        assert block.data.flags.writeable
+        assert all(0 < end <= block.data.size for end in block.ends)
+        assert np.all(np.diff(block.ends) > 0)
+
+
+@pytest.mark.parametrize(("source", "suffix"), [(OFFICE_MCAP, ".mcap"), (OFFICE_BAG, ".bag")])
+def test_what_is_added_to_a_joined_block_is_read_by_others(source, suffix, tmp_path):
+    seen = mcap_messages if suffix == ".mcap" else ros1_messages
+    made = {}
+
+    def add(writer, block):
+        if not len(block.table):
+            return
+        if not made:
+            odom = next(one for one in channels if one.topic == "/odom")
+            made["channel"] = writer.add_channel("/more", odom.msgtype, odom)
+        block.added.append(Message(made["channel"].id, int(block.table["log_ns"][0]), b"added"))
+
+    with open_reader(source) as reader:
+        channels = list(reader.channels.values())
+        count = sum(len(block.table) > 0 for block in joined(reader.blocks()))
+    out = copy_joined(source, tmp_path / f"out{suffix}", add)
+    added = [one for one in seen(out) if one.topic == "/more"]
+    assert [one.data for one in added] == [b"added"] * count
+    assert [one for one in seen(out) if one.topic != "/more"] == seen(source)
+
+
+def test_chunks_of_two_compressions_are_not_joined(tmp_path):
+    with open_reader(OFFICE_MCAP) as reader:
+        (one, other) = list(reader.blocks())[1:3]
+        assert len(list(joined([one, other]))) == 1
+        other.raw = type(other.raw)("chunk", "lz4" if one.raw.codec != "lz4" else "none")
+        assert len(list(joined([one, other]))) == 2

@@ -1,7 +1,8 @@
-"""Threads beside the one that computes: order, bounds, errors, and an end that waits for nothing."""
+"""From the source of a bag to the pipeline."""
 
 from __future__ import annotations
 
+import io
 import sys
 import threading
 import time
@@ -11,6 +12,77 @@ import pytest
 
 from odomcorrupt.bags import pipeline
 from odomcorrupt.bags.pipeline import OrderedResults, Workers, default_threads
+from odomcorrupt.bags.source import Source
+from odomcorrupt.errors import BagError
+
+
+class Dribble(io.RawIOBase):
+    """A pipe that gives a few bytes at a time."""
+
+    def __init__(self, data):
+        self.left = memoryview(data)
+
+    def readable(self):
+        return True
+
+    def readinto(self, view):
+        size = min(len(view), len(self.left), 7)
+        view[:size] = self.left[:size]
+        self.left = self.left[size:]
+        return size
+
+
+DATA = bytes(range(256)) * 8
+
+
+def sources(tmp_path):
+    (tmp_path / "data").write_bytes(DATA)
+    return [
+        Source.of_file(tmp_path / "data"),
+        Source(io.BytesIO(DATA), "pipe"),
+        Source(Dribble(DATA), "raw"),
+        Source(io.BufferedReader(Dribble(DATA)), "slow"),
+    ]
+
+
+def test_every_way_of_reading_gives_the_same_bytes(tmp_path):
+    for source in sources(tmp_path):
+        assert source.sniff(16) == DATA[:16]
+        assert source.sniff(4) == DATA[:4]
+        assert source.read(3, "begin") == DATA[:3]
+        assert source.read_array(40, "array").tobytes() == DATA[3:43]
+        assert bytes(source.read_scratch(50, "scratch")) == DATA[43:93]
+        assert source.position == 93
+        assert not source.at_end()
+        assert source.read(len(DATA) - 93, "rest") == DATA[93:]
+        assert source.at_end()
+        assert source.read(0, "nothing") == b""
+        source.close()
+
+
+def test_arrays_are_writable_and_their_own(tmp_path):
+    for source in sources(tmp_path):
+        first, second = source.read_array(10, "first"), source.read_array(10, "second")
+        first[:] = 0
+        assert second.tobytes() == DATA[10:20]
+        source.close()
+
+
+@pytest.mark.parametrize("claim", [len(DATA) + 1, 2**31, 2**40, 2**63, 2**64 - 1])
+@pytest.mark.parametrize("way", ["read", "read_array", "read_scratch"])
+def test_a_claim_beyond_the_end_is_an_error_that_names_it(tmp_path, claim, way):
+    for source in sources(tmp_path):
+        source.read(4, "begin")
+        with pytest.raises(BagError, match=r"the thing at byte .*recover=True"):
+            getattr(source, way)(claim, "the thing")
+        source.close()
+
+
+def test_a_pipe_stays_open_when_the_source_closes():
+    stream = io.BytesIO(DATA)
+    with Source(stream, "pipe") as source:
+        source.read(1, "one")
+    assert not stream.closed
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])

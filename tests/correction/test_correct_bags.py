@@ -1,7 +1,8 @@
-"""Whole bags: corrupted with effects, corrected again, compared with what they were; and what the command says."""
+"""`correct` on bags."""
 
 from __future__ import annotations
 
+from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from odomcorrupt.api.corruption import correct
 from odomcorrupt.cli import run
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.simulation import simulate, write_mcap
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 EDGE = ("odom", "base_link")
@@ -293,3 +295,85 @@ def test_the_model_is_kept_in_the_output(trio):
         pytest.skip("a ROS 1 bag has no place for it that is not a topic")
     files = [right] if right.is_file() else list(right.iterdir())
     assert any(b"odomcorrupt_correct" in file.read_bytes() for file in files)
+
+
+ROBOT = 41
+
+
+def recorded(path, seed, cause, route):
+    with path.open("wb") as file:
+        write_mcap(simulate(seed, cause, duration_s=240.0, robot_seed=ROBOT, route=route), file)
+    return path
+
+
+def as_evo(xyt):
+    trajectory = pytest.importorskip("evo.core.trajectory", reason="evo is not installed; it is the oracle here")
+    half, none = xyt[:, 2] / 2.0, np.zeros(len(xyt))
+    return trajectory.PosePath3D(
+        positions_xyz=np.column_stack((xyt[:, :2], none)),
+        orientations_quat_wxyz=np.column_stack((np.cos(half), none, none, np.sin(half))),
+    )
+
+
+def evo_errors(bag):
+    """Return evo's APE (m), and its RPE over 5 m (m, degrees), of /odom against the truth at its stamps."""
+    metrics = pytest.importorskip("evo.core.metrics", reason="evo is not installed; it is the oracle here")
+    from evo.core.units import Unit
+
+    odometry, truth = rows_of(bag, "/odom"), rows_of(bag, "/ground_truth")
+    since, unwrapped = truth.stamps_ns[0], np.unwrap(truth.xyt[:, 2])
+    inside = (odometry.stamps_ns >= since) & (odometry.stamps_ns <= truth.stamps_ns[-1])
+    at = odometry.stamps_ns[inside] - since
+    columns = (truth.xyt[:, 0], truth.xyt[:, 1], unwrapped)
+    seen = np.column_stack([np.interp(at, truth.stamps_ns - since, column) for column in columns])
+    reference, estimate = as_evo(seen), as_evo(odometry.xyt[inside])
+    found = []
+    aligned = deepcopy(estimate)
+    aligned.align(reference)
+    ape = metrics.APE(metrics.PoseRelation.translation_part)
+    ape.process_data((reference, aligned))
+    found.append(ape.get_statistic(metrics.StatisticsType.rmse))
+    for relation in (metrics.PoseRelation.translation_part, metrics.PoseRelation.rotation_angle_deg):
+        rpe = metrics.RPE(relation, delta=5.0, delta_unit=Unit.meters)
+        rpe.process_data((reference, estimate))
+        found.append(rpe.get_statistic(metrics.StatisticsType.rmse))
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", ["unequal_wheels", "wheelbase", ("side_slip", "unequal_wheels"), "slope"])
+def test_the_error_falls_on_a_drive_that_was_not_fitted(tmp_path, cause):
+    pytest.importorskip("evo", reason="evo is not installed; it is the oracle here")
+    fitted = recorded(tmp_path / "fitted.mcap", 1, cause, "office")
+    other = recorded(tmp_path / "other.mcap", 2, cause, "loops")
+    model, corrected = tmp_path / "robot.toml", tmp_path / "corrected.mcap"
+    assert run(["learn", str(fitted), "-o", str(model)]) == 0
+    began = ",".join(map(str, rows_of(other, "/ground_truth").xyt[0]))
+    assert run(["correct", "-v", str(other), str(corrected), "--model", str(model), "--start", began]) == 0
+    before, after = evo_errors(other), evo_errors(corrected)
+    bends = cause != "slope"  # a slope shifts the robot and leaves its heading alone
+    assert (after[:2] < 0.6 * before[:2]).all()
+    assert after[2] < (0.6 if bends else 1.2) * before[2]
+
+
+OFFICE = Path(__file__).parent.parent.parent / "fixtures" / "office.mcap"
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "accel_slip:k=0.04,contact=axle",
+        "accel_slip:k=0.04,contact=wheels",
+        "region_slip:slip=0.05,x=1,y=1,radius=1,contact=wheels",
+    ],
+)
+def test_what_single_wheels_do_is_put_in_and_taken_out(tmp_path, effect, capsys):
+    # breaks where it is found out whether an effect asks for places by showing it something that is no motion
+    wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    given = ["--effect", effect, "--track", "0.4"]
+    assert run([str(OFFICE), str(wrong), *given]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *given]) == 0
+    assert ("--start" in capsys.readouterr().err) == effect.startswith("region_slip")
+    was, off, back = (rows_of(path, "/odom").xyt[:, :2] for path in (OFFICE, wrong, right))
+    assert np.abs(off - was).max() > 1e-3
+    assert np.abs(back - was).max() < 1e-6

@@ -1,18 +1,24 @@
-"""The noisy path: its moments, its invariances, and what it must never do."""
+"""Noisy paths: their law, their steps, and the published node."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
-from drives import LAW_COEFFICIENTS, model, office, silent, stamps, textbook_run
+from drives import LAW_COEFFICIENTS, model, office, silent, stamps, textbook_run, textbook_sigmas
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_typestore
 
+from odomcorrupt.cli import run
 from odomcorrupt.corruption.covariance import pose_covariance
-from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath, StepGrowth, noise_variances
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.geometry.se2 import Increments, compose
+from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
+from odomcorrupt.trajectories import read_drive
 
 EFFECTS = (
     effect_from_values("unequal_wheels", {"curvature": 0.02}),
@@ -22,7 +28,7 @@ EFFECTS = (
 
 
 def last_errors(chosen, drive, runs):
-    return np.array([NoisyPath(chosen, 5, run).feed(*drive).error_xyt[-1] for run in range(runs)])
+    return np.array([NoisyPath(chosen, 5, k).feed(*drive).error_xyt[-1] for k in range(runs)])
 
 
 @pytest.mark.slow
@@ -191,13 +197,13 @@ def test_covariance_is_calibrated_while_headings_are_well_known(law, step):
     t, poses = office(10.0, 40.0)
     places, runs = np.array([40, 130, 200, 400]), 600
     nees = np.empty((runs, len(places)))
-    for run in range(runs):
-        samples = NoisyPath(chosen, 11, run).feed(t, poses)
+    for k in range(runs):
+        samples = NoisyPath(chosen, 11, k).feed(t, poses)
         noisy = samples.clean_xyt[places, :2] + samples.error_xyt[places, :2] - samples.origin_xy
         P = pose_covariance(samples.sums[:, places], noisy.T)
         assert np.sqrt(P[:, 2, 2]).max() < 0.2
         e = samples.error_xyt[places]
-        nees[run] = np.einsum("ni,ni->n", e, np.linalg.solve(P, e[:, :, None])[:, :, 0])
+        nees[k] = np.einsum("ni,ni->n", e, np.linalg.solve(P, e[:, :, None])[:, :, 0])
     assert nees.mean(axis=0) / 3.0 == pytest.approx(np.ones(len(places)), abs=0.12)
 
 
@@ -205,8 +211,8 @@ def test_sideways_noise_is_calibrated_too():
     chosen = model(coefficients=Coefficients(0.05, 0.02, 0.05, 0.01, across_trans=0.04))
     t, poses = office(10.0, 20.0)
     nees = []
-    for run in range(600):
-        samples = NoisyPath(chosen, 12, run).feed(t, poses)
+    for k in range(600):
+        samples = NoisyPath(chosen, 12, k).feed(t, poses)
         e = samples.error_xyt[-1]
         noisy = samples.clean_xyt[-1:, :2] + e[:2] - samples.origin_xy
         nees.append(e @ np.linalg.solve(pose_covariance(samples.sums[:, -1:], noisy.T)[0], e))
@@ -241,8 +247,8 @@ def test_covariance_of_arcs_and_strafing_is_calibrated(law):
     k = Coefficients(0.005, 0.005, 0.01, 0.005, *((0.02,) if law == "omni" else (0.0, 0.004, 0.01)))
     t, poses = strafing() if law == "omni" else office(4.0, 40.0)
     nees = []
-    for run in range(500):
-        samples = NoisyPath(model(law, k), 13, run).feed(t, poses)
+    for n in range(500):
+        samples = NoisyPath(model(law, k), 13, n).feed(t, poses)
         e = samples.error_xyt[-1]
         P = pose_covariance(samples.sums[:, -1:], (samples.clean_xyt[-1:, :2] + e[:2] - samples.origin_xy).T)[0]
         assert np.sqrt(P[2, 2]) < 0.2
@@ -274,3 +280,102 @@ def test_the_angle_random_walk_of_a_gyro_grows_with_time_at_any_rate_and_at_rest
         samples = NoisyPath(chosen, 5, 0).feed(t, drive)
         place = (samples.clean_xyt[-1:, :2] + samples.error_xyt[-1:, :2] - samples.origin_xy).T
         assert pose_covariance(samples.sums[:, -1:], place)[0, 2, 2] == pytest.approx(0.01**2 * 8.0, rel=1e-5)
+
+
+def crawl(law, k, step, moves):
+    """Walk along a path from one end of a step or of a move to the next: slow and obvious."""
+    gone_m = gone_rad = 0.0
+    out = []
+    for ds, dtheta in np.abs(moves):
+        left, grown = 1.0, np.zeros(3)
+        while left > 0.0:
+            by_m = (step.distance_m - gone_m) / ds if ds > 0 else np.inf
+            by_rad = (step.angle_rad - gone_rad) / dtheta if dtheta > 0 else np.inf
+            part = min(left, by_m, by_rad)
+            before = np.square(textbook_sigmas(law, k, gone_rad / 2, gone_m, gone_rad / 2))
+            gone_m, gone_rad, left = gone_m + part * ds, gone_rad + part * dtheta, left - part
+            grown += np.square(textbook_sigmas(law, k, gone_rad / 2, gone_m, gone_rad / 2)) - before
+            if part in {by_m, by_rad}:
+                gone_m = gone_rad = 0.0
+        out.append(grown)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("law", ["linear", "quadratic", "velocity", "omni"])
+def test_growth_within_steps_agrees_with_crawling_along_the_path(law):
+    rng = np.random.default_rng(3)
+    moves = np.column_stack((rng.uniform(-0.3, 0.7, 60), rng.uniform(-0.5, 0.5, 60)))
+    moves[10:14] = 0.0
+    moves[20] = 2.4, 0.0
+    step = Step(0.25, 0.2)
+    got = noise_variances(
+        Noise(law, LAW_COEFFICIENTS[law], step),
+        Increments(moves[:, 0], np.zeros(60), moves[:, 1]),
+        np.ones(60),
+        StepGrowth(),
+    ).variances
+    expected = crawl(law, LAW_COEFFICIENTS[law], step, moves)
+    for ours, theirs in zip((got.rot1, got.trans, got.rot2), expected.T, strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-14)
+    assert not got.rot1[10:14].any()
+
+
+def test_an_increment_of_many_whole_steps_counts_each():
+    k = LAW_COEFFICIENTS["linear"]
+    got = noise_variances(
+        Noise("linear", k, Step(0.25, 0.2)),
+        Increments(np.array([1.0]), np.zeros(1), np.zeros(1)),
+        np.ones(1),
+        StepGrowth(),
+    )
+    assert got.variances.rot1[0] == pytest.approx(4 * (k.rot_trans * 0.25) ** 2)
+    assert got.variances.trans[0] == pytest.approx(4 * (k.trans_trans * 0.25) ** 2)
+    assert got.growth.began_m == pytest.approx(1.0)
+
+
+def test_no_increments_are_no_variance():
+    got = noise_variances(
+        Noise("linear", LAW_COEFFICIENTS["linear"], Step(1, 1)),
+        Increments(*np.zeros((3, 0))),
+        np.zeros(0),
+        StepGrowth(0.3, 0.1),
+    )
+    assert len(got.variances.rot1) == 0
+    assert got.growth == StepGrowth(0.3, 0.1)
+
+
+OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
+
+
+def edges(path, frame):
+    """Return stamps in ns and x, y, yaw of every transform from a frame."""
+    rows, types = [], get_typestore(Stores.ROS2_HUMBLE)
+    with path.open("rb") as file:
+        for _, _, message in make_reader(file).iter_messages(["/tf"]):
+            for one in types.deserialize_cdr(message.data, "tf2_msgs/msg/TFMessage").transforms:
+                if one.header.frame_id == frame:
+                    t, q = one.transform.translation, one.transform.rotation
+                    stamp = one.header.stamp.sec * 10**9 + one.header.stamp.nanosec
+                    rows.append((stamp, t.x, t.y, 2.0 * np.arctan2(q.z, q.w)))
+    return np.array([row[0] for row in rows]), np.array([row[1:] for row in rows])
+
+
+def test_subtraction_publishes_noisy_minus_clean_and_correction_the_rigid_motion(tmp_path):
+    words = ["--odom-topic", "/odom", "--law", "article-code", "--alpha", "9", "9", "9", "9", "--seed", "4"]
+    found = {}
+    for how in ("subtraction", "correction"):
+        out = tmp_path / f"{how}.mcap"
+        assert run([str(OFFICE), str(out), *words, "--tf", how, "--new-odom-frame", "noisy"]) == 0
+        found[how] = edges(out, "noisy")
+    drive = read_drive(OFFICE, "/odom")
+    np.testing.assert_array_equal(found["subtraction"][0], drive.stamps_ns)
+    model = MotionModel(Noise("article-code", Coefficients(9.0, 9.0, 9.0, 9.0)))
+    samples = NoisyPath(model, 4).feed(drive.stamps_ns, drive.xyt)
+    np.testing.assert_allclose(found["subtraction"][1][:, :2], samples.error_xyt[:, :2], atol=1e-9)
+    np.testing.assert_allclose(found["correction"][1][:, :2], samples.correction_xyt[:, :2], atol=1e-9)
+    assert np.abs(found["subtraction"][1] - found["correction"][1]).max() > 1e-3
+
+
+def test_subtraction_needs_a_frame(tmp_path, capsys):
+    assert run([str(OFFICE), str(tmp_path / "o.mcap"), "--preset", "typical", "--tf", "subtraction"]) == 2
+    assert "go together" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The report is one page that needs nothing but itself, says what the terminal says, and works in a real browser."""
+"""The HTML report, and numbers in text and JSON."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.html.comparison import report_html
 from odomcorrupt.report.json.comparison import comparison_json
+from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.report.text.comparison import MOST, comparison_brief, evaluation_sentence, sentence
+from odomcorrupt.report.text.numbers import noise_text
 from odomcorrupt.study.validate.compare import compare
 
 VOID = {"meta", "img", "link", "br", "hr"}
@@ -173,3 +176,26 @@ def shown(tab, page):
     assert (tab.complaints, tab.asked) == ([], [])
     tab.screenshot(page.with_suffix(".png"))
     return (np.mean(imread(page.with_suffix(".png"))[:, :, :3] < 0.95, axis=(1, 2)) > 0.0).sum()
+
+
+@pytest.mark.parametrize(("channel", "said"), [("along", "sigma 4 %"), ("wheels", "sigma 2.292 deg/m")])
+def test_a_difference_of_the_wheels_gains_is_a_turn_for_each_metre(channel, said):
+    effect = effect_from_values("gauss_markov", {"sigma": 0.04, "tau": 5.0, "channel": channel})
+    assert noise_text(effect) == [said, "tau 5 s"]
+
+
+def test_what_is_not_finite_becomes_null_at_any_depth_and_numpy_becomes_plain():
+    printed = {
+        "log_p": -np.inf,
+        "rows": [(1.5, float("nan")), {"size": np.float64("inf"), "count": np.int64(3), "kept": np.bool_(True)}],
+        "curve": np.array([[0.5, np.nan], [np.inf, 2.0]]),
+        "name": "slip",
+        "none": None,
+    }
+    assert json.loads(json.dumps(finite(printed), allow_nan=False)) == {
+        "log_p": None,
+        "rows": [[1.5, None], {"size": None, "count": 3, "kept": True}],
+        "curve": [[0.5, None], [None, 2.0]],
+        "name": "slip",
+        "none": None,
+    }

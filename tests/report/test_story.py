@@ -1,4 +1,4 @@
-"""What a search found, in all its words and pictures: findings that seldom come together, on one small drive."""
+"""Sentences of a summary and its JSON."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import json
 import re
 from dataclasses import replace
 from html import unescape
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_report import parsed_page
+from test_report import parsed_page, shown
 
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
@@ -20,16 +21,18 @@ from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
-from odomcorrupt.report.text.brief import _contact_words, _found_lines, findings_brief
+from odomcorrupt.report.text.brief import _contact_words, _found_lines, _mounting_words, findings_brief
 from odomcorrupt.report.text.comparison import comparison_text, rejection, within
-from odomcorrupt.report.text.design import advice_text, limits_sentence
+from odomcorrupt.report.text.design import advice_sentences, advice_text, inseparable_sentence, limits_sentence
 from odomcorrupt.report.text.diagnosis import NOTHING, fit_text, found_text, laws_table, shares_text
-from odomcorrupt.report.text.numbers import clock_lines, value_text
+from odomcorrupt.report.text.numbers import clock_lines, numbers_text, value_text
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import plan_of
 from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.drive_type import DriveType
 from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.select.confidence import Evidence, confidence
 from odomcorrupt.study.select.dependence import BasisScore, Dependence
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 from odomcorrupt.study.select.result import Learned
@@ -605,3 +608,166 @@ def test_a_drive_that_settles_nothing_is_not_written(monkeypatch, searched, case
         f"{drive} is not written: there is no open question that another drive would answer" in capsys.readouterr().err
     )
     assert not drive.exists()
+
+
+BACK = SimpleNamespace(manoeuvre=SimpleNamespace(sentence="straights"), duration_s=180.0)
+TWINS = {"wheelbase": ("gyro_scale",)}
+
+
+def said(*choices, best=BACK):
+    return inseparable_sentence(Advice(choices, (), (), best), lambda name: TWINS.get(name, ()))
+
+
+def choice(*names, plan=BACK):
+    return Ambiguity(names, "", plan, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("choices", "sentence"),
+    [
+        ((), ""),
+        # two names of one error: nothing is open between them
+        ((choice("wheelbase", "gyro_scale", plan=None),), ""),
+        (
+            (choice("gyro_bias", "unequal_wheels"),),
+            "These data cannot separate gyro_bias from unequal_wheels: drive straights",
+        ),
+        (
+            (choice("side_slip", "mount_yaw"), choice("side_slip", "icr_shift"), choice("a", "b")),
+            "These data cannot separate side_slip from mount_yaw or icr_shift, nor a from b: drive straights",
+        ),
+        (
+            (choice("lever_arm", "icr_shift", plan=None),),
+            "These data cannot separate lever_arm from icr_shift; no drive of ten minutes would",
+        ),
+    ],
+)
+def test_one_sentence_names_every_pair_once_and_the_drive(choices, sentence):
+    assert said(*choices).removesuffix(", for 3 minutes") == sentence
+    assert said(*choices).endswith(", for 3 minutes") == ("drive straight" in sentence)
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "json.md").read_text(encoding="utf8")
+
+
+@pytest.fixture(scope="module")
+def printed(case, diagnosed, tmp_path_factory):
+    """What `diagnose --json` prints of a short office drive with one wheel larger, and what it writes beside it."""
+    folder = tmp_path_factory.mktemp("printed")
+    files = {"drive": folder / "next.mcap", "report": folder / "found.html"}
+    words = [w for flag, path in files.items() for w in (f"--{flag}", str(path))]
+    out = folder / "out.json"
+    with pytest.MonkeyPatch.context() as patch, out.open("w") as stream:
+        patch.setattr("sys.stdout", stream)
+        patch.setattr("odomcorrupt.study.pipeline.learn", lambda *_args, **_named: diagnosed.search)
+        patch.setattr("odomcorrupt.study.pipeline.sequence_comparison", lambda *_args, **_clocks: diagnosed.sequence)
+        assert run(["diagnose", str(case.bag), "--track", str(case.recording.track_m), "--json", *words]) == 0
+    return json.loads(out.read_text(), parse_constant=pytest.fail), files
+
+
+def test_the_schema_is_that_of_the_page(printed):
+    found, _ = printed
+    section = PAGE.split("## `diagnose --json`", 1)[1].split("\n## ", 1)[0]
+    rows = [re.findall(r"`([^`]+)`", line.split("|")[1]) for line in section.splitlines() if line.startswith("| `")]
+    named = {code for codes in rows for code in codes}
+    assert set(found) - {"schema"} == {code for code in named if "[" not in code and "." not in code}
+    assert found["schema"] == 2
+    entry = found["found"][0]
+    assert {f"found[].{key}" for key in entry} <= named | {"found[].effect", "found[].kind"}
+
+
+def test_the_cause_is_found_with_its_numbers(printed, case):
+    found, _ = printed
+    assert found["verdict"] == "missing"
+    entry = found["found"][0]
+    assert (entry["effect"], entry["kind"]) == ("unequal_wheels", "effect")
+    curvature = entry["parameters"]["curvature"]
+    assert curvature["unit"] == "rad/m"
+    assert abs(curvature["value"] + 0.0133) < 4.0 * curvature["standard_error"]
+    assert 0.9 < entry["confidence"] < 1.0
+    for key in ("rmse_10m", "rmse_10s"):
+        before, after = entry["held_out"][key]
+        assert after < before
+    # half of this drive is no 50 m
+    assert entry["held_out"]["rmse_50m"] == [None, None]
+    assert entry["held_out"]["nats_per_m"][1] > entry["held_out"]["nats_per_m"][0]
+    assert found["ladder"][0]["rmse_10s"] == entry["held_out"]["rmse_10s"][0]
+    assert found["ladder"][1]["model"] == "+ unequal_wheels"
+    assert found["candidates"][0]["effect"] == "unequal_wheels"
+
+
+def test_what_is_open_is_reported_with_a_drive(printed):
+    found, files = printed
+    for one in found["not_testable"]:
+        assert one["why"]
+        assert one["drive"]
+    assert all(one["size"] > 0.0 for one in found["detectable"])
+    seen = {one["effect"] for one in found["detectable"]}
+    assert not seen & {one["effect"] for one in found["not_testable"]}
+    assert files["drive"].exists() == (found["next_drive"] is not None)
+
+
+def test_confidence_falls_with_rivals_with_what_is_left_and_with_little_evidence():
+    plain = confidence(Evidence(50.0))
+    assert plain > 0.99
+    assert confidence(Evidence(50.0, (49.5,))) == pytest.approx(1.0 / (2.0 - 0.393 + 0.005), abs=0.02)
+    assert confidence(Evidence(50.0, (49.0, 20.0))) > confidence(Evidence(50.0, (49.9, 20.0)))
+    assert confidence(Evidence(50.0, (), 100.0)) < 0.4
+    assert plain > confidence(Evidence(50.0, correlated=50.0)) > confidence(Evidence(50.0, left=50.0))
+    assert confidence(Evidence(1.0)) < 0.75
+    assert confidence(Evidence(-1.0)) == 0.0
+
+
+def test_the_report_is_whole_small_and_says_what_is_missing(printed):
+    found, files = printed
+    page = files["report"].read_text(encoding="utf8")
+    parsed = parsed_page(page)
+    assert parsed.tags.count("script") == 2  # the data, and the one script that the policy admits
+    text = unescape(page)
+    assert "missing: unequal_wheels" in text.lower()
+    assert "--add unequal_wheels" in text
+    for one in found["not_testable"]:
+        assert one["why"] in text
+    assert parsed.tags.count("img") == 3 + bool(found["unknown"]) + bool(found["next_drive"])
+    assert "nan" not in unescape(re.sub(r'src="[^"]*"', "", page)).lower().split()
+
+
+@pytest.mark.slow
+def test_a_real_browser_shows_the_report(printed, tab, tmp_path):
+    page = tmp_path / "found.html"
+    page.write_bytes(printed[1]["report"].read_bytes())
+    assert shown(tab, page) > 1500
+
+
+def words(name, values, errors):
+    run = SimpleNamespace(matched=True)
+    problem = SimpleNamespace(recordings=[run])
+    fit = SimpleNamespace(effects=[effect_from_values(name, values)], standard_errors=np.array(errors), problem=problem)
+    return _mounting_words(SimpleNamespace(added=(), drive_type=DRIVE), fit)
+
+
+DRIVE = DriveType("differential", "", "")
+
+
+@pytest.mark.parametrize(("yaw", "error"), [(2e-4, 1.5e-4), (2e-4, 1e-6), (0.02, 0.01)])
+def test_an_insignificant_or_tiny_yaw_is_not_reported(yaw, error):
+    assert words("mount_yaw", {"yaw": yaw}, [error]) == ""
+
+
+def test_a_yaw_is_a_turn_and_a_lever_arm_a_point():
+    assert words("mount_yaw", {"yaw": 0.0052}, [2e-4]) == "the truth is turned by 0.3 deg against TF"
+    said = words("lever_arm", {"x": 0.06, "y": -0.001}, [1e-3, 1e-3])
+    assert said.startswith("the truth follows a point 6 cm ahead of the base (lever_arm")
+
+
+def test_a_region_is_given_by_its_full_size():
+    patch = effect_from_values("region_slip", {"slip": 0.1, "x": 1.0, "y": 2.0, "radius": 2.483, "width": 3.455})
+    said = ", ".join(numbers_text(patch, [0.01]))
+    assert said.endswith("5.0 m x 6.9 m")
+    assert "radius" not in said
+
+
+def test_an_effect_with_evidence_is_not_called_untestable():
+    advice = Advice((), (UntestableEffect("backlash", "never reversed", None, "reverse"),), (), None)
+    assert advice_sentences(advice) == ["backlash: not testable here: never reversed; reverse"]
+    assert advice_sentences(advice, {"backlash": "wheelbase"}) == ["backlash: not separated from wheelbase; reverse"]

@@ -1,13 +1,25 @@
+"""Samples and density of one motion agree with the formulas, and laws convert."""
+
+from __future__ import annotations
+
+import json
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from odomcorrupt.cli import run
 from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.errors import ModelError
+from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Constraint, Grid, free_space
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import LAWS, Coefficients, Variances, law_named
 from odomcorrupt.rng import stream
+from odomcorrupt.sampling.convert import convert, drift_of
+from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
 from odomcorrupt.sampling.samples import (
     EXAMPLES,
     ellipse,
@@ -76,9 +88,9 @@ def test_straight_motion_is_drawn_as_corruption_draws_it():
     noise = Noise("diffusion", Coefficients(0.3, 0.2, 0.1, 0.05))
     poses = np.array([[0.5, 0.2, 0.3], [0.5 + math.cos(0.3), 0.2 + math.sin(0.3), 0.3]])
     stamps = np.array([0, 10**9])
-    for run in range(5):
-        knots = NoisyPath(MotionModel(noise), 9, run).feed(stamps, poses)
-        rng = stream(9, run, "noise")
+    for k in range(5):
+        knots = NoisyPath(MotionModel(noise), 9, k).feed(stamps, poses)
+        rng = stream(9, k, "noise")
         rng.standard_normal(4)  # the first pose draws too, and stays
         move = move_between(*poses)
         ours = move_sampled(move, move_variances(noise, move), 1, rng)
@@ -209,3 +221,249 @@ def test_a_gyro_noise_that_grows_with_time_is_no_part_of_one_motion():
     gyro = replace(still, coefficients=replace(still.coefficients, rot_time=1e-3))
     move = move_between(np.zeros(3), np.array([1.0, 0.2, 0.3]))
     assert move_variances(gyro, move) == move_variances(still, move)
+
+
+FORWARD = move_between(np.array([0.3, -0.2, 0.5]), np.array([1.1, 0.4, 1.2]))
+REVERSE = move_between(np.array([0.3, -0.2, 0.5]), np.array([-0.5, -0.5, 0.2]))
+ARC = move_between(np.array([0.3, -0.2, 0.5]), np.array([1.1, 0.4, 1.2]), arc=True)
+SHORT = move_between(np.array([0.0, 0.0, 0.5]), np.array([0.03, 0.002, 0.7]))
+
+
+def of(rot1, trans, rot2):
+    return Variances(*(np.array([v**2]) for v in (rot1, trans, 0.0, rot2)))
+
+
+NOISES = [
+    (FORWARD, of(0.15, 0.08, 0.1)),
+    (FORWARD, of(0.9, 0.05, 0.7)),  # wraps
+    (FORWARD, of(0.3, 0.6, 0.3)),  # often drives backwards
+    (REVERSE, of(0.2, 0.1, 0.2)),
+    (SHORT, of(0.3, 0.01, 0.2)),  # across its axis a little
+    (ARC, of(0.4, 0.1, 0.2)),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("move", "variances"), NOISES)
+def test_pose_density_is_what_samples_follow(move, variances):
+    """The probability of boxes, by sampling and by integrating: every box within five standard errors."""
+    n = 400_000
+    drawn = move_sampled(move, variances, n, np.random.default_rng(5))
+    drawn[:, 2] = np.mod(drawn[:, 2], 2 * math.pi)
+    rng = np.random.default_rng(6)
+    size = np.array([*(0.3 * drawn[:, :2].std(axis=0)), 0.3])
+    nodes = (np.arange(12) + 0.5) / 12
+    unit = np.stack(np.meshgrid(nodes, nodes, nodes), axis=-1).reshape(-1, 3)
+    centres = drawn[rng.integers(0, n, 25)]
+    for centre in centres:
+        points = centre + (unit - 0.5) * size
+        expected = pose_density(points, move, variances).mean() * size.prod()
+        error = drawn - centre
+        error[:, 2] -= 2 * math.pi * np.round(error[:, 2] / (2 * math.pi))
+        measured = (np.abs(error) <= size / 2).all(axis=1).mean()
+        assert abs(measured - expected) < 5 * math.sqrt(expected / n) + 0.02 * expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("move", "variances"), [NOISES[0], NOISES[1], NOISES[3], NOISES[5]])
+def test_pose_density_integrates_to_one_and_the_product_does_not(move, variances):
+    assert density_on_grid(move, variances).integral == pytest.approx(1.0, abs=2e-3)
+    length = float(np.hypot(*move.shift_xy))
+    if not move.arc:
+        grid = density_on_grid(move, variances, density_of=lambda at: product(at, move, variances))
+        assert grid.integral == pytest.approx(length, rel=0.02)
+
+
+def test_product_is_three_densities_written_by_hand():
+    def prob(error, variance):
+        return math.exp(-error * error / (2 * variance)) / math.sqrt(2 * math.pi * variance)
+
+    variances = of(0.1, 0.05, 0.12)
+    x0, y0, theta0 = FORWARD.start_xyt
+    rot1, trans, rot2 = (float(v[0]) for v in (FORWARD.parts.rot1_rad, FORWARD.parts.trans_m, FORWARD.parts.rot2_rad))
+    for x, y, theta in ((1.0, 0.45, 1.1), (1.15, 0.3, 1.3)):
+        hat1 = math.atan2(y - y0, x - x0) - theta0
+        hat = math.hypot(x - x0, y - y0)
+        hat2 = theta - theta0 - hat1
+        expected = prob(rot1 - hat1, 0.01) * prob(trans - hat, 0.0025) * prob(rot2 - hat2, 0.0144)
+        ours = product(np.array([[x, y, theta]]), FORWARD, variances)[0]
+        assert ours == pytest.approx(expected, rel=1e-9)
+        assert pose_density(np.array([[x, y, theta]]), FORWARD, variances)[0] == pytest.approx(expected / hat, rel=1e-9)
+
+
+def test_hypothetical_reading_asks_the_law_at_every_pose():
+    noise = Noise("quadratic", Coefficients(0.02, 0.01, 0.02, 0.01))
+    poses = FORWARD.end_xyt + np.array([[0.0, 0.0, 0.0], [0.3, 0.2, 0.1], [-0.2, 0.1, -0.4]])
+    expected = [
+        product(pose[None], FORWARD, move_variances(noise, move_between(FORWARD.start_xyt, pose)))[0] for pose in poses
+    ]
+    np.testing.assert_allclose(hypothetical(poses, FORWARD, noise), expected, rtol=1e-9)
+
+
+def test_two_readings_of_the_lecture_at_one_pose():
+    """Table 5.5 of the book worked by hand for the lecture's `balanced`: variances of u, and of the hypothesis."""
+    example = EXAMPLES["balanced"]
+    move = move_between(np.array(example.start_xyt), np.array(example.end_xyt))
+    at = np.array([[0.8, 0.5, math.radians(20.0)]])
+    assert product(at, move, move_variances(example.noise, move))[0] == pytest.approx(0.00101, rel=0.01)
+    assert hypothetical(at, move, example.noise)[0] == pytest.approx(5.4e-5, rel=0.01)
+
+
+def test_density_within_a_map_integrates_to_one_over_what_is_free():
+    cells = np.zeros((60, 60), dtype=np.uint8)
+    cells[:, 45:] = OCCUPIED  # beyond x = 1.5 - 0.6
+    space = free_space(Grid(cells, 0.05, np.array([-1.2, -1.2, 0.0])), 0.0)
+    grid = density_on_grid(*NOISES[0])
+    within, part = within_map(grid, Constraint(space), FORWARD.start_xyt[:2])
+    assert within.integral == pytest.approx(grid.integral, rel=1e-9)
+    drawn = move_sampled(*NOISES[0], 100_000, np.random.default_rng(5))
+    # half a cell of the grid lies on the wrong side of the wall
+    assert part == pytest.approx(space.free(drawn[:, :2]).mean(), abs=0.02)
+    assert 0.02 < part < 0.98
+    gx, gy = np.meshgrid(within.x_m, within.y_m)
+    free = space.free(np.column_stack((gx.ravel(), gy.ravel()))).reshape(gx.shape)
+    assert (within.density[~free] == 0.0).all()
+
+
+def test_odometry_is_the_likeliest_end_of_a_long_drive_by_the_product():
+    example = EXAMPLES["balanced"]
+    move = move_between(np.array(example.start_xyt), np.array(example.end_xyt))
+    variances = move_variances(example.noise, move)
+    best = product(move.end_xyt[None], move, variances)[0]
+    near = move.end_xyt + np.random.default_rng(0).normal(scale=0.02, size=(200, 3))
+    assert (product(near, move, variances) < best).all()
+
+
+@pytest.mark.parametrize(
+    ("variances", "word"),
+    [(of(0.0, 0.1, 0.1), "rot1"), (of(0.1, 0.0, 0.1), "trans"), (Variances(*np.full((4, 1), 0.1)), "across")],
+)
+def test_what_has_no_closed_form_is_refused(variances, word):
+    with pytest.raises(ModelError, match=word):
+        pose_density(FORWARD.end_xyt[None], FORWARD, variances)
+
+
+STEP = Step(0.25, 0.2)
+QUADRATIC = Noise("quadratic", Coefficients(0.1, 0.05, 0.04, 0.02), STEP)
+
+
+def spread(noise, poses, runs=600):
+    """Standard deviations of heading and of travel at the end of a drive corrupted at 50 Hz, travel by itself."""
+    stamps = np.arange(len(poses)) * 20_000_000
+    ends = np.array([NoisyPath(MotionModel(noise), 4, k).feed(stamps, poses).error_xyt[-1] for k in range(runs)])
+    return ends.std(axis=0)
+
+
+def straight(n=401):
+    poses = np.zeros((n, 3))
+    poses[:, 0] = np.linspace(0, 5, n)
+    return poses
+
+
+def turning(n=401):
+    poses = np.zeros((n, 3))
+    poses[:, 2] = np.linspace(0, 4, n)
+    return poses
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["diffusion", "linear"])
+def test_converted_law_drifts_the_same_in_simulation(target):
+    step = None if target == "diffusion" else Step(0.5, 0.1)
+    other = convert(QUADRATIC, law_named(target), step)
+    for poses, columns in ((straight(), (0, 2)), (turning(), (2,))):
+        ours, theirs = spread(other, poses), spread(QUADRATIC, poses)
+        for column in columns:
+            assert ours[column] == pytest.approx(theirs[column], rel=0.09)
+
+
+def test_quadratic_of_amcl_in_diffusion_by_hand():
+    found = convert(QUADRATIC, law_named("diffusion"), None).coefficients
+    assert found.rot_rot == pytest.approx(math.sqrt(0.1 * 0.2 / 2))
+    assert found.rot_trans == pytest.approx(math.sqrt(2 * 0.05 * 0.25))
+    assert found.trans_trans == pytest.approx(math.sqrt(0.04 * 0.25))
+    assert found.trans_rot == pytest.approx(math.sqrt(0.02 * 0.2 / 2))
+
+
+@pytest.mark.parametrize("law", ["diffusion", "linear", "quadratic", "velocity", "omni"])
+def test_there_and_back_is_where_it_began(law):
+    other = convert(QUADRATIC, law_named(law), Step(0.1, 0.3))
+    back = convert(other, law_named("quadratic"), STEP)
+    for name in ("rot_rot", "rot_trans", "trans_trans", "trans_rot"):
+        assert getattr(back.coefficients, name) == pytest.approx(getattr(QUADRATIC.coefficients, name))
+    assert drift_of(other).rot_rot == pytest.approx(drift_of(QUADRATIC).rot_rot)
+
+
+def test_what_has_no_place_in_the_other_law_is_reported():
+    sideways = Noise("diffusion", Coefficients(0.1, 0.1, 0.1, 0.1, across_trans=0.02))
+    with pytest.raises(ModelError, match="across_trans"):
+        convert(sideways, law_named("quadratic"), STEP)
+    assert convert(sideways, law_named("omni"), STEP).coefficients.across_trans > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["1", "1", "1", "1", "--from", "quadratic", "--to", "diffusion"], "--step"),
+        (["1", "1", "1", "1", "--from", "diffusion", "--to", "linear"], "--to-step"),
+        (["1", "1", "1", "--from", "diffusion", "--to", "linear"], "3 numbers"),
+        (["1", "1", "1", "x", "--from", "diffusion", "--to", "linear"], "'x'"),
+        (["1", "1", "1", "1", "--from", "cubic", "--to", "linear"], "cubic"),
+    ],
+)
+def test_wrong_usage_is_reported_in_one_line(arguments, word, capsys):
+    assert run(["convert-alpha", *arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert word in lines[0]
+
+
+def test_command_prints_what_to_type_next(capsys):
+    arguments = ["convert-alpha", "0.1", "0.05", "0.04", "0.02", "--from", "quadratic", "--step", "0.25m"]
+    assert run([*arguments, "--to", "diffusion"]) == 0
+    said = capsys.readouterr().out.replace(" \\\n", " ").split()
+    assert " ".join(said).endswith("next odomcorrupt in.bag out.bag --law diffusion --alpha 0.1 0.158114 0.1 0.0447214")
+    assert run([*arguments, "--to", "diffusion", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["to"]["coefficients"]["rot_rot"] == pytest.approx(0.1)
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "laws.md").read_text()
+
+
+def test_every_law_is_in_the_table():
+    table = [line for line in PAGE.splitlines() if line.startswith("| `")]
+    named = {re.match(r"\| `([\w-]+)`", line)[1] for line in table}
+    assert set(LAWS) <= named
+
+
+def test_session_on_the_page_is_what_the_command_prints(capsys):
+    session = re.search(r"```\n\$ odomcorrupt (.*?)\n(.*?)```", PAGE, re.DOTALL)
+    assert run(session[1].split()) == 0
+    assert capsys.readouterr().out == session[2]
+
+
+@pytest.mark.parametrize("name", ["linear", "quadratic", "velocity", "omni"])
+def test_formulas_of_the_conversion_table_hold(name):
+    row = re.findall(rf"^\| `{name}` \|(.*)\|$", PAGE, re.MULTILINE)[-1]
+    law = law_named(name)
+    step = Step(0.3, 0.15)
+    alphas = [0.11, 0.07, 0.05, 0.03, 0.02, 0.013][: len(law.alphas)]
+    if name == "omni":
+        alphas = alphas[:4]
+    found = convert(Noise(name, law.coefficients(alphas), step), law_named("diffusion"), None).coefficients
+    symbols = {f"A{i + 1}": a for i, a in enumerate(alphas)} | {"D": step.distance_m, "Φ": step.angle_rad}
+    for cell, coefficient in zip(row.split("|"), ("rot_rot", "rot_trans", "trans_trans", "trans_rot"), strict=True):
+        text = re.sub(r"√(\w+)", r"√(\1)", cell.strip())
+        text = re.sub(r"(?<=[\w)]) (?=[\w√(])", "*", text).replace("√", "sqrt")
+        value = eval(text, {"sqrt": np.sqrt, "__builtins__": {}}, symbols)  # noqa: S307 - our own page
+        assert getattr(found, coefficient) == pytest.approx(value), cell
+
+
+def test_same_numbers_differ_between_laws_as_the_page_says():
+    said = re.search(
+        r"deviation of ([\d.]+) rad\s+by\s+`linear`, ([\d.]+) rad by `quadratic` and ([\d.]+) rad by `diff", PAGE
+    )
+    per_message = Step(0.02, 1.0)
+    for name, value in zip(("linear", "quadratic", "diffusion"), said.groups(), strict=True):
+        noise = Noise(name, Coefficients(0.05, 0.05, 0.05, 0.05), per_message if LAWS[name].per_step else None)
+        assert np.sqrt(10.0 * drift_of(noise).rot_trans) == pytest.approx(float(value), abs=0.005)

@@ -5,7 +5,7 @@ from hashlib import sha256
 
 import pytest
 from mcap.reader import make_reader
-from test_routes import write_commands
+from test_wheelsim import write_commands
 
 from odomcorrupt.cli import run
 from odomcorrupt.simulation.faults import EVERY

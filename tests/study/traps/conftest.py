@@ -10,7 +10,7 @@
 | 7.6 | correlated noise and bursts resemble bias and scale | section_7 test_6 (slow), ../test_library (slow) |
 | 7.7 | low power for causes that act in few places | section_7 test_7 (slow) |
 | 7.8 | windows that overlap or reverse, zeros, other steps | section_7 test_8, ../test_compare_calibration,
-  ../../sampling/test_convert |
+  ../../sampling/test_samples |
 | 7.9 | noise inflated by a cause that is found later | section_7 test_9 |
 | 12.1 | assumed noise of a satellite truth | section_12 test_1 (two) |
 | 12.2 | a controller that steers by the truth | section_12 test_2 |

@@ -1,5 +1,10 @@
+"""`sample` and `density`."""
+
+from __future__ import annotations
+
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
@@ -73,3 +78,18 @@ def test_start_alone_moves_the_examples_motion(capsys):
         content = json.loads(capsys.readouterr().out)
         parts.append([content[name] for name in ("rot1_rad", "trans_m", "rot2_rad")])
     np.testing.assert_allclose(parts[0], parts[1], atol=1e-12)
+
+
+def test_density_is_printed_and_drawn(tmp_path, capsys):
+    picture = tmp_path / "density.svg"
+    assert run(["density", "-o", str(picture), "--seed", "1", "--at", "0.2,0.35,10deg"]) == 0
+    out = capsys.readouterr().out
+    integral = float(re.search(r"end poses: ([\d.]+)", out)[1])
+    assert integral == pytest.approx(1.0, abs=1e-3)
+    assert float(re.search(r"10 deg\): ([\d.]+)", out)[1]) > 100
+    assert picture.read_bytes().startswith(b"<?xml")
+
+
+def test_noise_without_a_density_is_wrong_usage(capsys):
+    assert run(["density", "--alpha", "0", "0", "0.1", "0.1"]) == 2
+    assert "rot1" in capsys.readouterr().err
