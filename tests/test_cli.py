@@ -220,7 +220,7 @@ def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(cor
         (["--effect", "weel_scale:e=1"], "did you mean wheel_scale?"),
         (["--effect", "wheel_scale:e"], "'e' is not key=number"),
         (["--effect", "wheel_scale:x=1"], "has no parameter 'x'"),
-        (["--effect", "wheel_scale:e=7"], "e: 7; it must lie in"),
+        (["--effect", "wheel_scale:e=7000"], "e: 7000; it must lie in"),
         (["--seed", "-1"], "--seed"),
         (["--nonsense"], "--nonsense"),
         (["third"], "unexpected extra argument"),
