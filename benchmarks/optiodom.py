@@ -1,14 +1,17 @@
-"""OptiOdom: final position errors of one model a robot, learned on the other half of its runs, beside the published.
+"""OptiOdom: final position errors of one model a robot, of the other half of its runs, beside the published.
 
-    python benchmarks/optiodom.py FOLDER [--robot diff ...] [--runs N] [--fit EFFECT ...] [-o JSON] [--page MD]
+    python benchmarks/optiodom.py FOLDER [--robot diff ...] [--runs N] [--learn N | --fit EFFECT ...] [-o JSON]
+    python benchmarks/optiodom.py --page docs/optiodom.md JSON
 
 FOLDER holds diff.npz, tricyc.npz, omni3.npz and omni4.npz: wheel ticks and motion capture of 399 runs of four robots
 (Sousa, Petry & Moreira, OptiOdom: a generic approach for odometry calibration of wheeled mobile robots, J. Intell.
 Robot. Syst. 2022), which are not part of this repository. Odometry is summed at full rate with the nominal parameters
 of the published table. The measure is the published one: the distance between the last poses of odometry and truth,
-both begun at the origin. Halves are every second run, so both have runs of every set. `--runs` takes that many runs,
-evenly spread, for a quick look; `--fit` fits these effects instead of learning which ones there are; `--write` writes
-each run as text files of odometry and truth.
+both begun at the origin. Halves are every second run, so both have runs of every set.
+
+Without options the effects of each row of `ROBOTS` are fitted on one half and measured on the other, and the reverse;
+`--learn N` learns which ones there are, from N runs of each half, evenly spread. `--runs` takes that many runs for a
+quick look; `--write` writes each run as text files of odometry and truth. Results are added to an existing JSON file.
 """
 
 from __future__ import annotations
@@ -49,20 +52,30 @@ EPOCH_NS = 1_600_000_000_000_000_000
 PAGE = """\
 # A public table: 399 runs of four robots
 
-For readers who want to see how models that are learned here do beside published calibrations. OptiOdom (Sousa, Petry &
-Moreira, J. Intell. Robot. Syst. 2022) compares seven calibrations on motion-capture runs of a differential, a tricycle
-and two omnidirectional robots. Their measure is the distance between the last poses of odometry and truth of a run,
-both begun at the origin; the table has the largest and the median of all runs, in m. The published parameters were
-fitted on all runs that they are measured on. Models of `learn` are learned on every second run and measured on the
-others, and the reverse. `benchmarks/optiodom.py` makes this page.
+For readers who want to compare models of this library with published calibrations. OptiOdom (Sousa, Petry & Moreira,
+J. Intell. Robot. Syst. 2022) compares seven calibrations on motion-capture runs of a differential drive, a tricycle and
+two omnidirectional robots. Their measure is the distance between the last poses of odometry and truth of a run, both
+begun at the origin. The table has the largest and, in brackets, the median of all runs, in m. Published parameters were
+fitted on all runs that they are measured on; ours on every second run, measured on the others, and the reverse.
 
-| robot | runs | nominal | best published, fitted on all runs | learned on the other half |
-|---|---|---|---|---|
-{rows}
+{table}
 
-What was learned, on the even and on the odd runs:
+`benchmarks/optiodom.py` computes the figures from the runs, and this page from `benchmarks/optiodom.json`. CPU time and
+memory are those of the larger half, with one thread.
+
+## Fitted models
 
 {models}
+
+Which effects are fitted was chosen on all runs, by regression of windows; their values are those of one half. Two of
+them are not among the published parameters: scrub while turning, of rollers above all (`turn_scrub`: on four mecanum
+wheels all travel falls by 3 % per 0.1 rad/s), and an off-centre load, which turns a robot in bends (`off_centre_load`).
+On the mecanum robot only its part per sideways speed has one sign on both halves.
+{why}
+
+## What falls short
+
+{short}
 """
 
 
@@ -75,6 +88,8 @@ class Robot:
     displacement : body displacements (n, 3) from the travel of the wheels (n, w), the steering angles (n,) and geometry
     nominal, published : diameters and geometry; of omni3 the page states the published figure
     goal : the largest and the median error to reach, m
+    effects : names of the effects that are fitted
+    stated : published figures that are not reproduced here
     """
 
     title: str
@@ -85,6 +100,7 @@ class Robot:
     nominal: tuple[Sequence[float], Mapping[str, float]]
     published: tuple[Sequence[float], Mapping[str, float]] | None
     goal: tuple[float, float]
+    effects: tuple[str, ...]
     stated: str = ""
 
 
@@ -111,19 +127,24 @@ ROBOTS = {
     "diff": Robot(
         "differential", "differential", 0.2, 1.0 / (43.7 * 64.0), _differential,
         ((0.084, 0.084), {"l": 0.2}), ((0.083254, 0.083321), {"l": 0.200946}), (0.053, 0.011),
+        ("wheel_scale", "wheelbase", "unequal_wheels", "mount_yaw", "turn_scrub"),
     ),
     "tricyc": Robot(
         "tricycle", "tricycle", None, 1.0 / 1600.0, _tricycle,
         ((0.065,), {"l": 0.15, "offset": 0.0}), ((0.063025,), {"l": 0.154167, "offset": np.radians(-1.150)}),
-        (0.165, 0.060), "Kallasi .165",
+        (0.165, 0.060), ("wheel_scale", "wheelbase", "steering_offset", "mount_yaw", "lever_arm"), "Kallasi .165",
     ),
     "omni3": Robot(
         "three omnidirectional wheels", "omni", None, 1.0 / (12.0 * 1024.0), _three,
-        ((0.102,) * 3, {"l": 0.195}), None, (0.116, 0.028), "Lin .209, OptiOdom .222",
+        ((0.102,) * 3, {"l": 0.195}), None, (0.116, 0.028),
+        ("wheel_scale", "sideways_scale", "wheelbase", "unequal_wheels", "sideways_turn", "lever_arm", "turn_scrub",
+         "off_centre_load"), "Lin .209, OptiOdom .222",
     ),
     "omni4": Robot(
         "four mecanum wheels", "omni", None, 1.0, _four,
         ((0.06,) * 4, {"l": 0.4}), ((0.06332, 0.06420, 0.06421, 0.06395), {"l": 0.413184}), (0.121, 0.026),
+        ("wheel_scale", "sideways_scale", "wheelbase", "unequal_wheels", "sideways_turn", "turn_scrub",
+         "off_centre_load"),
     ),
 }  # fmt: skip
 
@@ -238,8 +259,11 @@ def _values(effect: Effect) -> dict[str, Any]:
     return own if expression is None else {"expression": expression.text, **own}
 
 
-def measured(key: str, folder: Path, most: int | None, fitted: Sequence[str]) -> dict[str, Any]:
-    """Return the errors of all runs of a robot by column, and the models of both halves."""
+def measured(key: str, folder: Path, most: int | None, learn: int | None, fitted: Sequence[str]) -> dict[str, Any]:
+    """Return the errors of all runs of a robot by column, and the models of both halves.
+
+    learn : number of runs of each half to learn from; None fits the effects `fitted`
+    """
     robot, runs = ROBOTS[key], read(folder, key, most)
     errors = {"nominal": [final_error_m(run.odometry(robot, *robot.nominal), run.truth) for run in runs]}
     if robot.published is not None:
@@ -247,29 +271,78 @@ def measured(key: str, folder: Path, most: int | None, fitted: Sequence[str]) ->
     halves, own, models = (runs[::2], runs[1::2]), [0.0] * len(runs), []
     for half in (0, 1):
         # a process of its own, for its memory
+        some = halves[half]
+        if learn is not None:
+            some = [some[i] for i in np.unique(np.linspace(0, len(some) - 1, learn).round().astype(int))]
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            effects, said = pool.submit(learned, key, halves[half], fitted).result()
+            effects, said = pool.submit(learned, key, some, () if learn is not None else fitted).result()
         models.append(said)
         own[1 - half :: 2] = [corrected_error_m(run, robot, effects) for run in halves[1 - half]]
-    errors["learned"] = own
+    errors["fitted" if learn is None else "learned"] = own
     table = {column: [round(max(e), 4), round(float(np.median(e)), 4)] for column, e in errors.items()}
     worst = [runs[i].name for i in np.argsort(own)[::-1][:5]]
-    return {"runs": len(runs), "largest_and_median_m": table, "worst": worst, "models": models}
+    kind = "fitted" if learn is None else "learned"
+    rates = turn_rates(runs, robot)
+    return {
+        "runs": len(runs),
+        "turn_rates_radps": rates,
+        "largest_and_median_m": table,
+        kind: {"worst": worst, "models": models},
+    }
+
+
+def turn_rates(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
+    """Return the mean turn rate (rad/s) per travel on each kind of path."""
+    turned: dict[str, list[np.ndarray]] = {}
+    for run in runs:
+        rows = slice(None, None, max(1, round(5e7 / float(run.stamps_ns[1] - run.stamps_ns[0]))))  # 20 Hz
+        steps = np.abs(np.diff(run.odometry(robot, *robot.nominal)[rows], axis=0))
+        travel_m = np.hypot(steps[:, 0], steps[:, 1])
+        rate = steps[:, 2] / np.diff(run.stamps_ns[rows] * 1e-9)
+        turned.setdefault(run.name.split()[0], []).append(np.array([travel_m @ rate, travel_m.sum()]))
+    return {kind: round(float(np.divide(*np.sum(own, axis=0))), 4) for kind, own in turned.items()}
+
+
+def explanation(mecanum: Mapping[str, Any]) -> str:
+    """Return how much of the difference of published wheel diameters between two kinds of paths scrub explains."""
+    rates = mecanum["turn_rates_radps"]
+    travel = np.mean([model["effects"]["turn_scrub"]["travel"] for model in mecanum["fitted"]["models"]])
+    share = -100.0 * travel * (rates["circular"] - rates["square"])
+    return (
+        f"Circles of the mecanum robot turn at {rates['circular']:.3f} rad/s, its squares at {rates['square']:.3f} "
+        f"(means over travel), so that by scrub alone travel is {share:.1f} % longer on squares, of the 6.5 % by which "
+        "the published diameters of circles and squares differ."
+    )
 
 
 def page_of(found: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the page of the documentation."""
-    rows, models = [], []
+    titles = {"nominal": "nominal", "published": "best published", "fitted": "fitted on the other half"}
+    titles["learned"] = "`learn` of runs of the other half"
+    columns = [c for c in titles if any(c in one["largest_and_median_m"] for one in found.values())]
+    rows, models, short = [], [], []
     for key, one in found.items():
-        table = {column: f"{most:.3f} ({median:.3f})" for column, (most, median) in one["largest_and_median_m"].items()}
-        published = "; ".join(part for part in (table.get("published", ""), ROBOTS[key].stated) if part)
-        rows.append(f"| {ROBOTS[key].title} | {one['runs']} | {table['nominal']} | {published} | {table['learned']} |")
-        for half, model in zip(("even", "odd"), one["models"], strict=True):
-            effects = "; ".join(
-                f"`{name}` " + ", ".join(f"{k} {v}" for k, v in own.items()) for name, own in model["effects"].items()
-            )
-            models.append(f"- {ROBOTS[key].title}, {half}: {effects or 'nothing'}.")
-    return PAGE.format(rows="\n".join(rows), models="\n".join(models))
+        robot, errors = ROBOTS[key], one["largest_and_median_m"]
+        cells = {column: f"{most:.3f} ({median:.3f})" for column, (most, median) in errors.items()}
+        cells["published"] = "; ".join(part for part in (cells.get("published", ""), robot.stated) if part)
+        costs = [m for kind in ("fitted",) for m in one.get(kind, {}).get("models", [])]
+        cost = [f"{max(m[what] for m in costs):g}" if costs else "" for what in ("cpu_s_per_minute", "peak_mb")]
+        rows.append([robot.title, str(one["runs"]), *(cells.get(column, "") for column in columns), *cost])
+        for kind in ("fitted", "learned"):
+            for half, model in zip(("even", "odd"), one.get(kind, {}).get("models", ()), strict=False):
+                effects = "; ".join(
+                    f"`{name}` " + ", ".join(f"{k} {v}" for k, v in own.items() if v != 0.0)
+                    for name, own in model["effects"].items()
+                )
+                models.append(f"- {robot.title}, {kind} on {half} runs: {effects or 'nothing'}.")
+            if kind in errors and any(own > goal for own, goal in zip(errors[kind], robot.goal, strict=True)):
+                goal = f"{robot.goal[0]:.3f} ({robot.goal[1]:.3f})"
+                short.append(f"- {robot.title}, {kind}: {cells[kind]} m; the goal is {goal}.")
+    why = explanation(found["omni4"])
+    header = ["robot", "runs", *(titles[column] for column in columns), "CPU s per minute", "MB"]
+    lines = [header, ["---"] * len(header), *rows]
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return PAGE.format(table=table, models="\n".join(models), short="\n".join(short) or "Nothing.", why=why)
 
 
 def write(folder: Path, key: str, runs: Sequence[Run]) -> None:
@@ -286,25 +359,31 @@ def write(folder: Path, key: str, runs: Sequence[Run]) -> None:
 def main() -> None:
     """Print a line a robot; write the table as asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, help="folder of the npz files; with --page, the JSON file")
     parser.add_argument("--robot", nargs="+", choices=ROBOTS, default=list(ROBOTS))
     parser.add_argument("--runs", type=int, help="take that many runs of each robot")
-    parser.add_argument("--fit", nargs="+", default=[], metavar="EFFECT", help="fit these effects, learn nothing")
+    parser.add_argument("--learn", type=int, metavar="N", help="learn from N runs of each half")
+    parser.add_argument("--fit", nargs="+", metavar="EFFECT", help="fit these effects instead of those of the table")
     parser.add_argument("--write", type=Path, help="write the runs as text files to this folder, and end")
-    parser.add_argument("-o", "--output", type=Path, help="JSON file of all figures")
-    parser.add_argument("--page", type=Path, help="page of the documentation")
+    parser.add_argument("-o", "--output", type=Path, help="JSON file of all figures, which are added to it")
+    parser.add_argument("--page", type=Path, help="write the page of the documentation from a JSON file, and end")
     given = parser.parse_args()
-    found = {}
+    if given.page:
+        given.page.write_text(page_of(json.loads(given.folder.read_text())))
+        return
     for key in given.robot:
         if given.write:
             write(given.write, key, read(given.folder, key, given.runs))
             continue
-        found[key] = measured(key, given.folder, given.runs, given.fit)
-        print(key, json.dumps(found[key], indent=1), flush=True)
-    if given.output:
-        given.output.write_text(json.dumps(found, indent=1) + "\n")
-    if given.page:
-        given.page.write_text(page_of(found))
+        found = measured(key, given.folder, given.runs, given.learn, given.fit or ROBOTS[key].effects)
+        print(key, json.dumps(found), flush=True)
+        if given.output:
+            known = json.loads(given.output.read_text()) if given.output.exists() else {}
+            before = known.get(key, {"largest_and_median_m": {}})
+            errors = before["largest_and_median_m"] | found["largest_and_median_m"]
+            known[key] = before | found | {"largest_and_median_m": errors}
+            ordered = {name: known[name] for name in ROBOTS if name in known}
+            given.output.write_text(json.dumps(ordered, indent=1) + "\n")
 
 
 if __name__ == "__main__":

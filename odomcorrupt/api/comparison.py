@@ -46,6 +46,13 @@ class Comparison(Result):
         """Whether the deviation matters: errors are 1.25 times larger or smaller than the last model predicts."""
         return self.result.evaluations[-1].verdict.fails
 
+    @property
+    def worse(self) -> bool:
+        """Whether the last model predicts these data worse than the first, by some measures and better by none."""
+        from odomcorrupt.study.validate.compare import agreement_of
+
+        return agreement_of(self.result).verdict == "worse"
+
     def summary(self) -> Summary:
         """Return whether the last model is better than the first by all measures, and one line per model."""
         from odomcorrupt.report.text.comparison import comparison_brief

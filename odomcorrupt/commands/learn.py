@@ -12,6 +12,7 @@ import click
 from odomcorrupt.commands._options import OUTPUT, PICTURE
 from odomcorrupt.commands._recordings import advice_files, advice_options, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
+from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,6 +46,8 @@ def command(
 ) -> None:
     """Learn which effects a robot has, write its model, and show how the error changes.
 
+    A model that makes the error on held-out data larger is not written.
+
     RECORDINGS are bags, folders of them, or lists (*.list) with a path a line. Without --validate, models are
     cross-validated: refitted without each recording, or each half of the only one, and evaluated on it.
     """
@@ -58,10 +61,16 @@ def command(
         result = learn(runs, validate=held_out or (), watch=stages)
     evaluated_on = [*map(str, validate or paths), *reading.words]
     usable = not result.comparison.fails and result.result.reproduction.holds
-    following = _following(output, [*map(str, paths), *reading.words], evaluated_on, usable=usable)
+    worse = output is not None and result.comparison.worse
+    following = _following(None if worse else output, [*map(str, paths), *reading.words], evaluated_on, usable=usable)
     result = replace(result, following=following)
-    saved = written(output, lambda path: result.model.save(path, overwrite=True))
+    saved = written(None if worse else output, lambda path: result.model.save(path, overwrite=True))
     console.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})
+    if worse:
+        raise FitError(
+            f"{output}: not written: held-out data are predicted worse with this model than without effects; the "
+            "report says what was tried; add recordings, or name the effects (`fit --add`)"
+        )
 
 
 def _following(model: Path | None, words: Sequence[str], evaluated_on: Sequence[str], *, usable: bool) -> str:

@@ -335,8 +335,8 @@ class TurnScrub(Effect):
     summary = "wheels or rollers scrub in turns: travel and turn are wrong by a share that changes with the turn rate"
     about = About(
         equation="f = abs(omega) (travel v, travel vy, turn omega)",
-        typical="mecanum wheels -0.46 s of travel, along and sideways alike, and 0.14 s of turn (9, 3 % at 0.2 rad/s); "
-        "two wheels 0.004 s of turn: measured on the runs of docs/optiodom.md",
+        typical="mecanum wheels -0.32 s of travel, along and sideways alike, and 0.09 s of turn (6 and 2 % at 0.2 rad/s); "
+        "two wheels 0.004 s of turn: measured, docs/optiodom.md",
         source="Pacejka, Tire and Vehicle Dynamics, on turn slip; sizes from runs of Sousa et al. 2022 (OptiOdom)",
         confused_with=("wheel_scale", "wheelbase", "speed_scale"),
         drive="the same way straight ahead and while turning, and turns at two rates",
@@ -365,8 +365,8 @@ class OffCentreLoad(Effect):
     summary = "a load ahead or beside the centre of the wheels turns the robot in bends"
     about = About(
         equation="f_yaw = omega (x v + y vy)",
-        typical="0.05 to 0.2 s/m: x 0.21 with mecanum wheels, y -0.07 with three omnidirectional ones, measured on the "
-        "runs of docs/optiodom.md",
+        typical="0.05 to 0.3 s/m: y -0.2 to -0.3 with mecanum wheels, -0.04 with three omnidirectional ones, "
+        "measured, docs/optiodom.md",
         source="Newton's law, with creep of wheels in proportion to force (Pacejka, Tire and Vehicle Dynamics)",
         confused_with=("turn_scrub", "sideways_turn", "unequal_wheels"),
         drive="circles both ways, ahead, in reverse and sideways",

@@ -22,6 +22,7 @@ RUNS = BENCHMARKS / "laboratory" / "results"
             "hidden_effects.md",
         ),
         ("ordinary.py", ["page", BENCHMARKS / "ordinary" / "results" / "tenth.jsonl", "-o"], "ordinary.md"),
+        ("optiodom.py", [BENCHMARKS / "optiodom.json", "--page"], "optiodom.md"),
     ],
 )
 def test_the_page_is_what_its_script_writes(script, words, page, tmp_path, monkeypatch):

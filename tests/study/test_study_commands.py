@@ -7,6 +7,7 @@ import re
 
 import pytest
 
+from odomcorrupt.api.comparison import Comparison
 from odomcorrupt.cli import run
 
 pytestmark = pytest.mark.slow
@@ -38,3 +39,15 @@ def test_learned_and_held_out_recordings_keep_their_own_clocks(tmp_path, capsys)
     page = report.read_text()
     assert "<h1>What is missing: s1.mcap, s2.mcap</h1>" in page
     assert re.findall(r"<p>of (s\d\.mcap)</p>", page) == ["s1.mcap", "s2.mcap"]
+
+
+def test_a_model_that_makes_held_out_data_worse_is_not_written(tmp_path, capsys, monkeypatch):
+    model = tmp_path / "robot.toml"
+    bag = simulated(tmp_path / "run.mcap", "--seed", "5", "--duration", "60")
+    monkeypatch.setattr(Comparison, "worse", property(lambda _: True))
+    assert run(["learn", bag, "-o", str(model)]) == 1
+    assert not model.exists()
+    said = capsys.readouterr()
+    assert "robot.toml: not written" in said.err
+    assert "what was tried" in said.err
+    assert said.out
