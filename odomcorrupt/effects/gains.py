@@ -335,8 +335,8 @@ class TurnScrub(Effect):
     summary = "wheels or rollers scrub in turns: travel and turn are wrong by a share that changes with the turn rate"
     about = About(
         equation="f = abs(omega) (travel v, travel vy, turn omega)",
-        typical="mecanum wheels -0.32 s of travel, along and sideways alike, and 0.09 s of turn (6 and 2 % at 0.2 rad/s); "
-        "two wheels 0.004 s of turn: measured, docs/optiodom.md",
+        typical="mecanum wheels -0.32 s of travel, along and sideways alike, 0.09 s of turn (6 and 2 % at 0.2 rad/s); "
+        "two wheels 0.004 s of turn (measured, docs/optiodom.md)",
         source="Pacejka, Tire and Vehicle Dynamics, on turn slip; sizes from runs of Sousa et al. 2022 (OptiOdom)",
         confused_with=("wheel_scale", "wheelbase", "speed_scale"),
         drive="the same way straight ahead and while turning, and turns at two rates",
