@@ -68,7 +68,7 @@ def test_2_what_a_drive_does_not_show_is_not_testable_and_never_huge():
     huge = replace(
         known, estimate=np.array([1.05]), standard_error=np.array([0.01]), p=0.0, statistic=1e4, held_out_nats=1e4
     )
-    assert "physically possible" in objection(fitted, huge, DECISIONS, level=DECISIONS.level, still=False)
+    assert "physically possible" in objection(fitted, huge, DECISIONS, level=DECISIONS.level)
 
 
 def test_3_a_cause_is_linearised_again_where_it_was_found():
