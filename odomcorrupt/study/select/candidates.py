@@ -32,12 +32,14 @@ class Candidate:
     score : its score test
     fitted : the effect as it was fitted with the model; None if it is not in it
     gain : held-out gain minus the cost of the term, nats
+    rmse : 10 s position error of the fitted data without and with the term, m; NaN if it is not in the model
     refused : reason for the refusal; "" if it is in the model, or may be in it in place of another one
     """
 
     score: Score
     fitted: Effect | None = None
     gain: float = float("-inf")
+    rmse: tuple[float, float] = (float("nan"), float("nan"))
     refused: str = ""
 
     @property
