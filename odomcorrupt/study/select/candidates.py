@@ -87,7 +87,7 @@ def tested_candidates(fit: Fit, terms: Iterable[LibraryTerm], decisions: Decisio
         if score.term.name not in best or score.nats > best[score.term.name].nats:
             best[score.term.name] = score
     found = [Candidate(score=score, refused=objection(fit, score, decisions)) for score in best.values()]
-    return sorted(found, key=lambda one: one.score.p)
+    return sorted(found, key=lambda one: -one.score.robust_nats)
 
 
 def objection(fit: Fit, score: Score, decisions: Decisions) -> str:
@@ -102,6 +102,7 @@ def objection(fit: Fit, score: Score, decisions: Decisions) -> str:
     for p, value in zip(amplitudes(score.effect), score.estimate, strict=True):
         low, high = first_order_bounds(fit, score.effect, p)
         if not low <= value <= high:
-            why = "beyond what is physically possible" if low < 0.0 < high else _IMPOSSIBLE_SIGN
+            room = high if value > 0.0 else -low
+            why = "beyond what is physically possible" if room > 0.0 else _IMPOSSIBLE_SIGN
             return f"{p.name} would be {f'{value:.3g} {p.unit}'.rstrip()}, {why}"
     return "others explain it better"
