@@ -24,6 +24,27 @@ def test_turns_that_change_between_two_sweeps_of_a_laser_are_no_noise_of_exact_o
     assert choose_side(Recording("swerves", odometry, truth, 0), 0.5) == "odometry"
 
 
+def test_jitter_of_encoders_is_no_regressor_beside_a_truth_whose_noise_smoothing_removes():
+    """The truth is noisier than the odometry from step to step, but its noise is white: 100 poses a second average."""
+    rng = np.random.default_rng(4)
+    t_s = np.arange(0.0, 300.0, 0.02)
+    rate_radps = 0.6 * np.sin(0.3 * t_s[1:])
+    step = np.full(len(rate_radps), 0.008)
+    still = 0.0 * step
+    jitter = 8e-3 * np.sqrt(0.02) * rng.standard_normal(len(step))
+    stamps = np.round(1e9 * t_s).astype(np.int64)
+    true = Trajectory(stamps, accumulate(np.zeros(3), Increments(step, still, 0.02 * rate_radps)))
+    smooth, rough = (
+        Trajectory(stamps, accumulate(np.zeros(3), Increments(step, still, 0.02 * rate_radps + j)))
+        for j in (0.0, jitter)
+    )
+    seen_s = np.arange(0.1037, 299.0, 0.01)
+    poses = true.at(seen_s, 0) + np.array([0.001, 0.001, 0.002]) * rng.standard_normal((len(seen_s), 3))
+    truth = Trajectory(np.round(1e9 * seen_s).astype(np.int64), poses)
+    assert choose_side(Recording("rough", rough, truth, 0), 0.5) == "truth"
+    assert choose_side(Recording("smooth", smooth, truth, 0), 0.5) == "odometry"
+
+
 def test_places_are_those_where_intervals_begin():
     t_s = np.arange(500) / 25.0
     xyt = np.stack((0.3 * t_s, np.zeros_like(t_s), np.zeros_like(t_s)), axis=1)

@@ -17,6 +17,7 @@ import numpy as np
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.geometry.motion import SMOOTHING_S, LocalSlopes, motion_of, speed_steps
 from odomcorrupt.geometry.se2 import increments
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.clock import aligned, coarse_clock
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.recording import Recording
 
 Side = Literal["odometry", "truth"]
@@ -41,6 +41,7 @@ _JITTER_S = 0.2  # least time step for estimates of the odometry's noise, s
 _SIDEWAYS = 0.1
 """Least fraction of the travelled distance that a holonomic robot moves sideways."""
 _BIAS = 0.002  # relative bias of a gain above which the truth is used
+_LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0  # the same if the odometry has this many times the smoothed truth's noise
 _FEW = 50  # least number of samples in motion
 _CLIP = 5.0
 """Multiple of the median roughness above which a sample is a start or stop, and a difference of the sides a jump."""
@@ -281,6 +282,9 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     negligible; above it the truth is used. The noise is estimated from second differences of increments over 0.2 s,
     which cancel smooth driving and hardly contain ticks; clipping suppresses starts and stops. Roughness shared by the
     truth is motion and not noise, such as speed oscillations of motors on a drive with hardly any turns.
+
+    If the odometry is significantly noisier than the smoothed truth, a tenth of that bias suffices: on straights, with
+    no other motion, a basis function would fit the noise.
     """
     t_s = recording.odometry_s
     grid = np.arange(t_s[0], t_s[-1], max(_JITTER_S, 2.0 * float(np.median(np.diff(t_s)))))
@@ -297,6 +301,10 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     if shared is None:
         return "truth" if noisy.any() else "odometry"
     noisy &= shared.part + _ERRORS * shared.error < _SHARED
+    only_odometry = shared.odometry_noise > _NOISE_RATIO * shared.noise_of_truth
+    only_odometry &= shared.odometry_noise > _ERRORS * shared.noise_error
+    if not recording.matched:  # motion interpolated between laser sweeps is too smooth to show the odometry's noise
+        noisy |= only_odometry & (shared.odometry_noise * per_noise > _LEAST_BIAS)
     return "truth" if noisy.any() else "odometry"
 
 
@@ -307,10 +315,19 @@ def _steps(path: Trajectory, grid: Array, origin_ns: int) -> Array:
 
 
 class _Shared(NamedTuple):
-    """Fraction (2,) of the odometry's roughness of travel and turn that the truth shares, and its standard error."""
+    """Roughness of travel and turn (2,) that odometry and truth share, and the noise of each.
+
+    part, error : fraction of the odometry's roughness that the truth shares, and its standard error
+    odometry_noise : noise variance of a step of the odometry
+    noise_of_truth : variance of a step with as much noise as remains in the truth's smoothed speeds
+    noise_error : standard error of `odometry_noise`
+    """
 
     part: Array
     error: Array
+    odometry_noise: Array
+    noise_of_truth: Array
+    noise_error: Array
 
 
 def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Shared | None:
@@ -333,6 +350,33 @@ def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Sh
     own, differs = np.where(kept, own, 0.0), np.where(kept, other - own, 0.0)
     limit = _CLIP * np.array([np.median(np.abs(d[k])) for d, k in zip(differs.T, kept.T, strict=True)])
     differs = np.clip(differs, -limit, limit)
+    count = kept.sum(axis=0)
     whole = np.maximum((own**2).sum(axis=0), 1e-30)
-    alone = -own * differs
-    return _Shared(1.0 - alone.sum(axis=0) / whole, alone.std(axis=0) * np.sqrt(len(own)) / whole)
+    alone, of_truth = -own * differs / 6.0, (own + differs) * differs / 6.0
+    white = np.where(kept, _white(seen.truth, grid, recording.origin_ns)[chosen] / 6.0, 0.0)
+    white = np.minimum(white, limit**2 / 6.0).sum(axis=0) / count
+    coloured = np.maximum(of_truth.sum(axis=0) / count - white, 0.0)
+    return _Shared(
+        part=1.0 - 6.0 * alone.sum(axis=0) / whole,
+        error=6.0 * alone.std(axis=0) * np.sqrt(len(own)) / whole,
+        odometry_noise=alone.sum(axis=0) / count,
+        noise_of_truth=coloured + _remaining(seen.truth, grid) * white,
+        noise_error=alone.std(axis=0) * np.sqrt(len(own)) / count,
+    )
+
+
+def _white(truth: Trajectory, grid: Array, origin_ns: int) -> Array:
+    """Return squared roughness (n, 2) by the truth's white noise, in which even and odd samples differ."""
+    even, odd = (Trajectory(truth.stamps_ns[i::2], truth.xyt[i::2]) for i in (0, 1))
+    apart = np.diff(_steps(even, grid, origin_ns) - _steps(odd, grid, origin_ns), n=2, axis=0)
+    return apart**2 / 2.0
+
+
+def _remaining(truth: Trajectory, grid: Array) -> float:
+    """Return the fraction of the truth's white noise that biases a gain as the odometry's noise of a step does.
+
+    Of samples with variance s^2 every d seconds, the slope in a window w and the pose difference over it have the
+    covariance 12 s^2 d / w^2 per second. Second differences of steps between interpolated poses show 20/6 * 2/3 s^2.
+    """
+    every_s = float(np.median(np.diff(truth.stamps_ns))) * 1e-9
+    return min(5.4 * every_s * float(grid[1] - grid[0]) / _truth_window(truth) ** 2, 1.0)
