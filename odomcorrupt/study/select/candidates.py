@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.terms.term import Term
 
+_HALVINGS = 20
+"""Number of bisections of a parameter's range for a starting value."""
 _IMPOSSIBLE_SIGN = "of a physically impossible sign"
 """Refusal of an effect whose estimate has a physically impossible sign."""
 _WITHDRAWN = "gains nothing once outlier segments are weighted again, or leads back to an earlier model"
@@ -176,9 +178,23 @@ def _first_order_room(fit: Fit, effect: Effect, p: Parameter, bound: float) -> f
     return size(bound) / slope if slope > 0.0 else 0.0
 
 
+def _started(fit: Fit, score: Score) -> Effect:
+    """Return the effect at its estimate; beyond a bound, at the value whose error is as large as the estimated one."""
+    own = amplitudes(score.effect)
+    value = float(score.estimate[0])
+    low, high = own[0].identity, own[0].high if value > 0.0 else own[0].low
+    if len(own) > 1 or abs(value) <= abs(high - low):
+        return score.estimated
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        below = _first_order_room(fit, score.effect, own[0], middle) < abs(value)
+        low, high = (middle, high) if below else (low, middle)
+    return score.term.effect([low])
+
+
 def _refitted(fit: Fit, score: Score) -> Candidate:
     """Return a candidate fitted jointly with the model; robust weights stay fixed, so that likelihoods compare."""
-    effects = (*fit.effects, score.estimated)
+    effects = (*fit.effects, _started(fit, score))
     # an effect that scales turns also scales their noise, a scale error of a gyro does not: the two are comparable
     # only to first order, with the same noise
     alike = None if sees_travel(fit.problem.recordings) else score.nats
