@@ -29,25 +29,33 @@ from odomcorrupt.study.io.recording import PoseStep
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.recording import Recording
 
-_SIDE_S = 8.0
-"""Duration of the poses before and after a step, seconds: drift grows with it."""
+_SHORT_S, _LONG_S = 8.0, 12.0
+"""Durations of the poses before and after a step, seconds. Moments are searched with the short one. A step found there
+has to be significant for the long one, too, and of about the same size: drift grows with the duration, and a short jump
+of the localisation disappears."""
+_REMAINS = 0.75
+"""Least part of the step with short sides that the one with long sides confirms; 0.9 and more of pushes, 0.3 to 0.65 of
+short jumps (simulated)."""
 _LASTS_S, _LONGEST_S = 4.0, 20.0
 """Time allowed for an event, and largest time without poses during it, seconds."""
 _FEW, _MOST = 5, 5
 """Least number of poses on each side; largest number of steps in a drive, because more are not single events."""
 _LEVEL = 0.01
-"""Probability of reporting any step in a drive without one."""
+"""Probability of reporting any step in a drive without one; and level of the second test, of one moment."""
 _EFFICIENCY = 0.37
 """Efficiency of the median absolute value as an estimate of the standard deviation of normal data."""
 _UPPER = 0.9
 """Quantile that, besides the median, determines the usual size, so that long tails enlarge it."""
 _EDGE = 0.25
 """Largest fraction of a step that may have happened at the last pose before it (1 minus this: at the first after)."""
+_ROUNDS, _HUBER = 20, 1.5
 _LEAST, _LEAST_SPREAD = 1e-6, 1e-3
 """Least usual size, m or rad, and least ratio of its quantiles to those of normal data: only rounding errors are left
 if simulated odometry equals its localisation."""
@@ -78,15 +86,20 @@ def with_pose_steps(recording: Recording) -> Recording:
 
 def _largest(t_s: Array, truth: Array, own: Array, found: list[PoseStep]) -> PoseStep | None:
     """Return the most significant step apart from those already found; None if there is none."""
-    steps = _steps(t_s, truth, own, found)
-    if not len(steps.start_s):
+    short, long = (_steps(t_s, truth, own, side_s, found) for side_s in (_SHORT_S, _LONG_S))
+    if not (len(short.start_s) and len(long.start_s)):
         return None
-    best = int(np.argmin(steps.p))
-    if steps.p[best] * float(t_s[-1] - t_s[0]) / _LASTS_S > _LEVEL:
+    nearest = np.abs(long.start_s[:, None] - short.start_s).argmin(axis=1)
+    moments = float(t_s[-1] - t_s[0]) / _LASTS_S
+    chance = np.maximum(long.p, moments * short.p[nearest])
+    one, other = short.apart[nearest] / short.usual, long.apart / short.usual
+    chance[np.sum(one * other, axis=1) < _REMAINS * np.sum(one**2, axis=1)] = 1.0
+    best = int(np.argmin(chance))
+    if chance[best] > _LEVEL:
         return None
-    start_s, apart = float(steps.start_s[best]), steps.apart[best]
-    before, after = _edges(t_s, truth, own, start_s, steps.usual, apart)
-    apart = _at_middle(apart, own[np.searchsorted(t_s, start_s)], own[before], own[after])
+    apart = long.apart[best]
+    before, after = _edges(t_s, truth, own, float(long.start_s[best]), long.usual, apart)
+    apart = _at_middle(apart, own[np.searchsorted(t_s, long.start_s[best])], own[before], own[after])
     return PoseStep(
         start_s=float(t_s[before]),
         end_s=float(t_s[after]),
@@ -107,7 +120,7 @@ def _at_middle(apart: Array, at: Array, before: Array, after: Array) -> Array:
 
 def _edges(t_s: Array, truth: Array, own: Array, start_s: float, usual: Array, apart: Array) -> tuple[int, int]:
     """Return the indices of the last pose before a step and of the first pose after it, see `_EDGE`."""
-    near = np.flatnonzero(np.abs(t_s - start_s - _LASTS_S / 2.0) < _LASTS_S / 2.0 + _SIDE_S)
+    near = np.flatnonzero(np.abs(t_s - start_s - _LASTS_S / 2.0) < _LASTS_S / 2.0 + _SHORT_S)
     at = int(np.searchsorted(t_s, start_s))
     before = _carried(truth[near][t_s[near] <= start_s], own[near][t_s[near] <= start_s], own[at])
     moved = between(before, compose(truth[near], between(own[near], np.broadcast_to(own[at], own[near].shape))))
@@ -119,16 +132,16 @@ def _edges(t_s: Array, truth: Array, own: Array, start_s: float, usual: Array, a
     return int(near[first[-1] if len(first) else 0]), int(near[middle + 1 + last[0] if len(last) else -1])
 
 
-def _steps(t_s: Array, truth: Array, own: Array, found: list[PoseStep]) -> _Steps:
+def _steps(t_s: Array, truth: Array, own: Array, side_s: float, found: list[PoseStep]) -> _Steps:
     """Return the steps at each pose with enough poses on both sides, away from steps already found."""
     rows, motions = [], []
     for i in range(len(t_s)):
         j = max(int(np.searchsorted(t_s, t_s[i] + _LASTS_S)), i + 1)
-        first = int(np.searchsorted(t_s, t_s[i] - _SIDE_S))
+        first = int(np.searchsorted(t_s, t_s[i] - side_s))
         if j >= len(t_s) or t_s[j] - t_s[i] > _LONGEST_S:
             continue
-        last = int(np.searchsorted(t_s, t_s[j] + _SIDE_S, side="right"))
-        if i + 1 - first < _FEW or last - j < _FEW or t_s[i] - _SIDE_S < t_s[0] or t_s[j] + _SIDE_S > t_s[-1]:
+        last = int(np.searchsorted(t_s, t_s[j] + side_s, side="right"))
+        if i + 1 - first < _FEW or last - j < _FEW or t_s[i] - side_s < t_s[0] or t_s[j] + side_s > t_s[-1]:
             continue
         if any(t_s[first] < one.end_s and t_s[last - 1] > one.start_s for one in found):
             continue
@@ -147,7 +160,7 @@ def _steps(t_s: Array, truth: Array, own: Array, found: list[PoseStep]) -> _Step
     square = np.sum((rest / usual) ** 2, axis=1)
     spread = max(_LEAST_SPREAD, *(float(np.quantile(square, q) / chi2.ppf(q, 3)) for q in (0.5, _UPPER)))
     searched_s = float(t_s[-1] - t_s[0])
-    p = f.sf(square / spread / 3.0, 3.0, _EFFICIENCY * searched_s / (_SIDE_S + _LASTS_S))
+    p = f.sf(square / spread / 3.0, 3.0, _EFFICIENCY * searched_s / (side_s + _LASTS_S))
     return _Steps(table[:, 0], rest, usual, p)
 
 
@@ -159,8 +172,16 @@ def _carried(truth: Array, own: Array, to: Array) -> Array:
 
 
 def _without_drift(apart: Array, motions: Array) -> Array:
-    """Return steps (n, 3) minus their regression on the motion and the time between both sides."""
-    rest: Array = apart - motions @ np.linalg.lstsq(motions, apart, rcond=None)[0]
+    """Return steps (n, 3) minus their robust (Huber) regression on the motion and the time between both sides."""
+    rest = np.empty_like(apart)
+    for c in range(3):
+        weights: NDArray[np.float64] = np.ones(len(apart))
+        for _ in range(_ROUNDS):
+            root = np.sqrt(weights)
+            theta = np.linalg.lstsq(motions * root[:, None], apart[:, c] * root, rcond=None)[0]
+            rest[:, c] = apart[:, c] - motions @ theta
+            usual = 1.4826 * np.median(np.abs(rest[:, c])) + 1e-9
+            weights = 1.0 / np.maximum(1.0, np.abs(rest[:, c]) / (_HUBER * usual))
     return rest
 
 

@@ -40,6 +40,7 @@ _SETTLED = 0.03
 """Change of a log coefficient at which the rounds end: about as large as the scatter between draws."""
 _FAINT = 1e-4
 """Noise below this is negligible; its logarithm is not tested for convergence."""
+_SEED = 20261121
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +148,7 @@ def without_process(noise: NoiseFit, problem: Problem, columns: Array, random: S
 
 def _normals(knots: Knots) -> Array:
     """Return standard normal draws, one row per round; always the same for the same process."""
-    return np.random.default_rng(0).standard_normal((_MOST_ROUNDS, len(knots.time_s)))
+    return np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, len(knots.time_s)))
 
 
 def _drawn(noise: NoiseFit, problem: Problem, columns: Array, knots: Knots, normal: Array) -> Array:

@@ -17,14 +17,19 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.noise_likelihood import NoiseFit
     from odomcorrupt.study.estimate.problem import Problem
 
-SCAN_SCALE = 1e-3
-"""Standard deviation of the scale errors of scan matches and their maps: of travel, proportional to the speed in m/s,
-from motion within a sweep; of turns (4e-4 was measured on data without other errors), and proportional to the speed; of
-a cell of the map, as keyframes half a metre apart err by one or two millimetres; and of its stretch and shear."""
+SPEED_BIAS = 1e-3
+"""Standard deviation of a scale error of scan matches proportional to speed, per m/s: from motion within a sweep."""
+TURN_BIAS = 1e-3
+"""Standard deviation of a scale error of turns, and of one proportional to speed, per m/s: 4e-4 was measured on data
+without other errors."""
 LAG_BIAS_S, GYRO_LAG_S = 1e-3, 0.01
 """Standard deviation of a lag of turns behind travel, seconds: of laser sweeps (below 0.7 ms in simulated drives), and
 of a gyro as the truth, which has a filter."""
+LOCAL_BIAS = 1e-3
+"""Standard deviation of the scale of a map cell: keyframes half a metre apart have errors of one or two millimetres."""
 CELL_M = 2.0
+MAP_STRAIN = 1e-3
+"""Standard deviation of the stretch and of the shear of a whole map, in its axes: that of its cells."""
 GYRO_BIAS, USUAL_WALK = 0.02, 1e-4
 """Standard deviation of a gyro's bias at the beginning, rad/s, which rests of the drive measure, and its random walk if
 that is not estimated, rad/s/sqrt(s)."""
@@ -49,10 +54,10 @@ def bias_roots(problem: Problem) -> Array:
     scale = np.array([r.truth_scale_error for r in runs])[problem.run]
     matched = np.array([float(r.matched) for r in runs])[problem.run]
     along, turn, speed = _smooth_motion(problem)
-    columns = [_of_travel(along * weight[:, None]) for weight in (scale, SCAN_SCALE * matched * speed)]
+    columns = [_of_travel(along * weight[:, None]) for weight in (scale, SPEED_BIAS * matched * speed)]
     scale_of_turns = np.array([r.turn_scale_error for r in runs])[problem.run]
-    columns += [_of_turn(np.hypot(SCAN_SCALE * matched, scale_of_turns) * turn)]
-    columns += [_of_turn(SCAN_SCALE * matched * turn * speed)]
+    columns += [_of_turn(np.hypot(TURN_BIAS * matched, scale_of_turns) * turn)]
+    columns += [_of_turn(TURN_BIAS * matched * turn * speed)]
     by_gyro = np.array([float(not r.positioned) for r in runs])[problem.run]
     kind = registry().get("channel_lag")
     if kind is not None:
@@ -62,7 +67,7 @@ def bias_roots(problem: Problem) -> Array:
     for r, run in enumerate(runs):
         if run.matched:
             own = along * (problem.run == r)[:, None]
-            columns += [_of_travel(SCAN_SCALE * part) for part in _strains(problem, own)]
+            columns += [_of_travel(MAP_STRAIN * part) for part in _strains(problem, own)]
     cell = np.floor(intervals.truth_xyt[:, :2] / CELL_M).astype(np.int64)
     _, place, count = np.unique(
         np.column_stack((problem.run.astype(np.int64), cell)), axis=0, return_inverse=True, return_counts=True
@@ -71,7 +76,7 @@ def bias_roots(problem: Problem) -> Array:
     for k in np.argsort(count)[::-1][:_MOST_CELLS]:
         here = (place == k) * matched
         if here.any():
-            columns.append(_of_travel(SCAN_SCALE * along * here[:, None]))
+            columns.append(_of_travel(LOCAL_BIAS * along * here[:, None]))
     return np.stack(columns, axis=2)
 
 
