@@ -145,7 +145,7 @@ def test_the_spread_of_a_batch_comes_as_text_as_values_and_as_a_picture(here, ca
     assert (
         run(
             shlex.split(
-                f"batch {OFFICE} runs --runs 3 --output trajectories {NOISE} --seed 7 --effect slip_burst:rate=0.1"
+                f"batch {OFFICE} runs --runs 3 --output trajectories {NOISE} --seed 7 --effect slip_burst:rate=.1"
             )
         )
         == 0
