@@ -18,13 +18,11 @@ from odomcorrupt.drive_types import AUTO, STEERED
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.geometry.motion import SMOOTHING_S, slopes
-from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.se2 import increments, rotate
 from odomcorrupt.study.estimate.heading_source import (
     heading_source_of,
     is_nameable,
     sees_travel,
-    stands_still,
-    turns_at_rest,
 )
 from odomcorrupt.study.estimate.regressors import drives_sideways
 
@@ -55,6 +53,8 @@ _STOP, _STOP_SHARE = 1.15, 0.2
 """Steering has a stop if this share of slow driving is within this factor of the largest curvature (a delayed steering
 angle exceeds it briefly). The share was a tenth for a robot with two driven wheels (a mower that never turned on the
 spot), and a third or more for steered ones."""
+_GYRO_RAD = 1e-4
+"""Turn at rest above which the heading of the odometry is not computed from its wheels, rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +114,9 @@ def drive_type_of(recordings: Sequence[Recording]) -> DriveType:
 def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
     given = next((r.drive_type for r in recordings if r.drive_type != AUTO), None)
     slow = [_slow_driving(r) for r in recordings]
+    turns_at_rest = any(s.turned_at_rest > _GYRO_RAD for s in slow)
     if given is not None:
-        return DriveType(given, gyro=given not in STEERED or any(map(turns_at_rest, recordings)), stated=True)
+        return DriveType(given, gyro=turns_at_rest or given not in STEERED, stated=True)
 
     def total(statistic: str) -> float:
         return float(sum(getattr(s, statistic) for s in slow))
@@ -129,7 +130,7 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
         return DriveType("differential")
     if not _has_stop(np.concatenate([s.slow for s in slow], axis=1)):
         return DriveType("differential", least_radius_m=radius_m)
-    gyro = not all(map(stands_still, recordings))
+    gyro = turns_at_rest or not total("rest_s")
     return DriveType(
         "car", f"steers up to a stop, never turned on the spot; smallest radius {radius_m:.1f} m", gyro=gyro
     )
@@ -190,6 +191,7 @@ class _SlowDriving:
     along_m, across_m, turned : total travel forwards and sideways, m, and total turn, rad
     curvature : largest curvature at speed or, if slow driving shows it, at the steering's stop, 1/m
     beyond : turn in slow driving sharper than that, rad
+    turned_at_rest, rest_s : turn while the wheels were at rest, rad, and duration of rest, s
     slow : (2, m) signed curvature, 1/m, and duration, s, of each interval of slow driving
     """
 
@@ -198,6 +200,8 @@ class _SlowDriving:
     turned: float
     curvature: float
     beyond: float
+    turned_at_rest: float
+    rest_s: float
     slow: Array
 
 
@@ -209,6 +213,9 @@ def _slow_driving(recording: Recording) -> _SlowDriving:
     heading = odometry.heading_at(middle, recording.origin_ns)
     along, across = rotate(world[:, :2], -heading).T
     v, omega = np.abs(along), np.abs(world[:, 2])
+    raw = increments(odometry.xyt)
+    stands = np.hypot(raw.ds_m, raw.dl_m) < 1e-9
+    at_rest = float(np.abs(raw.dtheta_rad[stands]).sum())
     moving = v[v > _STILL * float(v.max(initial=0.0))]
     usual = float(np.quantile(moving, _USUAL)) if len(moving) else 0.0
     fast = v > _SLOW * usual
@@ -220,5 +227,5 @@ def _slow_driving(recording: Recording) -> _SlowDriving:
     beyond = float((np.maximum(omega - _STOP * curvature * v, 0.0) * dt)[~fast].sum())
     return _SlowDriving(
         float((v * dt).sum()), float((np.abs(across) * dt).sum()), float((omega * dt).sum()), curvature,
-        beyond, bends,
+        beyond, at_rest, float(dt[stands].sum()), bends,
     )  # fmt: skip
