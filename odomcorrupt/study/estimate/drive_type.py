@@ -29,6 +29,8 @@ from odomcorrupt.study.estimate.regressors import drives_sideways
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
@@ -36,23 +38,28 @@ if TYPE_CHECKING:
 MOUNTING = ("lever_arm", "mount_yaw")
 """Effects of the position and yaw of the tracked point on the robot, see `mountings`."""
 
-_SLOW, _STILL = 0.4, 0.03
-"""Fractions of the usual speed: the largest curvature is measured above the first and tested below it; below the second
-the robot is at rest, and encoder ticks dominate the curvature."""
+_FAST, _SLOW, _STILL = 0.6, 0.4, 0.03
+"""Fractions of the usual speed: the largest curvature is measured above the first and tested below the second; below
+the third the robot is at rest."""
 _USUAL, _LARGEST = 0.9, 0.995
-"""Quantiles that define the usual speed of a moving robot and the stop of its steering, and the curvature at speed."""
-_SHARPER = 0.02
-"""Least share of all turning that is slow and sharper than any at speed, of a robot that is not steered."""
+"""Quantiles that define the usual speed of a moving robot, and the largest curvature at speed."""
+_SHARPER = 1.3
+"""Largest curvature of a steered robot, relative to the largest at speed or at the stop of its steering."""
 _LEAST_RADIUS_M = 0.3
 """Turning radius below which a robot counts as turning on the spot, m."""
 _TURNED_RAD = 4.0 * np.pi
 """Least total turn for a guess of the drive type, rad."""
-_SLOW_S = 3.0
-"""Least time at the stop of the steering for a guess, s."""
-_STOP, _STOP_SHARE = 1.15, 0.2
-"""Steering has a stop if this share of slow driving is within this factor of the largest curvature (a delayed steering
-angle exceeds it briefly). The share was a tenth for a robot with two driven wheels (a mower that never turned on the
-spot), and a third or more for steered ones."""
+_SLOW_S, _SPELLS = 3.0, 3
+"""Least time of slow driving, s, and least number of slow spells for a guess."""
+_CREEP = 0.05
+"""Fraction of the usual speed below which encoder ticks dominate the curvature."""
+_STOP, _STOP_SHARE, _STOP_QUANTILE = 1.15, 0.2, 0.95
+"""Steering has a stop if this share of slow driving is within this factor of this quantile of the curvature (a delayed
+steering angle exceeds the quantile briefly). The share was a tenth for a robot with two driven wheels (a mower that
+never turned on the spot), and a third or more for steered ones."""
+_SPOT_RAD = 0.1
+"""Largest turn per slow spell beyond the smallest radius that filters and ticks can cause, rad."""
+_REST_S = 2.0  # least time at rest that shows whether the odometry turns at rest, s
 _GYRO_RAD = 1e-4
 """Turn at rest above which the heading of the odometry is not computed from its wheels, rad."""
 
@@ -125,12 +132,13 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
         return DriveType("omni", "it moves sideways")
     radius_m = 1.0 / max(1e-9, *(s.curvature for s in slow))
     turns_wide = total("turned") >= _TURNED_RAD and radius_m >= _LEAST_RADIUS_M
-    sharper = total("beyond") > _SHARPER * total("turned")
+    enough = total("seconds") >= _SLOW_S and total("spells") >= _SPELLS
+    sharper = total("beyond") > _SPOT_RAD * total("spells")
     if any(r.track_m is not None for r in recordings) or not turns_wide or sharper:
         return DriveType("differential")
-    if not _has_stop(np.concatenate([s.slow for s in slow], axis=1)):
+    if not enough or not _has_stop(np.concatenate([s.slow for s in slow], axis=1)):
         return DriveType("differential", least_radius_m=radius_m)
-    gyro = turns_at_rest or not total("rest_s")
+    gyro = turns_at_rest or total("rest_s") < _REST_S
     return DriveType(
         "car", f"steers up to a stop, never turned on the spot; smallest radius {radius_m:.1f} m", gyro=gyro
     )
@@ -142,7 +150,7 @@ def _has_stop(slow: Array) -> bool:
     there = np.zeros(len(curvature), dtype=bool)
     for side in (curvature, -curvature):
         if (turns := side > 0.0).any():
-            there |= turns & (side * _STOP >= np.quantile(side[turns], _USUAL))
+            there |= turns & (side * _STOP >= np.quantile(side[turns], _STOP_QUANTILE))
     return bool(there.any() and there.mean() >= _STOP_SHARE and seconds[there].sum() >= _SLOW_S)
 
 
@@ -190,7 +198,8 @@ class _SlowDriving:
 
     along_m, across_m, turned : total travel forwards and sideways, m, and total turn, rad
     curvature : largest curvature at speed or, if slow driving shows it, at the steering's stop, 1/m
-    beyond : turn in slow driving sharper than that, rad
+    seconds, spells : duration of slow driving, s, and number of slow spells or stops
+    beyond : turn in these beyond the largest curvature, rad
     turned_at_rest, rest_s : turn while the wheels were at rest, rad, and duration of rest, s
     slow : (2, m) signed curvature, 1/m, and duration, s, of each interval of slow driving
     """
@@ -199,6 +208,8 @@ class _SlowDriving:
     across_m: float
     turned: float
     curvature: float
+    seconds: float
+    spells: int
     beyond: float
     turned_at_rest: float
     rest_s: float
@@ -214,18 +225,29 @@ def _slow_driving(recording: Recording) -> _SlowDriving:
     along, across = rotate(world[:, :2], -heading).T
     v, omega = np.abs(along), np.abs(world[:, 2])
     raw = increments(odometry.xyt)
-    stands = np.hypot(raw.ds_m, raw.dl_m) < 1e-9
+    stands = _settled(np.hypot(raw.ds_m, raw.dl_m) < 1e-9)
     at_rest = float(np.abs(raw.dtheta_rad[stands]).sum())
     moving = v[v > _STILL * float(v.max(initial=0.0))]
     usual = float(np.quantile(moving, _USUAL)) if len(moving) else 0.0
-    fast = v > _SLOW * usual
+    fast, slow = v > _FAST * usual, v < _SLOW * usual
     curvature = float(np.quantile(omega[fast] / v[fast], _LARGEST)) if fast.any() else 0.0
-    slow = ~fast & (v > _STILL * usual)
-    bends = np.stack((world[slow, 2] / along[slow], dt[slow]))
+    creeps = slow & (v > _CREEP * usual)
+    bends = np.stack((world[creeps, 2] / along[creeps], dt[creeps]))
     if _has_stop(bends):  # who slows down for tight bends never reaches it at speed
-        curvature = max(curvature, float(np.quantile(np.abs(bends[0]), _USUAL)))
-    beyond = float((np.maximum(omega - _STOP * curvature * v, 0.0) * dt)[~fast].sum())
+        curvature = max(curvature, float(np.quantile(np.abs(bends[0]), _STOP_QUANTILE)))
+    begins = np.count_nonzero(np.diff(slow.astype(np.int8)) == 1)
+    beyond = float((np.maximum(omega - _SHARPER * curvature * v, 0.0) * dt)[slow].sum())
     return _SlowDriving(
         float((v * dt).sum()), float((np.abs(across) * dt).sum()), float((omega * dt).sum()), curvature,
-        beyond, at_rest, float(dt[stands].sum()), bends,
+        float(dt[slow & (v > _STILL * usual)].sum()), int(begins), beyond, at_rest,
+        float(dt[stands].sum()), bends,
     )  # fmt: skip
+
+
+def _settled(still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the increments at rest whose five neighbours on either side are also at rest."""
+    both = still.copy()
+    for shift in range(1, 6):
+        both[shift:] &= still[:-shift]
+        both[:-shift] &= still[shift:]
+    return both
