@@ -13,7 +13,7 @@ from odomcorrupt.corruption.odometry_source import ODOMETRY, localisation_words,
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.model.presets import DEFAULT, suggested
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import FOUND, Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,7 +78,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
         lines.append(Line("note", f"looks like a {named}: --preset {named} has its numbers", "warning"))
     if true and not is_identity:
         lines.append(leaks_line(true))
-    lines += [Line("anomaly", sentence, "warning") for sentence in odd]
+    lines += [Line("anomaly", sentence, "warning", weight=FOUND) for sentence in odd]
     if not is_identity and not outcome.added:
         lines += [Line("note", said, "warning") for said in localisation_words(outcome.stayed, outcome.frames)]
     if not is_identity and per_message(outcome.model.noise):

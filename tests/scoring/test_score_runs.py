@@ -242,7 +242,8 @@ def test_the_first_word_is_the_gates_result_and_the_exit_code(batch, estimates, 
         following = next(i for i, line in enumerate(lines) if line.startswith("next"))
         said = " ".join(line[8:].removesuffix("\\").strip() for line in lines[following:])
         assert said == shlex.join(["odomcorrupt", *words, *gate, "--report", "page.html"])
-        assert max(map(len, lines)) <= 80
+        # a path is not divided, however long
+        assert max(len(line) for line in lines if str(batch.parent) not in line) <= 80
         assert any(line.startswith("next") for line in lines)
         assert any(line.startswith("gate") for line in lines) == bool(gate)
 

@@ -160,7 +160,6 @@ def test_a_compass_that_iron_turns_shows_as_an_error_per_radian_over_the_heading
 @pytest.mark.parametrize(
     ("seed", "cause", "channel", "driver"),
     [
-        (71, "turn_scrub", "yaw", "yaw_rate"),
         (82, "floor_grain", "across", "heading"),
     ],
 )
