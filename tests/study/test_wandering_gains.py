@@ -44,7 +44,6 @@ def test_a_gain_and_its_time_are_found_and_white_noise_stays_what_it_was(channel
     assert after < 3.0 * before
 
 
-@pytest.mark.xfail(reason="noise of turns beside a walking bias is four times too large")
 def test_a_walking_bias_is_measured_and_white_noise_stays_what_it_was():
     clean, noisy, (found,) = _learned(302, "gyro_bias_walk", {"density": 6e-4}, yaw_from="gyro")
     assert found.name == "gyro_bias_walk"
