@@ -10,9 +10,9 @@ PAGE = Path(__file__).parent / "how-to" / "mistakes.md"
 HEAD = """# Plain mistakes
 
 Most odometry is wrong for a plain reason: a wheel wired backwards, a track in centimetres, forward that is -x. Before
-any statistics `learn`, `diagnose`, `fit` and `compare` look at sums of the motion over a second or some, in odometry
+any statistics `learn`, `diagnose`, `fit` and `compare` compare sums of the motion over a second or some, in odometry
 and truth: ratios of travel and of turns, signs, which motion goes with which, and whether each trajectory agrees with
-itself. What they find stands in the first line, with its figures:
+itself. The result is the first line, with its figures:
 
     odomcorrupt learn drive.mcap -o robot.toml
 
@@ -28,7 +28,7 @@ Odometry and truth that contradict each other do not show which of the two is wr
 or else the one that a gyro in the bag contradicts (its z axis up), or the odometry if its own wheel joints do. If
 nothing decides, both are named.
 
-The rows are looked for in this order, and each is undone before the next:
+The rows are tested in this order, and each is undone before the next test:
 
 | what is seen | usual causes | change | how the study goes on |
 |---|---|---|---|

@@ -775,4 +775,4 @@ PATTERNS = (
     ),
 )
 # fmt: on
-"""Plain mistakes in the order in which they are looked for and undone."""
+"""Plain mistakes in the order in which they are tested and undone."""
