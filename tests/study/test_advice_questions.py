@@ -15,7 +15,7 @@ from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.ambiguities import open_ambiguities
 from odomcorrupt.study.design.drives import Drives, most_useful
 from odomcorrupt.study.design.plan import STEP_S
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 
 class Told:

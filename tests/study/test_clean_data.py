@@ -15,7 +15,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.candidates import library
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.score import score_terms
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 SEEDS = range(12)
 

@@ -17,7 +17,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.elimination import backward_eliminate
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)
 K, M, TAU_S = 0.09, -0.05, 3.0

@@ -13,7 +13,7 @@ from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.select.confidence import confidence, evidence_of
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from odomcorrupt.study.select.confidence import (
     odds_formula,
 )
 from odomcorrupt.study.select.decisions import DECISIONS, PriorOdds, equal_candidates, error_shares
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
 EVIDENCE = Evidence(

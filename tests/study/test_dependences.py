@@ -20,7 +20,7 @@ from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.select import dependence
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dependence import basis_scores, dependences
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import every_action, views
 from odomcorrupt.study.terms.term import BasisTerm

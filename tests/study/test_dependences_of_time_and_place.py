@@ -14,7 +14,7 @@ from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 pytestmark = pytest.mark.slow
 

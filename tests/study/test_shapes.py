@@ -22,7 +22,7 @@ from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import maximise, starts
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.basis.motion import functions_of_motion
 from odomcorrupt.study.terms.basis.place import _box, _strip
 from odomcorrupt.study.terms.channels import Action

@@ -11,7 +11,7 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 TRACK_M, K = 0.4, 0.03
 QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)

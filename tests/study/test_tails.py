@@ -23,7 +23,7 @@ from odomcorrupt.study.estimate.tails import heavy_tails, log_density_of_sums
 from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.select.confidence import confidence, noise_evidence
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 
 def fitted(recording):

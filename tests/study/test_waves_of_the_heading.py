@@ -16,7 +16,7 @@ from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dependence import basis_scores, dependences
 from odomcorrupt.study.select.proposals import best_dependence
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm

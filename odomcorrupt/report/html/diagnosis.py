@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.report.findings import FoundDependence, FoundEffect, FoundNoise
     from odomcorrupt.study.design.advise import Advice
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
     from odomcorrupt.study.validate.compare import Comparison
 
 

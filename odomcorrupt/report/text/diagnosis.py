@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
-    from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.select.result import Learned, Step
     from odomcorrupt.study.validate.compare import ModelEvaluation
 
 NOTHING = "nothing is missing: no known effect explains more than chance"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.io.recording import Mistake
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
 
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
 """Effects that resemble errors of single wheels: a larger wheel shifts turns as the y of a lever arm does."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.information import Field
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.stepwise import Step
+    from odomcorrupt.study.select.result import Step
 
 TOO_FEW_NATS = 3.0
 """If ten minutes of the best drive yield less, nats, no drive is recommended."""

@@ -8,21 +8,16 @@ be included in the model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import groupby, islice
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.expression import CHANNELS, LARGEST
+from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.study.estimate.drive_type import is_holonomic
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
-from odomcorrupt.study.select.decisions import penalty
-from odomcorrupt.study.select.periodic import waves
 from odomcorrupt.study.select.score import score_columns, score_terms
-from odomcorrupt.study.select.screening import least_screened
-from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.channels import MOVES
 from odomcorrupt.study.terms.splines import curve_regressors
 from odomcorrupt.study.terms.term import BasisTerm
@@ -30,32 +25,21 @@ from odomcorrupt.study.terms.term import BasisTerm
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import ColumnScore, Score
-    from odomcorrupt.study.select.screening import CoarseDesign, Screened
-
-_OF_TURNS = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "heading")
-"""Regressors of turning, which a tight heading control moves by the noise."""
-_MOST_STARTS = 40
-"""Largest number of terms of one regressor and channel from which shape searches may start."""
-
-_OF_TILT = ("along", "acceleration")
-"""Channel and regressor of the error of a truth by laser that tilts when the robot brakes."""
 
 
 @dataclass(frozen=True, slots=True)
 class BasisScore:
-    """The basis function of one regressor and channel with the largest gain, scored exactly.
-
-    others : other forms with nearly the same score, to be compared by refits
-    """
+    """The basis function of one regressor and channel with the largest gain, scored exactly."""
 
     score: Score
-    others: tuple[Score, ...] = ()
 
     @property
     def term(self) -> BasisTerm:
@@ -66,11 +50,6 @@ class BasisScore:
     def kind(self) -> tuple[str, str]:
         """Regressor and channel."""
         return self.term.function.regressor, self.term.action.channel
-
-    def without(self, excluded: Callable[[Score], bool]) -> BasisScore | None:
-        """Return the best form that is not excluded, with the other forms; None if all are."""
-        forms = [score for score in (self.score, *self.others) if not excluded(score)]
-        return BasisScore(forms[0], tuple(forms[1:])) if forms else None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -132,63 +111,30 @@ class Dependence:
         return self.best.term.function.place if self.best is not None else ""
 
 
-def basis_scores(
-    fit: Fit, decisions: Decisions, design: CoarseDesign | None = None, *, against_nats: float = 0.0
-) -> list[BasisScore]:
-    """Return the best basis function of each regressor and channel, scored exactly, whether or not it is significant.
+def dependence_of(fit: Fit, term: BasisTerm, nats: float, decisions: Decisions) -> Dependence:
+    """Return a basis function as a dependence, with the curve of its regressor and channel, scored beside a fit.
 
-    design : approximate columns, if already computed for this problem
-    against_nats : gain that the functions compete with. Of those that can hardly reach it only the best is scored
+    fit : a model without the function
+    nats : its gain minus its cost
     """
-    count = len(fit.problem.intervals)
-    search = ShapeSearch(fit, decisions, design)
-    worth = sorted(
-        (
-            (_kind(s), s.nats - penalty(s.term, count, decisions), i, s)
-            for i, s in enumerate(search.promising(against_nats) + waves(fit))
-        ),
-        key=lambda w: (w[0], -w[1], w[2]),
-    )
-    terms: list[BasisTerm] = []
-    most = max((nats for _, nats, _, _ in worth), default=0.0)
-    for kind, group in groupby(worth, key=lambda w: w[0]):
-        least = min(least_screened(kind[0], against_nats), most)
-        near = [(nats, s) for _, nats, _, s in islice(group, _MOST_STARTS) if nats > decisions.exact_nats]
-        terms += search.forms([s for _, s in near]) if near and near[0][0] >= least else []
-    found: dict[tuple[str, str], list[Score]] = {}
-    scores = score_terms(fit, terms, decisions, family=1) if terms else []
-    for term, score in zip(terms, scores, strict=True):
-        possible = np.abs(score.estimate).max() < LARGEST  # else the function is zero but for rounding
-        if possible and term.share(score.estimate.tolist(), fit.problem.motions) < decisions.max_share:
-            found.setdefault((term.function.regressor, term.action.channel), []).append(score)
-    return [_with_others(scores, decisions) for scores in found.values()]
+    (score,) = score_terms(fit, [term], decisions, family=1)
+    kind = (term.function.regressor, term.action.channel, term.action.per)
+    curve = next(iter(_curves(fit, kind)), None)
+    if curve is None:  # the regressor hardly varies: the function alone
+        alone = replace(score, estimate=score.estimate[:1], standard_error=score.standard_error[:1])
+        return _dependence(kind, np.zeros(1), alone, BasisScore(score), p=score.p, nats=nats)
+    return _dependence(kind, curve[1], curve[2], BasisScore(score), p=score.p, nats=nats)
 
 
-def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) -> list[Dependence]:
-    """Return the dependences that the model does not explain, those with the largest gains first; usually none.
-
-    scores : scores of basis functions, see `basis_scores`
-    """
-    plain = [one for one in scores if one.score.robust_nats > 0.0 and one.score.significant(decisions.level)]
-    by_kind = {one.kind: one for one in plain}
-    found = []
+def curves_left(fit: Fit, decisions: Decisions) -> list[Dependence]:
+    """Return curves that a model does not explain and no basis function describes, the largest gain first."""
+    count, found = len(fit.problem.intervals), []
     for kind, where, score in _curves(fit):
-        regressor, channel, per = kind
-        of_turns = channel == "yaw" and (per == "rad" or regressor in _OF_TURNS)
-        best = by_kind.get((regressor, channel))
-        nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(len(fit.problem.intervals)))
-        least = decisions.curve_of_turns_nats if of_turns else decisions.curve_nats
-        seen = score.significant(decisions.level) and nats > least
-        if best is not None and per == best.term.action.per:
-            own = best.score
-            most = max(nats, own.robust_nats) if seen else own.robust_nats
-            p = min(score.p, own.p) if seen else own.p
-            found.append(_dependence(kind, where, score, best, p=p, nats=most))
-        elif seen and best is None and per != "s":  # a dependence per second requires a basis function
+        nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(count))
+        # a dependence per second requires a basis function
+        if kind[2] != "s" and score.significant(decisions.level) and nats > decisions.curve_nats:
             found.append(_dependence(kind, where, score, None, p=score.p, nats=nats))
-    if any(r.matched for r in fit.problem.recordings):
-        found = [one for one in found if one.nats > decisions.tilt_nats or (one.channel, one.regressor) != _OF_TILT]
-    return sorted(found, key=lambda u: u.nats, reverse=True)
+    return sorted(found, key=lambda one: -one.nats)
 
 
 def basis_term(score: Score) -> BasisTerm:
@@ -198,19 +144,13 @@ def basis_term(score: Score) -> BasisTerm:
     return score.term
 
 
-def _kind(screened: Screened) -> tuple[str, str]:
-    return screened.term.function.regressor, screened.term.action.channel
+def _curves(
+    fit: Fit, only: tuple[str, str, str] | None = None
+) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
+    """Return for every curve its kind (regressor, channel, per), the centres of its hats, and their joint score.
 
-
-def _with_others(scores: Sequence[Score], decisions: Decisions) -> BasisScore:
-    """Return the best score of a kind, with other forms that come close to it."""
-    best = max(scores, key=lambda s: s.nats)
-    near = [s for s in scores if s is not best and s.nats > decisions.form_share * best.nats]
-    return BasisScore(best, tuple(sorted(near, key=lambda s: -s.nats)))
-
-
-def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
-    """Return for every curve its kind (regressor, channel, per), the centres of its hats, and their joint score."""
+    only : the kind that is wanted; default all
+    """
     motions, intervals = fit.problem.motions, fit.problem.intervals
     travel = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in motions])
     turn = np.concatenate([MOVES["omega"](m) * m.dt_s for m in motions])
@@ -228,18 +168,19 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
             if used.sum() < 2:
                 continue
             for channel in channels:
-                names.append((name, channel, per))
-                groups.append(_columns_of(intervals, hats[used], -amounts[per], channel))
-                centres.append(regressor(motions[0])[1][used])
+                if only in (None, (name, channel, per)):
+                    names.append((name, channel, per))
+                    groups.append(_columns_of(intervals, hats, used, -amounts[per], channel))
+                    centres.append(regressor(motions[0])[1][used])
     return list(zip(names, centres, score_columns(fit, groups), strict=True))
 
 
-def _columns_of(intervals: Intervals, hats: Array, amount: Array, channel: str) -> Array:
-    """Return columns (K, 3, m) of errors of a channel: hats (m, n) of a regressor times an amount of motion (n,)."""
+def _columns_of(intervals: Intervals, hats: Array, used: NDArray[np.bool_], amount: Array, channel: str) -> Array:
+    """Return columns (K, 3, m) of errors of a channel: the used hats (k, n) of a regressor times a motion (n,)."""
     columns = []
     errors = np.zeros((len(amount), 3))
-    for hat in hats:
-        errors[:, CHANNELS.index(channel)] = hat * amount
+    for i in np.flatnonzero(used):
+        errors[:, CHANNELS.index(channel)] = hats[i] * amount
         columns.append(intervals.column(errors))
     return by_column(np.stack(columns))
 

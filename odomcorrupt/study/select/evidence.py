@@ -117,7 +117,9 @@ class Evidence:
             solved = np.linalg.solve(normal, np.column_stack((score[own], total[own])))
             left = score - total[:, own] @ solved[:, 0]
             length = length - np.einsum("ji,ij->j", total[:, own], solved[:, 1:])
-        single = np.where(length > _SEPARABLE * np.diag(total), left**2 / np.maximum(length + self.precision, 1e-300), 0.0)
+        single = np.where(
+            length > _SEPARABLE * np.diag(total), left**2 / np.maximum(length + self.precision, 1e-300), 0.0
+        )
         gain = 0.5 * np.add.reduceat(single, self.first[:-1]) - self.cost
         taken = {int(self.group[i]) for i in subset}
         full = self.limited[list(subset)].sum() >= self.most
@@ -165,6 +167,14 @@ class Search:
         """The set with the largest evidence."""
         return max(self.seen, key=lambda s: (self.seen[s], -len(s)))
 
+    def refuse(self, subset: Subset) -> None:
+        """Exclude a set, and all others of the same effects, as the best one."""
+        group = self.evidence.group
+        refused = sorted(group[list(subset)])
+        for other in self.seen:
+            if sorted(group[list(other)]) == refused:
+                self.seen[other] = -np.inf
+
     def _evaluate(self, subsets: Iterable[Subset]) -> list[Subset]:
         """Evaluate sets that were not seen yet; return them."""
         new = [s for s in dict.fromkeys(subsets) if s not in self.seen]
@@ -196,5 +206,4 @@ class Search:
             if not len(weak):
                 break
             best = without[int(weak[np.argmin(clear[weak])])]
-            self._evaluate([best])
         return best

@@ -21,6 +21,7 @@ from odomcorrupt.study.estimate.gauss_newton import orthonormal
 from odomcorrupt.study.estimate.heading_source import sees_travel, stands_still
 from odomcorrupt.study.estimate.outliers import slip_bursts
 from odomcorrupt.study.estimate.random_process import (
+    CORRELATED_NOISE,
     FINELY,
     bias_of,
     processes,
@@ -34,7 +35,7 @@ from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.random_process import Knots, Process
     from odomcorrupt.study.select.decisions import Decisions
-    from odomcorrupt.study.select.dependence import Dependence
 
 _LEAST_SCALE = 1e-6
 """Smallest standard deviation of a gain that is tried; the largest is the bound of the effect's parameter."""
@@ -70,6 +70,9 @@ _BIAS, _WHEELS = ("gyro_bias_walk", ""), ("gauss_markov", "wheels")
 """Name and channel of a bias that varies, and of a difference between the wheels that does."""
 _REFIT_NATS = 15.0
 """Largest gain by fitting the noise again, nats, once a process has its own parameters; at most 10 was observed."""
+_ITERATIONS, _ALIKE, _SETTLED_NATS = 6, 0.03, 0.5
+"""Largest number of iterations between a random coefficient and the other noise; they end if the coefficient changes by
+less than the second value, and the log likelihood rises by less than the third, nats."""
 _SEEN_NATS = 1.0
 """Gain in the test from which a random walk of the bias is refitted: the smallest of nine drives with one was 3.6."""
 
@@ -204,16 +207,6 @@ def gain_in_refit(one: DetectedRandomEffect, without: Fit, with_it: Fit) -> floa
     return max(one.nats, refitted)
 
 
-def explained_by(gains: Iterable[tuple[Dependence, float]], effect: Effect, decisions: Decisions) -> float:
-    """Return the largest gain of a dependence, nats, that a random coefficient has to exceed.
-
-    The course of a yaw rate's bias in one drive is also a function of time. That would be no model of another drive,
-    and needs the additional gain of any function that replaces a known cause.
-    """
-    known = decisions.replacement_nats if effect.name == "gyro_bias_walk" else 0.0
-    return max((nats - known * (one.title == "yaw over time") for one, nats in gains), default=0.0)
-
-
 def remeasured(fit: Fit, effect: Effect) -> tuple[Effect, float]:
     """Return a random coefficient of a fit with its parameters re-estimated beside the noise, and what that gains."""
     evidence = _Evidence(_beside(fit, effect))
@@ -244,6 +237,31 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Dete
     corrected = any(r.in_map for r in fit.problem.recordings)  # in steps, which make tails
     heavy = heavy_tails(fit) if tails and not corrected and not _matched(fit) else None
     return [DetectedRandomEffect(*heavy)] if heavy is not None else []
+
+
+def eliminate_random(
+    named: list[DetectedRandomEffect], fit: Fit, decisions: Decisions
+) -> tuple[list[DetectedRandomEffect], Fit]:
+    """Return named random effects and the fit, both without random coefficients that a later term made redundant."""
+    if not fit.random:
+        return named, fit
+    calm = fit.refit(random=())
+    least = decisions.drop_nats + decisions.correlated_nats * len(fit.random)
+    if fit.log_likelihood - calm.log_likelihood >= least:
+        return named, fit
+    return [one for one in named if one.effect.name not in CORRELATED_NOISE], calm
+
+
+def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:
+    """Return a fit and its random coefficient after alternating re-estimation of both until convergence."""
+    for _ in range(_ITERATIONS):
+        new, _ = remeasured(fit, effect)
+        alike = all(np.isclose(getattr(new, p.name), getattr(effect, p.name), rtol=_ALIKE) for p in parameters(new))
+        calmer = fit.refit(random=[new if e is effect else e for e in fit.random])
+        if alike and calmer.log_likelihood < fit.log_likelihood + _SETTLED_NATS:
+            break
+        fit, effect = calmer, new
+    return fit, effect
 
 
 class _Evidence:

@@ -21,7 +21,7 @@ from odomcorrupt.study.select.candidates import library, library_candidates
 from odomcorrupt.study.select.decisions import DECISIONS, penalty
 from odomcorrupt.study.select.score import score_columns
 from odomcorrupt.study.select.shape_search import ShapeSearch
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 
 @pytest.mark.slow

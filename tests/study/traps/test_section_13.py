@@ -23,7 +23,7 @@ from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.select.candidates import library, library_candidates, objection
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.score import score_terms
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.term import LibraryTerm
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
