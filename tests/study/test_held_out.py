@@ -29,7 +29,8 @@ from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.contribution import Contribution, Span
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
-from odomcorrupt.study.select.result import Learned, Step, learn
+from odomcorrupt.study.select.result import Learned, Step
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate import held_out
 from odomcorrupt.study.validate.evaluation import Evaluation
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside

@@ -16,11 +16,7 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
-from odomcorrupt.study.select.candidates import with_shape_refined
-from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.score import score_terms
-from odomcorrupt.study.select.shape_search import ShapeSearch
-from odomcorrupt.study.terms.term import LibraryTerm
+from odomcorrupt.study.select.selection import learn
 
 TRACK_M, STEP_MPS, TURN_RPS, TICK_MPS = 0.3, 0.031, 0.083, 0.0175
 SIZES = {"step": STEP_MPS, "turn": TURN_RPS}
@@ -114,11 +110,7 @@ def found(steps, xyt):
     """Return the effect that is included on a recording."""
     made = recording(steps, xyt, seed=4)
     made = replace(made, track_m=TRACK_M)
-    start = fit([made], approach=choose_approach([made]))
-    family = LibraryTerm.family(registry()["truncated_velocity"], start.problem.motions)
-    term = ShapeSearch(start, DECISIONS).best(family)
-    (score,) = score_terms(start, [term], DECISIONS)
-    (effect,) = with_shape_refined(start.refit((score.estimated,)), score, DECISIONS)[0].effects
+    (effect,) = learn([made]).fit.effects
     return effect
 
 

@@ -125,7 +125,7 @@ class Dictionary:
             kind = (term.function.regressor, term.action.channel)
             if nats > -self.decisions.basis_nats and kept.get(kind, 0) < _OF_ITS_KIND:
                 kept[kind] = kept.get(kind, 0) + 1
-                moved = search.climb(term)
+                moved = search.climb(term).where_driven(fit.problem.motions)
                 self.basis.setdefault((moved.name, moved.function.text, moved.action), moved)
                 self._add(*_patch_of(moved, fit))
 

@@ -90,7 +90,7 @@ class Evidence:
         return Gains(score, folds)
 
     def _of(self, own: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the gains (M, F) of sets of columns (M, p) on left-out folds, and whether their estimates are in bounds."""
+        """Return the gains (M, F) of sets of columns (M, p) on left-out folds, and which have possible estimates."""
         if not own.shape[1]:
             return np.zeros((len(own), len(self.gram))), np.ones(len(own), dtype=bool)
         gram = self.gram[:, own[:, :, None], own[:, None, :]].swapaxes(0, 1)  # (M, F, p, p)

@@ -9,6 +9,7 @@ covariance in the whitening: what only imitated it leaves the model, what it had
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,7 +47,7 @@ from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 from odomcorrupt.study.work import Work
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.clocks import Clocks
@@ -297,60 +298,39 @@ class _Selection:
     def result(self, clocks: Clocks) -> Learned:
         """Return the model with the evidence for each of its terms, and for others in their place."""
         self._linearise()
-        gains = self._gains()
-        [self.last.terms[i].name for i in self.chosen]
-        order = sorted((i for i in gains if not isinstance(self.last.terms[i], ClockTerm)), key=lambda i: -gains[i])
-        instead = {i: self._instead(i) for i in self.chosen}
+        gains, fits = self._gains(), self._sequence()
         tested = tested_candidates(self.fit, self.dictionary.library.values(), self.decisions)
-        included, rivals, margins, steps = [], list[Dependence](), dict[str, float](), list[Step]()
-        before: list[Effect] = [e for e in self.fit.effects if e.name in self.given]
-        for i in order:
-            term, effect = self.last.terms[i], self.fit.by_name[self.last.terms[i].name]
-            bare = drop_term(self.fit, effect)
-            basis = max(
-                (j for j in instead[i] if isinstance(self.last.terms[j], BasisTerm)), key=instead[i].get, default=None
-            )
-            step = Step(before=self.fit.refit(before).for_reports(), candidates=(), added=None)
+        steps = [Step(before=self.fit.for_reports(), candidates=tuple(tested), added=None)]
+        included, rivals = list[Dependence](), list[Dependence]()
+        margins: dict[str, float] = {}
+        for i, before, after in reversed([*zip(self._order(gains), fits, fits[1:], strict=False)]):
+            term, instead = self.last.terms[i], self._instead(i)
+            bare = drop_term(self.fit, self.fit.by_name[term.name])
+            step = Step(before=before.for_reports(), candidates=tuple(tested), added=None)
             if isinstance(term, BasisTerm):
-                one = dependence_of(bare, term, gains[i], self.decisions)
-                included.append(one)
-                steps.append(replace(step, candidates=tuple(tested), dependence=one))
-            else:
-                margin = -instead[i][basis] if basis is not None else np.inf
-                margins[term.name] = margin
-                if basis is not None and margin < self.decisions.rival_nats:
-                    one = dependence_of(bare, self.last.terms[basis], gains[i] - margin, self.decisions)
-                    rivals.append(replace(one, instead_of=(term.name,)))
-                others = {
-                    self.last.terms[j].name: gains[i] + more
-                    for j, more in sorted(instead[i].items(), key=lambda x: x[1])
-                }
-                steps.append(
-                    replace(
-                        step, candidates=_ranked(bare, term, effect, gains[i], others, tested, self), added=term.name
-                    )
-                )
-            before.append(effect)
-        steps.append(Step(before=self.fit.for_reports(), candidates=tuple(tested), added=None))
+                included.insert(0, dependence_of(bare, term, gains[i], self.decisions))
+                steps.insert(0, replace(step, dependence=included[0]))
+                continue
+            basis = [(more, self.last.terms[j]) for j, more in instead.items()]
+            more, other = max(
+                ((more, t) for more, t in basis if isinstance(t, BasisTerm)), key=itemgetter(0), default=(-np.inf, None)
+            )
+            margins[term.name] = -more
+            if other is not None and -more < self.decisions.rival_nats:
+                one = dependence_of(bare, other, gains[i] + more, self.decisions)
+                rivals.insert(0, replace(one, instead_of=(term.name,)))
+            candidates = self._ranked(bare, term, gains[i], instead, tested)
+            rmse = ten_second_error(before), ten_second_error(after)
+            candidates = replace(candidates[0], rmse=rmse), *candidates[1:]
+            steps.insert(0, replace(step, candidates=candidates, added=term.name))
         kept = {effect.name for effect in self.fit.effects}
         final = with_robust_errors(self.fit, kept - self.given)
-        open_ = curves_left(self.fit, self.decisions)
-        late = sum(one.nats for one in (*included, *open_) if one.follows_acceleration)
-        own = [i for i in self.chosen if isinstance(self.last.terms[i], ClockTerm)]
-        margin_nats = [min(gains[i], *(-more for more in instead[i].values())) if instead[i] else gains[i] for i in own]
+        left = curves_left(self.fit, self.decisions)
         return Learned(
-            clocks=replace(
-                clocks,
-                clocks=self.fit.problem.clocks,
-                free=self.fit.free_clocks,
-                errors=with_rounding(final.clock_errors.tolist(), self.fit.free_clocks, self.fit.problem.recordings),
-                margins_nats=(*clocks.margins_nats, *margin_nats),
-                ambiguous_nats=self._ambiguous(order),
-                left_nats=late,
-            ),
+            clocks=self._clocks_of(final, clocks, gains, [*included, *left]),
             rounds=tuple(steps),
             noise=tuple(self.noise),
-            unknown=(*included, *open_, *rivals),
+            unknown=(*included, *left, *rivals),
             laws=tuple(included),
             margins=margins,
             fit=final,
@@ -359,6 +339,60 @@ class _Selection:
             contradictions=tuple(one for one in tested if one.contradicts_physics(self.decisions)),
             decisions=self.decisions,
         )
+
+    def _order(self, gains: Mapping[int, float]) -> list[int]:
+        """Return the indices of the effects of the model, the largest gain first."""
+        return sorted((i for i in gains if not isinstance(self.last.terms[i], ClockTerm)), key=lambda i: -gains[i])
+
+    def _sequence(self) -> list[Fit]:
+        """Return the fits with none, one, two, ... of the effects of the model, the largest gain first."""
+        effects = [self.fit.by_name[self.last.terms[i].name] for i in self._order(self._gains())]
+        given = [e for e in self.fit.effects if e.name in self.given]
+        return [*(self.fit.refit((*given, *effects[:k])) for k in range(len(effects))), self.fit]
+
+    def _clocks_of(self, final: Fit, clocks: Clocks, gains: Mapping[int, float], found: Sequence[Dependence]) -> Clocks:
+        """Return the clocks of the final model, with the evidence for them and for others in their place."""
+        recordings, free = self.fit.problem.recordings, self.fit.free_clocks
+        margins = [
+            min([gains[i], *(-more for more in self._instead(i).values())])
+            for i in self.chosen
+            if isinstance(self.last.terms[i], ClockTerm)
+        ]
+        return replace(
+            clocks,
+            clocks=self.fit.problem.clocks,
+            free=free,
+            errors=with_rounding(final.clock_errors.tolist(), free, recordings),
+            margins_nats=(*clocks.margins_nats, *margins) if np.any(free) else (),
+            ambiguous_nats=self._ambiguous(self._order(gains)),
+            left_nats=sum(one.nats for one in found if one.follows_acceleration),
+        )
+
+    def _ranked(
+        self,
+        bare: Fit,
+        term: LibraryTerm,
+        gain: float,
+        instead: Mapping[int, float],
+        tested: Sequence[Candidate],
+    ) -> tuple[Candidate, ...]:
+        """Return an effect of the model and its rivals as candidates, in order of their gains.
+
+        bare : the fit without the effect
+        gain : its gain beside the other terms
+        instead : evidence of the model with another term in its place, minus that of the model, by its index
+        """
+        (own,) = tested_candidates(bare, [term], self.decisions)
+        others = {self.last.terms[j].name: gain + more for j, more in sorted(instead.items(), key=itemgetter(1))}
+        rivals = [
+            replace(one, gain=others[one.name], refused="")
+            if others.get(one.name, 0.0) > 0.0 and one.name not in self.terms
+            else one
+            for one in tested
+            if one.name != term.name
+        ]
+        first = replace(own, fitted=self.fit.by_name[term.name], gain=gain, refused="")
+        return (first, *sorted(rivals, key=lambda one: -one.gain))
 
     def _instead(self, i: int) -> dict[int, float]:
         """Return the evidence with another term in place of one of the model, minus that of the model, by its index."""
@@ -381,25 +415,3 @@ class _Selection:
             score = self.last.evidence.gains([rest, *((*rest, clock) for clock in clocks)]).score
             most = max([most, *(float(with_it - score[0]) for with_it in score[1:])])
         return most
-
-
-def _ranked(
-    bare: Fit,
-    term: LibraryTerm,
-    effect: Effect,
-    gain: float,
-    others: dict[str, float],
-    tested: Sequence[Candidate],
-    state: _Selection,
-) -> tuple[Candidate, ...]:
-    """Return an included term and its rivals as candidates, in order of their gains."""
-    own = tested_candidates(bare, [term], state.decisions)[0]
-    first = replace(own, fitted=effect, gain=gain, refused="")
-    rivals = [
-        replace(one, gain=others[one.name], refused="")
-        if others.get(one.name, 0.0) > 0.0 and one.name not in state.terms
-        else one
-        for one in tested
-        if one.name != term.name
-    ]
-    return (first, *sorted(rivals, key=lambda one: -one.gain))
