@@ -459,7 +459,7 @@ def test_a_picture_is_the_same_file_every_time(draw):
 
 def test_candidates_that_were_refused_are_drawn_with_their_reason(rich):
     first = rich.rounds[0]
-    refused = replace(first.candidates[-1], gain=30.0, fit=first.candidates[0].fit, refused="it says nothing held out")
+    refused = replace(first.candidates[-1], gain=30.0, refused="it says nothing held out")
     look = replace(first, candidates=(*first.candidates[:3], refused))
     assert b"it says nothing" in rendered(draw_candidates(replace(rich, rounds=(look,))), "svg")
 

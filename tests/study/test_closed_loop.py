@@ -7,7 +7,7 @@ import pytest
 from wandering import recording
 
 from odomcorrupt.geometry.se2 import Increments, accumulate
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 
 def kept_on_a_line(seed: int, seconds: float = 600.0):

@@ -9,8 +9,6 @@ import pytest
 from hidden import as_recording, ten_second_error
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.selection import learn

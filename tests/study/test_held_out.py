@@ -223,15 +223,6 @@ def test_what_a_far_plainer_lag_leaves_is_no_sure_slip():
         assert confidence(evidence_of(plainer, beside)) > 0.9
 
 
-def test_what_truncated_velocities_may_leave_is_no_sure_scale():
-    learned = learned_with(with_truth(drive(4, scale=1.02), 5), "wheel_scale")
-    for step, sure in ((0.002, True), (0.1, False)):
-        cut = effect_from_values("truncated_velocity", {"step": step, "turn": step})
-        problem = replace(learned.fit.problem, effects=(*learned.fit.effects, cut))
-        beside = replace(learned, fit=replace(learned.fit, problem=problem))
-        assert (confidence(evidence_of(learned.rounds[0], beside)) > 0.9) == sure
-
-
 def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
     learned = learned_with(with_truth(drive(4), 5), "wheel_scale")
     candidates = (SimpleNamespace(gain=40.0, refused="", name="wheel_scale"),)

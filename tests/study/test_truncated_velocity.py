@@ -10,13 +10,17 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.effects.effect import choices
 from odomcorrupt.geometry.motion import motion_of, speed_steps
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
-from odomcorrupt.study.select.selection import learn
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.score import score_terms
+from odomcorrupt.study.select.shape_search import ShapeSearch
+from odomcorrupt.study.terms.term import LibraryTerm
 
 TRACK_M, STEP_MPS, TURN_RPS, TICK_MPS = 0.3, 0.031, 0.083, 0.0175
 SIZES = {"step": STEP_MPS, "turn": TURN_RPS}
@@ -110,7 +114,12 @@ def found(steps, xyt):
     """Return the effect that is included on a recording."""
     made = recording(steps, xyt, seed=4)
     made = replace(made, track_m=TRACK_M)
-    (effect,) = learn([made]).fit.effects
+    start = fit([made], approach=choose_approach([made]))
+    family = LibraryTerm.family(registry()["truncated_velocity"], start.problem.motions)
+    best = ShapeSearch(start, DECISIONS).best(family)
+    forms = [best, *best.with_words(tuple(choices(best.start)))]
+    fits = [start.refit((score.estimated,), weights_of=start) for score in score_terms(start, forms, DECISIONS)]
+    (effect,) = max(fits, key=lambda one: one.log_likelihood).refit().effects
     return effect
 
 

@@ -103,7 +103,6 @@ class Decisions:
         a lower probability
     counted_nats : gain assigned to lost increments and ticks, which are counted in the odometry
 
-    curve_nats : gain required to report a curve for which no basis function was found
     exact_nats : screening gain minus penalty above which a basis function is scored exactly
 
     least_confidence : an effect with a lower probability is removed, unless held-out data support it
@@ -149,7 +148,6 @@ class Decisions:
     map_nats: float = 20.0
     least_chance: float = 0.05
     counted_nats: float = 100.0
-    curve_nats: float = 4.0
     exact_nats: float = 3.0
     least_confidence: float = 0.1
     heterogeneity_level: float = 1e-3

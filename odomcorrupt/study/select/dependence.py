@@ -126,17 +126,6 @@ def dependence_of(fit: Fit, term: BasisTerm, nats: float, decisions: Decisions) 
     return _dependence(kind, curve[1], curve[2], BasisScore(score), p=score.p, nats=nats)
 
 
-def curves_left(fit: Fit, decisions: Decisions) -> list[Dependence]:
-    """Return curves that a model does not explain and no basis function describes, the largest gain first."""
-    count, found = len(fit.problem.intervals), []
-    for kind, where, score in _curves(fit):
-        nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(count))
-        # a dependence per second requires a basis function
-        if kind[2] != "s" and score.significant(decisions.level) and nats > decisions.curve_nats:
-            found.append(_dependence(kind, where, score, None, p=score.p, nats=nats))
-    return sorted(found, key=lambda one: -one.nats)
-
-
 def basis_term(score: Score) -> BasisTerm:
     """Return the term of the score of a basis function; TypeError for any other term."""
     if not isinstance(score.term, BasisTerm):

@@ -105,7 +105,7 @@ class Dictionary:
 
     decisions: Decisions
     library: dict[Effect, LibraryTerm] = field(default_factory=dict)
-    basis: dict[tuple[str, str, object], BasisTerm] = field(default_factory=dict)
+    basis: dict[object, BasisTerm] = field(default_factory=dict)
     bounds: dict[Effect, Array] = field(default_factory=dict)
     design: tuple[tuple[Clock, ...], CoarseDesign] | None = None
 
@@ -126,7 +126,7 @@ class Dictionary:
             if nats > -self.decisions.basis_nats and kept.get(kind, 0) < _OF_ITS_KIND:
                 kept[kind] = kept.get(kind, 0) + 1
                 moved = search.climb(term).where_driven(fit.problem.motions)
-                self.basis.setdefault((moved.name, moved.function.text, moved.action), moved)
+                self.basis.setdefault(_key(moved), moved)
                 self._add(*_patch_of(moved, fit))
 
     def _add(self, *terms: LibraryTerm) -> None:
@@ -144,9 +144,14 @@ class Dictionary:
 
     def beside(self, present: Sequence[LibraryTerm | BasisTerm]) -> list[LibraryTerm | BasisTerm]:
         """Return terms of a model, then all others."""
-        own = {(t.name, tuple(t.shape.tolist())) for t in present}
-        others = [*self.library.values(), *self.basis.values()]
-        return [*present, *(t for t in others if (t.name, tuple(t.shape.tolist())) not in own)]
+        own = {_key(t) for t in present}
+        others: list[LibraryTerm | BasisTerm] = [*self.library.values(), *self.basis.values()]
+        return [*present, *(t for t in others if _key(t) not in own)]
+
+
+def _key(term: LibraryTerm | BasisTerm) -> object:
+    """Return what identifies a term: its effect at the identity, or its text and action."""
+    return term.start if isinstance(term, LibraryTerm) else (term.name, term.function.text, term.action)
 
 
 def families(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
@@ -245,7 +250,7 @@ def linearised(
         precision=precision,
         low=low,
         high=high,
-        cost=np.array([_cost(t, dictionary.decisions) for t in used]),
+        cost=np.array([cost_of(t, dictionary.decisions) for t in used]),
         group=np.array([numbers.setdefault(t.name, len(numbers)) for t in used]),
         limited=np.array([isinstance(t, BasisTerm) for t in used]),
         most=dictionary.decisions.max_dependences,
@@ -301,7 +306,7 @@ def first_order_bounds(fit: Fit, effect: Effect, p: Parameter) -> tuple[float, f
     return room(p.low - p.identity), room(p.high - p.identity)
 
 
-def _cost(term: Competing, decisions: Decisions) -> float:
+def cost_of(term: Competing, decisions: Decisions) -> float:
     """Return the gain on left-out data at which a term breaks even, nats: the negative logarithm of its prior odds."""
     if isinstance(term, ClockTerm):
         return decisions.clock_nats

@@ -30,7 +30,7 @@ from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore
 from odomcorrupt.study.select.candidates import drop_term, tested_candidates
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 from odomcorrupt.study.select.dependence import Dependence, curves_left, dependence_of
-from odomcorrupt.study.select.dictionary import ClockChoice, ClockTerm, Dictionary, Linearised, linearised
+from odomcorrupt.study.select.dictionary import ClockChoice, ClockTerm, Dictionary, Linearised, cost_of, linearised
 from odomcorrupt.study.select.evidence import Search, Subset
 from odomcorrupt.study.select.heterogeneity import disagreements
 from odomcorrupt.study.select.random_effects import (
@@ -159,6 +159,7 @@ class _Selection:
     def run(self) -> _Selection:
         """Select terms and random processes in turn until neither changes; return self."""
         self._select()
+        self._compare_with_process()
         while self._include_process():
             self._select()
         self.noise, self.fit = eliminate_random(self.noise, self.fit, self.decisions)
@@ -278,8 +279,32 @@ class _Selection:
     def _gains(self) -> dict[int, float]:
         """Return the gain of each term of the model beside the others, by its index, nats."""
         without = [tuple(j for j in self.chosen if j != i) for i in self.chosen]
-        score = self.last.evidence.gains([self.chosen, *without]).score
-        return {i: float(score[0] - other) for i, other in zip(self.chosen, score[1:], strict=True)}
+        gains = self.last.evidence.gains([self.chosen, *without]).folds.sum(axis=1)
+        cost = self.last.evidence.cost
+        return {i: float(gains[0] - other - cost[i]) for i, other in zip(self.chosen, gains[1:], strict=True)}
+
+    def _compare_with_process(self) -> None:
+        """Replace the basis functions of the model by a random process if that is likelier, costs included.
+
+        The course of a bias over one drive is also a function of time, or of places that are passed once.
+        """
+        basis = {name for name, term in self.terms.items() if isinstance(term, BasisTerm)}
+        if not basis or len(self.fit.random) >= self.decisions.max_correlated:
+            return
+        before, terms, ticking, noise = self.fit, self.terms, self.ticking, list(self.noise)
+        self.fit = before.refit([e for e in before.effects if e.name not in basis])
+        self.terms = {name: term for name, term in terms.items() if name not in basis}
+        if self._include_process():
+            self._select()
+            likelier = self.fit.refit(weights_of=before).log_likelihood - before.refit(weights_of=before).log_likelihood
+            numbers = float(np.log(len(before.problem.intervals)))  # two numbers of a process, by half of it each
+            if likelier > numbers + self._cost(self.terms) - self._cost(terms):
+                return
+        self.fit, self.terms, self.ticking, self.noise = before, terms, ticking, noise
+        self._linearise()
+
+    def _cost(self, terms: Mapping[str, LibraryTerm | BasisTerm]) -> float:
+        return sum(cost_of(term, self.decisions) for term in terms.values())
 
     def _include_process(self) -> bool:
         """Include the random process with the largest gain, if one is detected; return whether there was one."""
@@ -310,6 +335,7 @@ class _Selection:
             if isinstance(term, BasisTerm):
                 included.insert(0, dependence_of(bare, term, gains[i], self.decisions))
                 steps.insert(0, replace(step, dependence=included[0]))
+            if not isinstance(term, LibraryTerm):
                 continue
             basis = [(more, self.last.terms[j]) for j, more in instead.items()]
             more, other = max(
@@ -325,12 +351,11 @@ class _Selection:
             steps.insert(0, replace(step, candidates=candidates, added=term.name))
         kept = {effect.name for effect in self.fit.effects}
         final = with_robust_errors(self.fit, kept - self.given)
-        left = curves_left(self.fit, self.decisions)
         return Learned(
-            clocks=self._clocks_of(final, clocks, gains, [*included, *left]),
+            clocks=self._clocks_of(final, clocks, gains, included),
             rounds=tuple(steps),
             noise=tuple(self.noise),
-            unknown=(*included, *left, *rivals),
+            unknown=(*included, *rivals),
             laws=tuple(included),
             margins=margins,
             fit=final,
