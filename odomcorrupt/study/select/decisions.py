@@ -74,14 +74,12 @@ class Decisions:
         and cluster-robust), from which on it is reported as evidence
     testable_errors : an effect is testable if half of its physical range exceeds this many standard errors; the
         benchmark detects effects from about 4 to 5 standard errors on
-    max_share : largest fraction of the robot's own motion that a basis function may explain as odometry error
 
     alternative_nats : effects within this gain of the best one are alternatives that the data do not separate; 3 nats
         are odds of 20 to 1
     rival_nats : a dependence is listed beside a name that gains at most this much more. Of 39 names in the benchmark's
         runs nine to fifteen that gained up to 8 nats more than the best basis function, 14 were wrong
     replacement_nats : gain from which on an effect of an impossible sign is reported
-    form_share : other forms of a dependence are scored too if they reach this fraction of the best form's gain
     reshape_nats : gain in log likelihood of a refit that a refined shape requires
     common, rare_nats : effects that nearly every robot has, and the lower prior log probability of all others (2 nats
         are 7 to 1): nominal radii and tracks are never exact (Borenstein & Feng 1996), gyros have bias and scale
@@ -103,7 +101,6 @@ class Decisions:
         a lower probability
     counted_nats : gain assigned to lost increments and ticks, which are counted in the odometry
 
-    exact_nats : screening gain minus penalty above which a basis function is scored exactly
 
     least_confidence : an effect with a lower probability is removed, unless held-out data support it
     heterogeneity_level : probability of reporting any difference between recordings of an unchanged robot
@@ -120,11 +117,9 @@ class Decisions:
     max_dependences: int = 2
     level: float = 0.01
     testable_errors: float = 4.2
-    max_share: float = 0.5
     alternative_nats: float = 3.0
     rival_nats: float = 7.0
     replacement_nats: float = 8.0
-    form_share: float = 0.7
     reshape_nats: float = 1.0
     common: tuple[str, ...] = (
         "wheel_scale",
@@ -148,7 +143,6 @@ class Decisions:
     map_nats: float = 20.0
     least_chance: float = 0.05
     counted_nats: float = 100.0
-    exact_nats: float = 3.0
     least_confidence: float = 0.1
     heterogeneity_level: float = 1e-3
     prior: PriorOdds = field(default_factory=PriorOdds)

@@ -29,7 +29,7 @@ from odomcorrupt.study.io.clock import Clock, clock_leaders
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select.candidates import drop_term, tested_candidates
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
-from odomcorrupt.study.select.dependence import Dependence, curves_left, dependence_of
+from odomcorrupt.study.select.dependence import Dependence, dependence_of
 from odomcorrupt.study.select.dictionary import ClockChoice, ClockTerm, Dictionary, Linearised, cost_of, linearised
 from odomcorrupt.study.select.evidence import Search, Subset
 from odomcorrupt.study.select.heterogeneity import disagreements
