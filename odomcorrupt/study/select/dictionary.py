@@ -44,6 +44,8 @@ _OF_ITS_KIND = 2
 """Number of basis functions of each regressor and channel that compete: a step and a hinge, or two places."""
 _CLOCKS = {"time_offset": 0.03, "clock_skew": 1e-4}
 """Clock terms, and the prior standard deviation of an offset, s, and of a rate; see effects.md, section 4."""
+_HALVINGS = 20
+"""Number of bisections of a parameter's range for a starting value."""
 
 
 @dataclass(frozen=True)
@@ -294,16 +296,41 @@ def first_order_bounds(fit: Fit, effect: Effect, p: Parameter) -> tuple[float, f
     as far as its odometry: three times the reported turn is missing, so the first-order estimate is 3.
     """
 
+    def room(bound: float) -> float:
+        return float(np.copysign(max(_first_order(fit, effect, p, bound), abs(bound)), bound)) if bound else 0.0
+
+    return room(p.low - p.identity), room(p.high - p.identity)
+
+
+def started(fit: Fit, effect: Effect, estimate: Sequence[float]) -> Effect:
+    """Return an effect at a first-order estimate, from which a fit can start.
+
+    An estimate beyond a bound is that of an error that is not linear in the parameter: the value whose error is as
+    large is found by bisection.
+    """
+    values = {}
+    for p, estimated in zip(amplitudes(effect), estimate, strict=True):
+        values[p.name] = p.identity + estimated
+        low, high = 0.0, (p.low if estimated < 0.0 else p.high) - p.identity
+        if abs(estimated) <= abs(high):
+            continue
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            below = _first_order(fit, effect, p, middle) < abs(estimated)
+            low, high = (middle, high) if below else (low, middle)
+        values[p.name] = p.identity + low
+    return replace(effect, **values)  # type: ignore[type-var]  # effects are dataclasses
+
+
+def _first_order(fit: Fit, effect: Effect, p: Parameter, change: float) -> float:
+    """Return the size of the first-order estimate for a change of a parameter from its identity."""
+
     def size(value: float) -> float:
         acting = replace(effect, **{p.name: value})  # type: ignore[type-var]  # effects are dataclasses
         return float(np.sqrt(sum(np.sum(error_of(acting, m) ** 2) for m in fit.problem.motions)))
 
-    def room(bound: float) -> float:
-        slope = size(p.identity + np.copysign(p.step, bound)) / p.step
-        most = size(p.identity + bound) / slope if slope > 0.0 else 0.0
-        return float(np.copysign(max(most, abs(bound)), bound)) if bound else 0.0
-
-    return room(p.low - p.identity), room(p.high - p.identity)
+    slope = size(p.identity + np.copysign(p.step, change)) / p.step
+    return size(p.identity + change) / slope if slope > 0.0 else 0.0
 
 
 def cost_of(term: Competing, decisions: Decisions) -> float:

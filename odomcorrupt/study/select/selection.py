@@ -30,7 +30,15 @@ from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore
 from odomcorrupt.study.select.candidates import drop_term, tested_candidates
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 from odomcorrupt.study.select.dependence import Dependence, dependence_of
-from odomcorrupt.study.select.dictionary import ClockChoice, ClockTerm, Dictionary, Linearised, cost_of, linearised
+from odomcorrupt.study.select.dictionary import (
+    ClockChoice,
+    ClockTerm,
+    Dictionary,
+    Linearised,
+    cost_of,
+    linearised,
+    started,
+)
 from odomcorrupt.study.select.evidence import Search, Subset
 from odomcorrupt.study.select.heterogeneity import disagreements
 from odomcorrupt.study.select.random_effects import (
@@ -229,7 +237,7 @@ class _Selection:
             elif isinstance(term, BasisTerm):
                 effects.append(term.effect(own))
             else:
-                effects.append(term.effect([p.identity + x for p, x in zip(amplitudes(term.start), own, strict=True)]))
+                effects.append(started(self.fit, term.start, own))
         free = self.clocks.free(names, clock_leaders(self.fit.problem.recordings))
         clocks = [
             Clock(clock.offset_s * offset, clock.rate * rate)
