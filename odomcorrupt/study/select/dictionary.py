@@ -16,7 +16,7 @@ from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, choices
 from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.errors import EffectError
-from odomcorrupt.study.estimate.gauss_newton import orthonormal
+from odomcorrupt.study.estimate.gauss_newton import orthonormal, prior_deviations
 from odomcorrupt.study.estimate.robust_errors import block_of
 from odomcorrupt.study.io.clock import clock_leaders
 from odomcorrupt.study.select.decisions import penalty
@@ -284,9 +284,8 @@ def _prior(term: Competing, fit: Fit, dictionary: Dictionary, unit: Array) -> tu
         return np.full(term.width, _CLOCKS[term.name] ** -2), -free, free
     if isinstance(term, BasisTerm):
         return unit, -free, free
-    own = amplitudes(term.start)
     low, high = dictionary.bounds_of(term.start, fit).T
-    return np.array([(2.0 * p.typical) ** -2 for p in own]), low, high
+    return prior_deviations([term.start]) ** -2, low, high
 
 
 def first_order_bounds(fit: Fit, effect: Effect, p: Parameter) -> tuple[float, float]:
