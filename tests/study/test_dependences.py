@@ -99,12 +99,12 @@ def test_a_strip_is_refined_to_where_it_lies_wheel_by_wheel():
     away = np.exp(-1j * strip["direction"]) * (
         run.truth_xyt[:, 0] - strip["x"] + 1j * (run.truth_xyt[:, 1] - strip["y"])
     )
-    angle, x, y, half = found.best.term.function.shape
+    angle, x, y, half = found.term.function.shape
     found_away = np.cos(angle) * (run.truth_xyt[:, 0] - x) + np.sin(angle) * (run.truth_xyt[:, 1] - y)
     wet = np.abs(away.imag) < 0.5 * strip["width"]
     assert 0.02 < wet.mean() < 0.8
     assert np.mean(wet == (np.abs(found_away) < half)) > 0.97
-    assert found.best.score.estimate[0] == pytest.approx(-strip["slip"], rel=0.15)
+    assert found.score.estimate[0] == pytest.approx(-strip["slip"], rel=0.15)
 
 
 @pytest.mark.slow

@@ -39,7 +39,7 @@ def test_what_rollers_lose_sideways_is_an_error_over_the_sideways_speed():
     (found, *_) = basis_dependences(fitted(sideways_drive(LOST)))
     assert (found.channel, found.regressor, found.per) == ("along", "sideways_speed", "m")
     assert found.expression.startswith("along += abs(vy) * (-0.0")
-    assert found.best.score.estimate[0] == pytest.approx(-LOST, rel=0.05)
+    assert found.score.estimate[0] == pytest.approx(-LOST, rel=0.05)
 
 
 def test_without_an_error_nothing_depends_on_the_sideways_speed():

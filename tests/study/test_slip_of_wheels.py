@@ -58,7 +58,7 @@ def test_a_belt_of_one_wheel_that_slips_under_acceleration_of_either_sign_is_cor
     learned = learn([belted(401)])
     (law,) = learned.laws
     assert law.wheels == "right"
-    assert law.best.score.estimate[0] == pytest.approx(-0.1, rel=0.1)
+    assert law.score.estimate[0] == pytest.approx(-0.1, rel=0.1)
     assert "abs(a) >" in law.expression
-    assert law.best.term.shape[0] == pytest.approx(0.5, abs=0.05)
+    assert law.term.shape[0] == pytest.approx(0.5, abs=0.05)
     assert ten_second_error([belted(402)], learned.fit.effects) < 0.4 * ten_second_error([belted(402)])

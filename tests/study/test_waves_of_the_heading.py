@@ -76,7 +76,7 @@ def proposed(seed, **options):
     run = as_recording(simulate(seed, "floor_grain", **options))
     fitted = fit([run], approach=choose_approach([run]))
     found = next(one for one in basis_dependences(fitted) if one.regressor == "heading")
-    corrected = fitted.refit([found.best.score.estimated])
+    corrected = fitted.refit([found.score.estimated])
     other = as_recording(simulate(seed + 1000, "floor_grain", robot_seed=seed, **options))
     return found, ten_second_error([other]), ten_second_error([other], corrected.effects)
 

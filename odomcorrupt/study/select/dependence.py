@@ -1,9 +1,7 @@
 """Dependences of the residual on one regressor that no library effect explains, as curves and as terms.
 
-For every regressor (speed, yaw rate, ...) and channel the error per metre is a curve of a few hat functions; for the
-heading also the error per radian turned and per second. The joint score of the curve is tested, and its estimate is
-reported. Basis functions of one or two coefficients are tested too: they have more power than a curve of eight, and can
-be included in the model.
+A basis function of one or two coefficients has more power than a curve of eight, and can be in a model. The curve over
+the regressor (speed, yaw rate, ...) is reported: the error per metre, radian turned, or second, as a few hat functions.
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.score import score_columns, score_terms
 from odomcorrupt.study.terms.channels import MOVES
 from odomcorrupt.study.terms.splines import curve_regressors
-from odomcorrupt.study.terms.term import BasisTerm
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,23 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import ColumnScore, Score
-
-
-@dataclass(frozen=True, slots=True)
-class BasisScore:
-    """The basis function of one regressor and channel with the largest gain, scored exactly."""
-
-    score: Score
-
-    @property
-    def term(self) -> BasisTerm:
-        """The basis function with its action."""
-        return basis_term(self.score)
-
-    @property
-    def kind(self) -> tuple[str, str]:
-        """Regressor and channel."""
-        return self.term.function.regressor, self.term.action.channel
+    from odomcorrupt.study.terms.term import BasisTerm
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -61,8 +42,7 @@ class Dependence:
     curve, curve_error : (m,) truth minus odometry per `per` at the centres (m/m, rad/m, rad/rad, rad/s), and its error
     p : probability of such a dependence for any regressor if there is none
     nats : gain in log likelihood minus the penalty
-    best : the basis function with the largest gain, if any
-    expression : a simple effect of that shape, for the user to edit
+    term, score : the basis function with the largest gain and its action, and its score test
     instead_of : names of the included effects that it may replace; empty if none
 
     Equality is identity of objects.
@@ -76,9 +56,14 @@ class Dependence:
     curve_error: Array
     p: float
     nats: float
-    best: BasisScore | None
-    expression: str
+    term: BasisTerm
+    score: Score
     instead_of: tuple[str, ...] = ()
+
+    @property
+    def expression(self) -> str:
+        """An effect of that shape, for the user to edit."""
+        return self.term.expression(self.score.estimate.tolist())
 
     @property
     def follows_acceleration(self) -> bool:
@@ -87,8 +72,8 @@ class Dependence:
 
     @property
     def name(self) -> str:
-        """Name of its effect in a model, if a basis function explains it; else ""."""
-        return self.best.term.name if self.best is not None else ""
+        """Name of its effect in a model."""
+        return self.term.name
 
     @property
     def title(self) -> str:
@@ -98,17 +83,17 @@ class Dependence:
     @property
     def wheels(self) -> str:
         """Wheels with the error if the term acts on wheels: "left", "right" or "wheels"; else ""."""
-        return self.best.term.action.target if self.best is not None and self.best.term.action.by_wheel else ""
+        return self.term.action.target if self.term.action.by_wheel else ""
 
     @property
     def wavelength_m(self) -> float | None:
         """Period of an error that is periodic over the travelled distance, m; else None."""
-        return self.best.term.function.wavelength_m or None if self.best is not None else None
+        return self.term.function.wavelength_m or None
 
     @property
     def place(self) -> str:
         """Location of the error in words, as in "within 2 m of (1.0, -0.5)"; "" if it is not confined to a place."""
-        return self.best.term.function.place if self.best is not None else ""
+        return self.term.function.place
 
 
 def dependence_of(fit: Fit, term: BasisTerm, nats: float, decisions: Decisions) -> Dependence:
@@ -118,50 +103,52 @@ def dependence_of(fit: Fit, term: BasisTerm, nats: float, decisions: Decisions) 
     nats : its gain minus its cost
     """
     (score,) = score_terms(fit, [term], decisions, family=1)
-    kind = (term.function.regressor, term.action.channel, term.action.per)
-    curve = next(iter(_curves(fit, kind)), None)
+    found = Dependence(
+        channel=term.action.channel,
+        regressor=term.function.regressor,
+        per=term.action.per,
+        centres=np.zeros(1),
+        curve=score.estimate[:1],
+        curve_error=score.standard_error[:1],
+        p=score.p,
+        nats=nats,
+        term=term,
+        score=score,
+    )
+    if term.function.wavelength_m:  # hats are too wide to resolve a wave
+        where = np.linspace(0.0, term.function.wavelength_m, 13)
+        angle = 2.0 * np.pi * where / term.function.wavelength_m
+        unit = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        error = np.sqrt(unit**2 @ score.standard_error**2)
+        return replace(found, centres=where, curve=unit @ score.estimate, curve_error=error)
+    curve = _curve(fit, found)
     if curve is None:  # the regressor hardly varies: the function alone
-        alone = replace(score, estimate=score.estimate[:1], standard_error=score.standard_error[:1])
-        return _dependence(kind, np.zeros(1), alone, BasisScore(score), p=score.p, nats=nats)
-    return _dependence(kind, curve[1], curve[2], BasisScore(score), p=score.p, nats=nats)
+        return found
+    centres, own = curve
+    return replace(found, centres=centres, curve=own.estimate, curve_error=own.standard_error)
 
 
-def basis_term(score: Score) -> BasisTerm:
-    """Return the term of the score of a basis function; TypeError for any other term."""
-    if not isinstance(score.term, BasisTerm):
-        raise TypeError(f"{score.term.name} is no basis function")
-    return score.term
-
-
-def _curves(
-    fit: Fit, only: tuple[str, str, str] | None = None
-) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
-    """Return for every curve its kind (regressor, channel, per), the centres of its hats, and their joint score.
-
-    only : the kind that is wanted; default all
-    """
-    motions, intervals = fit.problem.motions, fit.problem.intervals
-    travel = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in motions])
-    turn = np.concatenate([MOVES["omega"](m) * m.dt_s for m in motions])
-    amounts = {"m": travel, "rad": turn, "s": np.concatenate([m.dt_s for m in motions])}
-    names, groups, centres = [], [], []
-    recordings = fit.problem.recordings
+def _curve(fit: Fit, found: Dependence) -> tuple[Array, ColumnScore] | None:
+    """Return the centres of the hats that describe a dependence, and their joint score; None with fewer than two."""
+    motions, recordings = fit.problem.motions, fit.problem.recordings
+    amount = np.concatenate(
+        [
+            {"m": np.hypot(m.v, m.vy), "rad": MOVES["omega"](m), "s": np.ones(len(m))}[found.per] * m.dt_s
+            for m in motions
+        ]
+    )
     regressors = curve_regressors(
         motions, placed=shared_frame(recordings) is not None, sideways=is_holonomic(recordings, motions)
     )
-    for name, regressor in regressors.items():
-        hats = _hats(regressor, motions)
-        for per, channels in (("m", CHANNELS), ("rad", ("yaw",)), ("s", ("yaw",))):
-            least = 0.01 * np.abs(amounts[per]).sum()
-            used = np.array([np.abs(hat * amounts[per]).sum() > least for hat in hats])
-            if used.sum() < 2:
-                continue
-            for channel in channels:
-                if only in (None, (name, channel, per)):
-                    names.append((name, channel, per))
-                    groups.append(_columns_of(intervals, hats, used, -amounts[per], channel))
-                    centres.append(regressor(motions[0])[1][used])
-    return list(zip(names, centres, score_columns(fit, groups), strict=True))
+    if found.regressor not in regressors:
+        return None
+    regressor = regressors[found.regressor]
+    hats = _hats(regressor, motions)
+    used = np.array([np.abs(hat * amount).sum() > 0.01 * np.abs(amount).sum() for hat in hats])
+    if used.sum() < 2:
+        return None
+    (score,) = score_columns(fit, [_columns_of(fit.problem.intervals, hats, used, -amount, found.channel)])
+    return regressor(motions[0])[1][used], score
 
 
 def _columns_of(intervals: Intervals, hats: Array, used: NDArray[np.bool_], amount: Array, channel: str) -> Array:
@@ -178,59 +165,3 @@ def _hats(regressor: Callable[[Motion], tuple[Array, Array]], motions: Sequence[
     """Return the values (k, n) of a regressor's hats on all motions; without a copy on a single one."""
     parts = [regressor(motion)[0].T for motion in motions]
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-
-
-def _dependence(
-    kind: tuple[str, str, str], where: Array, score: ColumnScore, best: BasisScore | None, *, p: float, nats: float
-) -> Dependence:
-    """Return a dependence of a kind (regressor, channel, per) from the score of its curve and its basis function."""
-    regressor, channel, per = kind
-    curve, error = score.estimate, score.standard_error
-    if best is not None and best.term.function.wavelength_m:  # report the wave: hats are too wide to resolve it
-        where = np.linspace(0.0, best.term.function.wavelength_m, 13)
-        angle = 2.0 * np.pi * where / best.term.function.wavelength_m
-        unit = np.stack((np.cos(angle), np.sin(angle)), axis=1)
-        curve, error = unit @ best.score.estimate, np.sqrt(unit**2 @ best.score.standard_error**2)
-    expression = (
-        _line(regressor, channel, per, where, score)
-        if best is None
-        else best.term.expression(best.score.estimate.tolist())
-    )
-    return Dependence(
-        channel=channel,
-        regressor=regressor,
-        per=per,
-        centres=where,
-        curve=curve,
-        curve_error=error,
-        p=p,
-        nats=nats,
-        best=best,
-        expression=expression,
-    )
-
-
-def _line(name: str, channel: str, per: str, where: Array, score: ColumnScore) -> str:
-    """Return a simple effect with about the shape of the curve, as an expression with its numbers filled in."""
-    curve, weight = score.estimate, 1.0 / np.maximum(score.standard_error, 1e-12) ** 2
-    travel = "hypot(v, vy)" if name == "sideways_speed" else "abs(v)"
-    move = travel if per == "m" else "omega"
-    if name == "heading":
-        terms = ("cos(theta)", "sin(theta)", "cos(2 * theta)", "sin(2 * theta)")
-        text = " + ".join(f"{k:.3g} * {terms[int(i)]}" for i, k in zip(where, curve, strict=True))
-        return f"{channel} += {move} * ({text})"
-    if name == "position":
-        worst = int(np.argmax(np.abs(curve) * np.sqrt(weight)))
-        x, y = where[worst]
-        return f"{channel} += {curve[worst]:.3g} * {move} * exp(-((x - {x:.3g})**2 + (y - {y:.3g})**2) / 2)"
-    variable = {
-        "speed": "v",
-        "yaw_rate": "omega",
-        "acceleration": "a",
-        "lateral_acceleration": "abs(v * omega)",
-        "yaw_acceleration": "alpha",
-        "time": "t",
-        "sideways_speed": "vy",
-    }
-    slope, offset = np.polyfit(where, curve, 1, w=np.sqrt(weight))
-    return f"{channel} += {move} * ({offset:.3g} + {slope:.3g} * {variable.get(name, name)})"

@@ -44,6 +44,8 @@ _OF_ITS_KIND = 2
 """Number of basis functions of each regressor and channel that compete: a step and a hinge, or two places."""
 _CLOCKS = {"time_offset": 0.03, "clock_skew": 1e-4}
 """Clock terms, and the prior standard deviation of an offset, s, and of a rate; see effects.md, section 4."""
+_SURELY = 3.0
+"""Standard errors by which a coefficient is surely larger than a size."""
 _HALVINGS = 20
 """Number of bisections of a parameter's range for a starting value."""
 
@@ -117,7 +119,7 @@ class Dictionary:
             self.design = fit.problem.clocks, CoarseDesign(fit.problem)
         search = ShapeSearch(fit, self.decisions, self.design[1])
         for family in families(fit):
-            best = search.located(family).term
+            best = search.located(family)
             self._add(best)
             if best.related() and search.gain(best) > self.decisions.related_nats:
                 self._add(search.best(family))
@@ -242,8 +244,10 @@ def linearised(
     score = np.stack([white[fold == k].T @ residual[fold == k] for k in range(FOLDS)])
     first = np.concatenate(([0], np.cumsum([part.shape[2] for part in columns]))).astype(np.int64)
     numbers: dict[str, int] = {}
-    unit = np.maximum(np.einsum("fii->i", gram), 1e-300) / len(problem.intervals)
-    priors = [_prior(t, fit, dictionary, unit[first[i] : first[i + 1]]) for i, t in enumerate(used)]
+    length = np.maximum(np.einsum("fii->i", gram), 1e-300)
+    unit, alone = length / len(problem.intervals), np.abs(score.sum(axis=0)) / length - _SURELY / np.sqrt(length)
+    parts = [slice(first[i], first[i + 1]) for i in range(len(used))]
+    priors = [_prior(t, fit, dictionary, unit[o], alone[o]) for t, o in zip(used, parts, strict=True)]
     precision, low, high = (np.concatenate(part) for part in zip(*priors, strict=True))
     evidence = Evidence(
         first=first,
@@ -272,12 +276,14 @@ def _of_leaders(held: NDArray[np.bool_], problem: Problem) -> NDArray[np.bool_]:
     return (held & leading[:, None]).ravel()
 
 
-def _prior(term: Competing, fit: Fit, dictionary: Dictionary, unit: Array) -> tuple[Array, Array, Array]:
+def _prior(term: Competing, fit: Fit, dictionary: Dictionary, unit: Array, alone: Array) -> tuple[Array, Array, Array]:
     """Return the prior precision (p,) of the coefficients of a term, and their bounds (p,) to first order.
 
     An amplitude is normal about its identity, with a standard deviation of twice its typical size: without it, large
-    terms that cancel each other on one drive would explain its noise. A basis function has a unit information prior
-    (Kass & Wasserman 1995).
+    terms that cancel each other on one drive would explain its noise. It is larger if the term alone is surely larger
+    (empirical Bayes). A basis function has a unit information prior (Kass & Wasserman 1995).
+
+    unit, alone : (p,) precision of unit information; least size of each coefficient with no other term in the model
     """
     free = np.full(term.width, np.inf)
     if isinstance(term, ClockTerm):
@@ -285,7 +291,8 @@ def _prior(term: Competing, fit: Fit, dictionary: Dictionary, unit: Array) -> tu
     if isinstance(term, BasisTerm):
         return unit, -free, free
     low, high = dictionary.bounds_of(term.start, fit).T
-    return prior_deviations([term.start]) ** -2, low, high
+    deviation = np.maximum(prior_deviations([term.start]), alone)
+    return deviation**-2, low, high
 
 
 def first_order_bounds(fit: Fit, effect: Effect, p: Parameter) -> tuple[float, float]:

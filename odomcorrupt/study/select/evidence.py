@@ -193,14 +193,19 @@ class Search:
     def clear_parts(self, errors: float) -> Subset:
         """Return the best set without terms whose held-out gain is not clearly positive, the least clear first.
 
-        errors : number of standard errors over folds that a gain has to exceed zero by
+        The standard error is that over folds, or that of a gain of G nats under the noise model, sqrt(2 G), if it is
+        smaller: a drive may excite a term in few of them, as it does a patch of floor.
+
+        errors : number of standard errors that a gain has to exceed zero by
         """
         best = self.best
         while best:
             without = [tuple(j for j in best if j != i) for i in best]
             found = self.evidence.gains([best, *without])
             more = found.folds[0] - found.folds[1:]
-            clear = more.sum(axis=1) / (more.std(axis=1, ddof=1) * np.sqrt(more.shape[1]) + 1e-9)
+            gain = more.sum(axis=1)
+            error = np.minimum(more.std(axis=1, ddof=1) * np.sqrt(more.shape[1]), np.sqrt(2.0 * np.maximum(gain, 0.0)))
+            clear = gain / (error + 1e-9)
             own = np.where(np.isfinite(found.score[1:]), found.score[0] - found.score[1:], np.inf)
             weak = np.flatnonzero((clear < errors) | (own <= 0.0))
             if not len(weak):

@@ -73,18 +73,10 @@ _REFIT_NATS = 15.0
 _ITERATIONS, _ALIKE, _SETTLED_NATS = 6, 0.03, 0.5
 """Largest number of iterations between a random coefficient and the other noise; they end if the coefficient changes by
 less than the second value, and the log likelihood rises by less than the third, nats."""
-_SEEN_NATS = 1.0
-"""Gain in the test from which a random walk of the bias is refitted: the smallest of nine drives with one was 3.6."""
 
 
-def random_coefficients(
-    fit: Fit, decisions: Decisions, *, last: bool = True, least_nats: float = 0.0
-) -> list[DetectedRandomEffect]:
-    """Return the random coefficients detected in the residual of a fit, in decreasing order of their gains.
-
-    last : whether no effect is admitted, so that there may be no later step that tests them
-    least_nats : gain below which none is tested further or returned
-    """
+def random_coefficients(fit: Fit, decisions: Decisions) -> list[DetectedRandomEffect]:
+    """Return the random coefficients detected in the residual of a fit, in decreasing order of their gains."""
     log_count = float(np.log(len(fit.problem.intervals)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found: dict[tuple[str, str], tuple[DetectedRandomEffect, float]] = {}
@@ -115,28 +107,24 @@ def random_coefficients(
     for key, (one, least) in found.items():
         if key in have:
             continue
-        needed = max(least, least_nats)
-        beside, measured = _measured(fit, one, needed, last=last)
-        if measured.nats > needed and _in_both_halves(beside, measured.effect, decisions):
+        beside, measured = _measured(fit, one, least)
+        if measured.nats > least and _in_both_halves(beside, measured.effect, decisions):
             named.append(measured)
     return sorted(named, key=lambda one: one.nats, reverse=True)
 
 
-def _measured(fit: Fit, one: DetectedRandomEffect, least: float, *, last: bool) -> tuple[Fit, DetectedRandomEffect]:
+def _measured(fit: Fit, one: DetectedRandomEffect, least: float) -> tuple[Fit, DetectedRandomEffect]:
     """Return a fit with its noise re-estimated beside a random bias, and the bias with its gain in the refit.
 
     If intervals last seconds, as with poses of a localisation, or if the angle random walk of a gyro is fitted, the
     fitted noise absorbs most of a random walk of the bias, and a test beside that noise has little power. Otherwise,
-    and if no refit is likely to gain `least` nats, both are returned unchanged. With intervals of half a second that
-    test keeps some power: below a gain of `_SEEN_NATS`, the refit waits for the `last` step.
+    and if no refit is likely to gain `least` nats, both are returned unchanged.
     """
     (process,) = processes_like(one.effect)
     approach = fit.problem.approach
     if process.unit is not bias_of or not (approach.gyro_noise or approach.spacing_s > INTERVAL_S):
         return fit, one
     paid = 0.5 * process.numbers * float(np.log(len(fit.problem.intervals)))
-    if not last and approach.spacing_s <= INTERVAL_S and one.nats + paid < _SEEN_NATS:
-        return fit, one
     (usual,) = (p.typical for p in parameters(process.kind) if p.name == process.scale)
     start = process.kind(**{process.scale: max(getattr(one.effect, process.scale), usual), **process.fixed})
     least = max(one.nats, least) + paid
