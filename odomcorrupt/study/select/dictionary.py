@@ -131,7 +131,7 @@ class Dictionary:
                 kept[kind] = kept.get(kind, 0) + 1
                 moved = search.climb(term).where_driven(fit.problem.motions)
                 self.basis.setdefault(_key(moved), moved)
-                self._add(*_patch_of(moved, fit))
+                self._add(*(search.maximise(patch) for patch in _patch_of(moved, fit)))
 
     def _add(self, *terms: LibraryTerm) -> None:
         """Add library terms, each with every other option of its word-valued parameters."""
