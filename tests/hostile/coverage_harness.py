@@ -1,7 +1,5 @@
 """What the coverage-guided fuzzer tries, and what it asks of it: see `coverage_fuzz.py`, which starts it."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json
@@ -182,24 +180,12 @@ class Harness:
         if kind in self.bags or kind == YAML:
             self._try_bag(kind, data, place)
         elif kind in TEXTS:
-            self._try_text(kind, data)
+            self.counts["refused" if self._texts.use(kind, data, np.random.default_rng(0)) else "read"] += 1
         else:
             (place / kind).write_bytes(data)
             (place / "run_000000.mcap").write_bytes(b"abcd")
             got = judged(read_records, place) if kind == BOOK else judged(read_beginning, place)
             self.counts["refused" if isinstance(got, Exception) else "read"] += 1
-
-    def _try_text(self, kind: str, data: bytes) -> None:
-        rng = np.random.default_rng(len(data))
-        if kind == "model file":
-            got = judged(self._texts._model, data, rng)
-        elif kind.startswith("map"):
-            got = judged(self._texts._map, data, "map .pgm" if kind == "map .pgm" else "")
-            if kind == "map .yaml":
-                (self._texts.room / "map.yaml").write_bytes(data)
-        else:
-            got = judged(self._texts._trajectory, data, np.random.default_rng(0))
-        self.counts["refused" if isinstance(got, Exception) else "read"] += 1
 
     def _try_bag(self, kind: str, data: bytes, place: Path) -> None:
         small = self.bags["sqlite3 directory" if kind == YAML else kind].path

@@ -5,8 +5,6 @@ Wants 25 GB of disk for a bag of 10 GB and its output (`--gigabytes` for less); 
 
 # ruff: noqa: T201 - a script that prints, and runs what it is for
 
-from __future__ import annotations
-
 import argparse
 import shlex
 import subprocess

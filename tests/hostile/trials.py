@@ -4,8 +4,6 @@ May: an answer, or one error of the project's own class, in one line. May not: a
 beyond the bound, debris, a touched input, messages lost without a word, an error that advises what was already given.
 """
 
-from __future__ import annotations
-
 import io
 import resource
 import shutil
@@ -47,17 +45,17 @@ class FoundError(BaseException):
 
 
 @contextmanager
-def guarded():
+def guarded(cpu_s=CPU_S):
     """Bound time and memory, and make warnings errors."""
 
     def late(_number, _frame):
-        raise FoundError(f"took longer than {CPU_S} s of CPU time, or {WALL_S} s")
+        raise FoundError(f"took longer than {cpu_s} s of CPU time, or {WALL_S} s")
 
     before = resource.getrlimit(resource.RLIMIT_AS)
     used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     handlers = {number: signal.signal(number, late) for number in (signal.SIGALRM, signal.SIGPROF)}
     signal.alarm(WALL_S)
-    signal.setitimer(signal.ITIMER_PROF, CPU_S)
+    signal.setitimer(signal.ITIMER_PROF, cpu_s)
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, before[1]))
     try:
         with warnings.catch_warnings():
