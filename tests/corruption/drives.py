@@ -1,7 +1,5 @@
 """Drives for the tests of this folder: clean poses in time, and a slow textbook that corrupts them."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

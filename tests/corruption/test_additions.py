@@ -1,10 +1,8 @@
 """Truth kept beside, the correction as a transform, localisation kept, and TF that drives alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, messages_of, odometry, read, robot, transforms
+from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, messages_of, odometry, planar, robot, transforms
 from drives import model, office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
@@ -12,7 +10,7 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.corruption.additions import pack_transform
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.errors import TopicError
-from odomcorrupt.geometry.se2 import compose, inverse, wrap, yaw_from_quaternion
+from odomcorrupt.geometry.se2 import compose, inverse, wrap
 
 DRIVE = office(20.0, 10.0)
 CHANNELS = {c.id: c for c in (ODOM, TF, IMU)}
@@ -46,12 +44,6 @@ def added(blocks, channel):
     table["length"] = [len(message.data) for message in messages]
     table["offset"] = np.cumsum(table["length"]) - table["length"]
     return Block(np.frombuffer(b"".join(message.data for message in messages), np.uint8).copy(), table)
-
-
-def planar(blocks, channel, edge=None):
-    _, position = read(blocks, channel, "position", edge)
-    _, quat = read(blocks, channel, "orientation", edge)
-    return np.column_stack((position[:, :2], yaw_from_quaternion(quat)))
 
 
 def assert_same(ours, theirs, tolerance=1e-9):
