@@ -1,7 +1,5 @@
 """Every effect of the registry keeps the contract, its documents, its signs, and its twins."""
 
-from __future__ import annotations
-
 import copy
 import math
 import re

@@ -1,7 +1,5 @@
 """Effects of acceleration, and of iron near a compass."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from manoeuvres import motion

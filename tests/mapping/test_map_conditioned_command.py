@@ -1,17 +1,12 @@
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
-from packed import grid
 
-from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
 from odomcorrupt.commands._options import POSE
-from odomcorrupt.errors import TopicError
-from odomcorrupt.mapping import conditioned
-from odomcorrupt.mapping.conditioned import read_map_from_odom, read_recorded_map
-from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, free_space, read_map
+from odomcorrupt.mapping.conditioned import read_map_from_odom
+from odomcorrupt.mapping.occupancy_grid import free_space, read_map
 from recordings import RECORDINGS
 
 GAZEBO, MAPS = RECORDINGS / "real" / "rob521_gazebo.mcap", RECORDINGS / "bags" / "maps"
@@ -71,33 +66,3 @@ def test_map_that_is_not_there_is_reported_in_one_line(arguments, code, word, ca
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert word in lines[0]
-
-
-def test_recorded_map_is_the_last_one_of_its_topic(monkeypatch):
-    channel = Channel(1, "/map", "nav_msgs/msg/OccupancyGrid", "cdr")
-    messages = [grid(np.full((2, 3), 100)), grid(np.array([[0, 25, 26], [64, 65, -1]]))]
-    table = np.zeros(2, dtype=TABLE)
-    table["channel"], table["length"] = 1, [len(m) for m in messages]
-    table["offset"] = [0, len(messages[0])]
-
-    class Bag:
-        name = "bag"
-
-        def __init__(self):
-            self.channels = {1: channel}
-
-        def blocks(self):
-            yield Block(np.frombuffer(b"".join(messages), np.uint8).copy(), table)
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            return None
-
-    monkeypatch.setattr(conditioned, "open_reader", lambda _path, **_: Bag())
-    found = read_recorded_map(Path("bag"), "map")
-    assert found.grid.cells.tolist() == [[FREE, FREE, UNKNOWN], [UNKNOWN, OCCUPIED, UNKNOWN]]
-    assert found.frame_id == "map"
-    with pytest.raises(TopicError, match="found /map"):
-        read_recorded_map(Path("bag"), "/other")

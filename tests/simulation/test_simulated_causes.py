@@ -1,7 +1,5 @@
 """Causes of the simulator, in the library and outside."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The robot at wheel level, and its routes."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -41,14 +39,8 @@ from odomcorrupt.simulation.run import STORE
 
 EVERY = {**CAUSES, **OUTSIDE}
 OF_THE_SENSORS = {"gyro_bias", "gyro_bias_walk", "gyro_scale", "magnetic_heading", "quantization", "lost_increments"}
-OF_ONE_SIGN = {name for name, flaw in EVERY.items() if flaw.one_signed} | {
-    "region_slip",
-    "wet_patch",
-    "wet_strip",
-    "slope",
-    "overspeed_slip",
-    "braking_drag",
-}
+OF_ONE_SIGN = {name for name, flaw in EVERY.items() if flaw.one_signed}
+OF_ONE_SIGN |= {"region_slip", "wet_patch", "wet_strip", "slope", "overspeed_slip", "braking_drag"}
 SOON = {
     "region_slip": {"radius": 100.0},
     "wet_patch": {"radius": 100.0},
