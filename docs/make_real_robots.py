@@ -211,10 +211,9 @@ def rows(
     """Return the table's rows: a label, and a cell for each model."""
     models = list(fits.values())
     table = [("effects", [effects_text(fit) for fit in models])]
-    table += [
-        (f"`{name}`", [f"{getattr(fit.model.noise.coefficients, name):.3g}" for fit in models])
-        for name in ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans")
-    ]
+    names = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans")
+    values = [[f"{getattr(fit.model.noise.coefficients, name):.3g}" for name in names] for fit in models]
+    table.append(("`" + "`, `".join(names) + "`", [", ".join(own) for own in values]))
     table.append(("truth's noise", [truth_text(fit) for fit in models]))
     table.append(("error after 10 s", [f"{j.ten_second_error_m * 1e3:.1f} mm" for j in evaluations]))
     table.append(("nats per metre", [f"{j.nats.per_m:.1f} ± {j.nats.error:.1f}" for j in evaluations]))
