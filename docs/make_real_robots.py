@@ -22,10 +22,10 @@ from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.report.comparison import sentence
+from odomcorrupt.report.diagnosis import dependence
+from odomcorrupt.report.findings import value_text
 from odomcorrupt.report.plots.figure import BLACK, RED, SKY, drawing, new_figure
-from odomcorrupt.report.text.comparison import sentence
-from odomcorrupt.report.text.diagnosis import dependence
-from odomcorrupt.report.text.numbers import value_text
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.select.stepwise import learn

@@ -25,7 +25,7 @@ from odomcorrupt.batching.parameter_draws import fleet_model
 from odomcorrupt.corruption.summary import places_lines
 from odomcorrupt.errors import BatchError, BatchOptionError
 from odomcorrupt.model.model_file import read_model
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.plain import finite
 from odomcorrupt.summary import ALWAYS, MOST_LINES, USUAL, Line, Summary, command_line
 
 if TYPE_CHECKING:

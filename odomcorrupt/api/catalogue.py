@@ -10,7 +10,7 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.effects import effect_named, registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.model.presets import PRESETS
-from odomcorrupt.report.json.numbers import picked
+from odomcorrupt.report.plain import picked
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from odomcorrupt.mapping.scan_map import (
     scan_maps,
     slow_rays,
 )
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.plain import finite
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.rng import draw_seed
 from odomcorrupt.trajectories import read_drive, read_poses

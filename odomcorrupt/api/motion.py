@@ -17,7 +17,7 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.summary import model_brief
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.mapping.conditioned import free_paths
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.plain import finite
 from odomcorrupt.rng import draw_seed, stream
 from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
 from odomcorrupt.sampling.samples import (

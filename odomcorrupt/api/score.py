@@ -66,37 +66,37 @@ class Score(Result):
 
     def summary(self) -> Summary:
         """Return the gate's result, the number of failed runs, the errors and the break-down point."""
-        from odomcorrupt.report.text.score import score_brief
+        from odomcorrupt.report.score import score_brief
 
         return score_brief(self.result, self.verdicts, following=self.following)
 
     def details(self) -> str:
         """Return sentences, the tables of points and over runs, a line for each run, and the gate's verdicts."""
-        from odomcorrupt.report.text.score import gate_lines, score_text
+        from odomcorrupt.report.score import gate_lines, score_text
 
         return "\n".join([score_text(self.result), *gate_lines(self.verdicts)])
 
     def markdown(self) -> str:
         """Return the gate's result, what failed, and the tables of points and over runs, for a summary page of CI."""
-        from odomcorrupt.report.text.score import score_markdown
+        from odomcorrupt.report.score import score_markdown
 
         return score_markdown(self.result, self.verdicts)
 
     def junit(self) -> str:
         """Return the gate as JUnit XML, a test case for each rule."""
-        from odomcorrupt.report.text.score import score_junit
+        from odomcorrupt.report.score import score_junit
 
         return score_junit(self.result, self.verdicts)
 
     def points_csv(self) -> str:
         """Return drift, number of runs, failed runs, median and p90 of the ATE for each point of a sweep, as CSV."""
-        from odomcorrupt.report.text.score import score_csv
+        from odomcorrupt.report.score import score_csv
 
         return score_csv(self.result)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the score as docs/json.md describes it: metres, radians, seconds."""
-        from odomcorrupt.report.json.score import score_json
+        from odomcorrupt.report.score import score_json
 
         return score_json(self.result, self.verdicts)
 
@@ -107,10 +107,9 @@ class Score(Result):
 
     def report(self) -> str:
         """Return the score as a self-contained HTML page with tables and figures, usable offline."""
-        from odomcorrupt import __version__
         from odomcorrupt.report.html.score import score_html
 
-        return score_html(self.result, self.verdicts, version=__version__)
+        return score_html(self.result, self.verdicts)
 
     def _figure(self) -> Figure:
         """Return a figure of the errors against the drift and along the path."""

@@ -19,7 +19,7 @@ from click.core import ParameterSource
 from odomcorrupt import commands
 from odomcorrupt.commands._options import Decorator, OutputFile, Setting, added
 from odomcorrupt.input_files import TOML_BYTES, parse_toml, read_input
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.plain import finite
 from odomcorrupt.summary import Summary, wrapped
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import Any
 import click
 
 from odomcorrupt.commands._bag import bag_words, container_options, moving_options, threads_option
-from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
 from odomcorrupt.commands._options import FILE, one_of, setting, usage_errors
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 from odomcorrupt.errors import BatchError, BatchOptionError

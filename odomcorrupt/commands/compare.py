@@ -51,7 +51,7 @@ def command(
     Recordings that a model was fitted on, under any name, cross-validate it: the model is refitted without each of
     them, or each half of the only one, and evaluated on it.
     """
-    from odomcorrupt.api.comparison import compare, named_models
+    from odomcorrupt.api.findings import compare, named_models
 
     paths, names = split_arguments(arguments)
     if not names:

@@ -17,8 +17,7 @@ from odomcorrupt.commands._bag import (
     source_of,
     threads_option,
 )
-from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
 from odomcorrupt.commands._options import setting
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from odomcorrupt.commands._map import choose_condition, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_move, move_options
+from odomcorrupt.commands._model import AlphaCommand, choose_condition, choose_move, map_options, move_options
 from odomcorrupt.commands._options import PICTURE, POSE, one_of, save_picture, setting, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError

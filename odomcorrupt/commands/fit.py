@@ -60,7 +60,7 @@ def command(
     Of the set-up, a lever arm and a mounting yaw of the truth are fitted if the data show them. Several recordings
     are runs of one robot, each with its own clock.
     """
-    from odomcorrupt.api.fit import fit, require_effects
+    from odomcorrupt.api.findings import fit, require_effects
     from odomcorrupt.api.model import Model
 
     paths, models = split_arguments(recordings)
@@ -93,7 +93,7 @@ def _square_test(
     console: Console,
 ) -> None:
     """Fit a square test's effects to the ends of drives."""
-    from odomcorrupt.api.fit import fit_returns
+    from odomcorrupt.api.findings import fit_returns
 
     given = reading.given
     for name in ("truth", "truth_bags", "imu", "relative"):

@@ -10,8 +10,7 @@ import click
 
 from odomcorrupt.commands import corrupt
 from odomcorrupt.commands._bag import bag_options, bag_words, report_losses, source_of
-from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
 from odomcorrupt.commands._options import PICTURE, setting
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written

@@ -10,8 +10,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
-from odomcorrupt.commands._map import choose_condition, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
+from odomcorrupt.commands._model import (
+    AlphaCommand,
+    choose_condition,
+    choose_model,
+    choose_move,
+    map_options,
+    move_options,
+)
 from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, setting, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError

@@ -87,7 +87,7 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
     Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
     """
     from odomcorrupt.api.score import score
-    from odomcorrupt.report.text.score import gate_lines
+    from odomcorrupt.report.score import gate_lines
     from odomcorrupt.scoring.errors import Limits
     from odomcorrupt.scoring.gate import parse_rule
 

@@ -16,16 +16,31 @@ from test_report import parsed_page, shown
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
-from odomcorrupt.report.findings import dependences_found, effects_found, foremost
-from odomcorrupt.report.html.diagnosis import SearchReport, found_html
-from odomcorrupt.report.json.diagnosis import learned_json
-from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
+from odomcorrupt.report.brief import _contact_words, _found_lines, _mounting_words, findings_brief
+from odomcorrupt.report.comparison import comparison_text, rejection, within
+from odomcorrupt.report.diagnosis import (
+    NOTHING,
+    advice_sentences,
+    advice_text,
+    fit_text,
+    found_text,
+    inseparable_sentence,
+    laws_table,
+    learned_json,
+    limits_sentence,
+    shares_text,
+)
+from odomcorrupt.report.findings import (
+    clock_lines,
+    dependences_found,
+    effects_found,
+    foremost,
+    numbers_text,
+    value_text,
+)
+from odomcorrupt.report.html.study import found_html
 from odomcorrupt.report.plots.figure import rendered
-from odomcorrupt.report.text.brief import _contact_words, _found_lines, _mounting_words, findings_brief
-from odomcorrupt.report.text.comparison import comparison_text, rejection, within
-from odomcorrupt.report.text.design import advice_sentences, advice_text, inseparable_sentence, limits_sentence
-from odomcorrupt.report.text.diagnosis import NOTHING, fit_text, found_text, laws_table, shares_text
-from odomcorrupt.report.text.numbers import clock_lines, numbers_text, value_text
+from odomcorrupt.report.plots.study import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import plan_of
@@ -233,7 +248,7 @@ def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequenc
     def doubted(*given):
         return [one._replace(confidence=0.02) for one in effects_found(*given)]
 
-    monkeypatch.setattr("odomcorrupt.report.text.brief.effects_found", doubted)
+    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted)
     known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
     lines = findings_brief(known, NONE, sequence).lines
     assert not any(line.label == "perhaps" or line.text.startswith("unequal_wheels  ") for line in lines)
@@ -262,7 +277,7 @@ def test_a_name_below_even_odds_follows_dependences_and_noise_with_perhaps(rich,
     def doubted(*given):
         return [one._replace(confidence=0.27) for one in effects_found(*given)]
 
-    monkeypatch.setattr("odomcorrupt.report.text.brief.effects_found", doubted)
+    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted)
     known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
     lines = findings_brief(known, NONE, sequence).lines
     assert lines[0].text.startswith("the yaw error depends on speed")
@@ -334,7 +349,7 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
 
 @pytest.mark.slow
 def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
-    page = found_html(SearchReport(rich, sequence, ADVICE, "odomcorrupt fit run.mcap -o robot.toml"), version="0")
+    page = found_html(rich, sequence, ADVICE, "odomcorrupt fit run.mcap -o robot.toml")
     parsed = parsed_page(page)
     assert parsed.tags.count("img") == 5
     text = unescape(page)
@@ -348,7 +363,7 @@ def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
 
 def test_the_page_of_a_search_that_found_nothing_is_whole(poor, sequence):
     good = replace(sequence, evaluations=(kept(sequence.evaluations[0]),))
-    page = found_html(SearchReport(poor, good, NONE, ""), version="0")
+    page = found_html(poor, good, NONE, "")
     parsed_page(page)
     assert NOTHING[1:] in unescape(page)
     assert "rejected" not in page.split("</h1>", 1)[1].split("</p>", 1)[0]
@@ -369,7 +384,7 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
     assert found_text(poor, NONE, evaluated=kept(first)) == NOTHING
     beside = found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
     assert "no further known effect is missing, but" in beside
-    page = found_html(SearchReport(poor, replace(sequence, evaluations=(first,)), NONE, ""), version="0")
+    page = found_html(poor, replace(sequence, evaluations=(first,)), NONE, "")
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
     printed = [
         learned_json(poor, sequence.evaluations[:1], NONE, evaluated=one)["rejected"] for one in (first, kept(first))
@@ -571,7 +586,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
         "odomcorrupt.study.pipeline.compare", lambda _runs, models, **_named: asked.append(models) or sequence
     )
     monkeypatch.setattr("odomcorrupt.study.validate.compare.compare", lambda _runs, _models, **_clocks: sequence)
-    monkeypatch.setattr("odomcorrupt.report.html.diagnosis.found_html", lambda story, version: f"{version} {story[3]}")
+    monkeypatch.setattr("odomcorrupt.report.html.study.found_html", lambda story, version: f"{version} {story[3]}")
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}
@@ -597,7 +612,7 @@ def test_the_mean_of_a_dependence_on_time_is_reported_beside_it(rich, sequence):
     assert [e.k for e in fit.effects if e.name == mean.name] == [k]
     assert f"in the model: its mean, {k:.4g}" in found_text(learned, NONE)
     assert f"the model has its mean, {k:.4g}" in "".join(line.text for line in _found_lines(learned, fit, set())[0])
-    assert f"in the model: its mean, {k:.4g}" in found_html(SearchReport(learned, sequence, NONE, ""), version="0")
+    assert f"in the model: its mean, {k:.4g}" in found_html(learned, sequence, NONE, "")
     assert replace(learned, means=()).mean_of(one) is None
 
 

@@ -10,7 +10,7 @@ from odomcorrupt.bags.messages import write_twists
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import Increments, accumulate
-from odomcorrupt.report.text.design import advice_text
+from odomcorrupt.report.diagnosis import advice_text
 from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.drives import excitation, missing_excitations

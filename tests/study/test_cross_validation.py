@@ -12,7 +12,7 @@ from odomcorrupt.cli import run as command
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.report.text.comparison import comparison_text
+from odomcorrupt.report.comparison import comparison_text
 from odomcorrupt.simulation import Segment, simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.intervals import intervals_of
