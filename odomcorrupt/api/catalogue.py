@@ -211,10 +211,7 @@ def list_effects() -> EffectList:
 def describe_effect(name: str) -> EffectDescription:
     """Return equation, parameters, typical size and source of an effect, and what it can be confused with.
 
-    Parameters
-    ----------
-    name : str
-        Name of the effect, as in `list_effects`.
+    name : name of the effect, as in `list_effects`
 
     Returns
     -------

@@ -162,25 +162,15 @@ def corrupt(
 ) -> Corruption:
     """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.
 
-    Parameters
-    ----------
-    source, target : path
-        Bags of any kind; "-" is a pipe. The target is written completely or not at all.
-    model : Model, Noise, path of a model file or name of a preset, optional
-        By default the preset `typical`.
-    seed : int, optional
-        Seed of all random draws: the same seed gives the same bytes. By default a random one, stated in the result.
-    run : int
-        Number of the run under this seed.
-    within : MapCondition or path of a map's .yaml, optional
-        Draw poses in free space only, as a particle filter does; the odom frame is then the map's. See
-        `odomcorrupt.mapping.conditioned.read_condition` for other robots and frames.
-    also : sequence of str
-        Odometry topics of other robots in the bag, each corrupted with a drift of its own in the same pass.
-    watch : callable
-        Called with every block written.
-    **options
-        See `BagOptions`.
+    source, target : bags of any kind; "-" is a pipe. The target is written completely or not at all
+    model : model, noise, model file or preset; by default the preset `typical`
+    seed : seed of all random draws: the same seed gives the same bytes. By default a random one, stated in the result
+    run : number of the run under this seed
+    within : map condition or a map's .yaml; draw poses in free space only, as a particle filter does; the odom frame is
+        then the map's. See `odomcorrupt.mapping.conditioned.read_condition` for other robots and frames
+    also : odometry topics of other robots in the bag, each corrupted with a drift of its own in the same pass
+    watch : called with every block written
+    **options : see `BagOptions`
 
     Returns
     -------
@@ -300,19 +290,12 @@ def correct(
 ) -> Correction:
     """Remove the systematic effects of a model from measured odometry.
 
-    Parameters
-    ----------
-    source, target : path
-        Bags; the source is read twice and cannot be a pipe, the target may be "-".
-    model : Model or path of a model file
-        Model from `fit` or `learn`; None copies the bag.
-    start_xyt : (3,) or "odom", optional
-        Start pose of the odometry in the frame of position-dependent effects, metres and radians; "odom" if that
-        frame is the odometry's own. Required for a learned model with such effects.
-    watch : callable
-        Called with every block written.
-    **options
-        See `BagOptions`.
+    source, target : bags; the source is read twice and cannot be a pipe, the target may be "-"
+    model : model or model file from `fit` or `learn`; None copies the bag
+    start_xyt : (3,) or "odom" start pose of the odometry in the frame of position-dependent effects, metres and
+        radians; "odom" if that frame is the odometry's own. Required for a learned model with such effects
+    watch : called with every block written
+    **options : see `BagOptions`
 
     Returns
     -------
@@ -403,14 +386,9 @@ class Drift:
     def step(self, stamp_ns: int, pose_xyt: Sequence[float], twist: Sequence[float] = (0.0, 0.0, 0.0)) -> Drifted:
         """Return the next odometry message with its drift.
 
-        Parameters
-        ----------
-        stamp_ns : int
-            Stamp, nanoseconds, not before the last one.
-        pose_xyt : (3,)
-            Clean pose in the odom frame, metres and radians.
-        twist : (3,)
-            Clean forward and leftward speed, m/s, and yaw rate, rad/s, in the robot's axes.
+        stamp_ns : stamp, nanoseconds, not before the last one
+        pose_xyt : (3,) clean pose in the odom frame, metres and radians
+        twist : (3,) clean forward and leftward speed, m/s, and yaw rate, rad/s, in the robot's axes
 
         Returns
         -------
@@ -446,12 +424,8 @@ class Drift:
     def apply(self, message: Any, stamp_ns: int) -> None:
         """Give a nav_msgs/Odometry message of ROS 1 or ROS 2 its drift, in place.
 
-        Parameters
-        ----------
-        message : nav_msgs.msg.Odometry
-            Message of rospy or rclpy: pose, twist, and their covariances in the plane are changed.
-        stamp_ns : int
-            Its stamp, nanoseconds.
+        message : message of rospy or rclpy: pose, twist, and their covariances in the plane are changed
+        stamp_ns : its stamp, nanoseconds
 
         Returns
         -------

@@ -48,14 +48,12 @@ class Fit(Result):
     result : model with confidence intervals, clocks, and the fit
     proof : the usable model, verified by reading it back, a correction and a corruption
     laws : fits of all laws if all were tried, the likeliest first
-    following : suggested next command
     """
 
     recordings: Recordings
     result: RobotFit
     proof: RoundTrip
     laws: Mapping[str, RobotFit] = field(default_factory=dict)
-    following: str = ""
 
     @property
     def model(self) -> Model:
@@ -66,7 +64,7 @@ class Fit(Result):
         """Return the error on the fitted data, the noise and the effects."""
         from odomcorrupt.report.brief import fit_brief, mistakes_first
 
-        return mistakes_first(fit_brief(self.result, self.following), self.recordings.mistakes)
+        return mistakes_first(fit_brief(self.result), self.recordings.mistakes)
 
     def details(self) -> str:
         """Return all coefficients with their intervals, effects, clocks, and downweighted segments."""
@@ -101,16 +99,10 @@ def fit(
 ) -> Fit:
     """Fit a robot's motion model to recordings: noise, noise of the truth, clocks, set-up, and the requested effects.
 
-    Parameters
-    ----------
-    recordings : Recordings or paths
-        Runs of one robot, each with its own clock offset.
-    effects : str or sequence of str
-        Names of effects to fit besides those of `start`.
-    start : Model or path of a model file, optional
-        Model that contributes effects to be refitted.
-    law : str, optional
-        Noise law, or "all" for the likeliest; by default that of `start`, or diffusion.
+    recordings : runs of one robot, each with its own clock offset
+    effects : names of effects to fit besides those of `start`
+    start : model or model file that contributes effects to be refitted
+    law : noise law, or "all" for the likeliest; by default that of `start`, or diffusion
 
     Returns
     -------
@@ -255,20 +247,12 @@ def fit_returns(
 ) -> SquareTest:
     """Fit systematic errors to drives that end where they began, or at a known pose: a square test on any path.
 
-    Parameters
-    ----------
-    paths : path or several
-        Bags, TUM or CSV files with odometry, one drive each, in both directions of rotation.
-    ends : sequence of (float, float, float)
-        True end poses relative to the start: m, m, rad; one for all, or one for each.
-    effects : str or sequence of str
-        Effects to fit, unequal_wheels and wheelbase by default.
-    odom : str, optional
-        Topic of the odometry, if there are several.
-    track_m : float, optional
-        Nominal distance between the wheels, metres.
-    scan : str, optional
-        Topic of laser scans: the end is measured by matching the last sweeps with the first, instead of `ends`.
+    paths : bags, TUM or CSV files with odometry, one drive each, in both directions of rotation
+    ends : true end poses relative to the start: m, m, rad; one for all, or one for each
+    effects : effects to fit, unequal_wheels and wheelbase by default
+    odom : topic of the odometry, if there are several
+    track_m : nominal distance between the wheels, metres
+    scan : topic of laser scans: the end is measured by matching the last sweeps with the first, instead of `ends`
 
     Returns
     -------
@@ -307,12 +291,10 @@ class Comparison(Result):
     """Comparison of models with measurements: measured and expected errors, and each model's lack of fit.
 
     result : complete numerical result
-    following : suggested next command
     mistakes : plain mistakes of wiring, units, signs and axes in the recordings
     """
 
     result: ModelComparison
-    following: str = ""
     mistakes: tuple[Mistake, ...] = ()
 
     @property
@@ -337,7 +319,7 @@ class Comparison(Result):
         from odomcorrupt.report.brief import mistakes_first
         from odomcorrupt.report.comparison import comparison_brief
 
-        return mistakes_first(comparison_brief(self.result, self.following), self.mistakes)
+        return mistakes_first(comparison_brief(self.result), self.mistakes)
 
     def details(self) -> str:
         """Return clocks, the table of horizons, the models in order, and all lack of fit."""
@@ -376,7 +358,7 @@ class Comparison(Result):
 
     def draw(self, picture: str) -> Figure:
         """Return a figure by name: error (against distance; also ""), path, nees, residuals, map or pit."""
-        from odomcorrupt.report.plots.study import PICTURES
+        from odomcorrupt.report.plots.comparison import PICTURES
 
         if (picture or "error") not in PICTURES:
             raise OdomCorruptError(f"no picture is called {picture!r}; there are {', '.join(PICTURES)}")
@@ -392,12 +374,8 @@ def compare(
     Recordings to which a model was fitted, under any name, cross-validate it: it is refitted without each of them, or
     without each half of the only one, and evaluated on it.
 
-    Parameters
-    ----------
-    recordings : Recordings or paths
-        Recordings to evaluate on.
-    models : one model, several, or several by name
-        Models, paths of model files, or names of presets; the others are compared with the first.
+    recordings : recordings to evaluate on
+    models : models, paths of model files, or names of presets; the others are compared with the first
 
     Returns
     -------
@@ -464,12 +442,10 @@ class Findings(Result):
 
     recordings : recordings searched
     result : complete numerical result
-    following : suggested next command
     """
 
     recordings: Recordings
     result: DiagnosedModel | LearnedRobot
-    following: str = ""
 
     @property
     def verdict(self) -> Literal["complete", "missing", "unknown"]:
@@ -498,12 +474,8 @@ class Findings(Result):
     def save_next_drive(self, path: str | PathLike[str], *, overwrite: bool = False) -> str:
         """Write the drive that separates the most of the undecided effects, as /cmd_vel in an MCAP.
 
-        Parameters
-        ----------
-        path : path
-            MCAP to write.
-        overwrite : bool
-            Whether an existing file is replaced.
+        path : MCAP to write
+        overwrite : whether an existing file is replaced
 
         Returns
         -------
@@ -569,7 +541,6 @@ class Diagnosis(Findings):
             found.sequence,
             notes=self.recordings.notes,
             alerts=self.recordings.alerts,
-            following=self.following,
         )
         brief = mistakes_first(brief, self.recordings.mistakes)
         if all(run.positioned for run in self.recordings):
@@ -590,7 +561,7 @@ class Diagnosis(Findings):
 
     def _figure(self) -> Figure:
         """Return a figure of the candidates with their evidence."""
-        from odomcorrupt.report.plots.study import draw_candidates
+        from odomcorrupt.report.plots.comparison import draw_candidates
 
         return draw_candidates(self.result.search)
 
@@ -605,16 +576,11 @@ def diagnose(
 ) -> Diagnosis:
     """Name the physical effects that a model lacks, with the held-out gain of each.
 
-    Parameters
-    ----------
-    recordings : Recordings or paths
-        Runs of one robot.
-    model : Model or path of a model file, optional
-        Known part of the model; None for noise alone.
-    decisions : odomcorrupt.study.select.decisions.Decisions, optional
-        Thresholds of inclusion, replacement and removal of effects; None for the defaults, `DECISIONS` of that module.
-    watch : callable
-        Called with the name of each stage and the completed share of the work.
+    recordings : runs of one robot
+    model : model or model file, the known part of the model; None for noise alone
+    decisions : thresholds of inclusion, replacement and removal of effects; None for the
+        defaults, `odomcorrupt.study.select.decisions.DECISIONS`
+    watch : called with the name of each stage and the completed share of the work
 
     Returns
     -------
@@ -684,7 +650,6 @@ class Learned(Findings):
             written=found.proof.model,
             notes=(*found.dropped, *found.proof.changes, *replace(self.recordings, runs=tuple(found.recordings)).notes),
             alerts=(*found.alerts, *self.recordings.alerts),
-            following=self.following,
         )
         return mistakes_first(brief, self.recordings.mistakes)
 
@@ -723,16 +688,11 @@ def learn(
 ) -> Learned:
     """Learn a robot's effects: fit, search for a missing effect, add it, and repeat until none is missing.
 
-    Parameters
-    ----------
-    recordings : Recordings or paths
-        Runs of one robot.
-    validate : Recordings or paths, optional
-        Recordings to evaluate the result on, read like the first ones; if none, the result is cross-validated.
-    decisions : odomcorrupt.study.select.decisions.Decisions, optional
-        Thresholds of inclusion, replacement and removal of effects; None for the defaults, `DECISIONS` of that module.
-    watch : callable
-        Called with the name of each stage and the completed share of the work.
+    recordings : runs of one robot
+    validate : recordings to evaluate the result on, read like the first ones; if none, the result is cross-validated
+    decisions : thresholds of inclusion, replacement and removal of effects; None for the
+        defaults, `odomcorrupt.study.select.decisions.DECISIONS`
+    watch : called with the name of each stage and the completed share of the work
 
     Returns
     -------

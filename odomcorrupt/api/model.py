@@ -33,17 +33,11 @@ class Noise:
     or one radian, under `linear` (MRPT) that of one step over its motion, under `quadratic` (nav2's amcl) the variance
     over the squared motion.
 
-    Parameters
-    ----------
-    alpha : sequence of float or str
-        rot_rot, rot_trans, trans_trans, trans_rot (alpha1 to alpha4), and further ones if the law has more; metres and
-        radians. Strings may be angles: "5deg" (after one radian) or "10deg/m" (after one metre).
-    law : str
-        diffusion, linear, quadratic, velocity or omni.
-    step : str, optional
-        Step of path to which a stepwise law is applied, as in "0.25m,0.2rad"; by default once per message.
-    twist_noise : (float, float), optional
-        White noise on every twist, m/s and rad/s.
+    alpha : rot_rot, rot_trans, trans_trans, trans_rot (alpha1 to alpha4), and further ones if the law has more; metres
+        and radians. Strings may be angles: "5deg" (after one radian) or "10deg/m" (after one metre)
+    law : diffusion, linear, quadratic, velocity or omni
+    step : step of path to which a stepwise law is applied, as in "0.25m,0.2rad"; by default once per message
+    twist_noise : (float, float) white noise on every twist, m/s and rad/s
 
     Raises
     ------
@@ -144,14 +138,9 @@ class Conversion(Result):
 def convert_alpha(noise: Noise, law: str, *, step: str | None = None) -> Conversion:
     """Return the alphas of another law with which the odometry drifts the same, straight on and in turns.
 
-    Parameters
-    ----------
-    noise : Noise
-        Alphas, their law and, if it is applied once per step, its step.
-    law : str
-        Law to convert to.
-    step : str, optional
-        Step of the other law, as in "0.25m,0.2rad", if it is applied once per step; by default that of `noise`.
+    noise : alphas, their law and, if it is applied once per step, its step
+    law : law to convert to
+    step : step of the other law, as in "0.25m,0.2rad", if it is applied once per step; by default that of `noise`
 
     Returns
     -------
@@ -220,12 +209,8 @@ class Model:
     def of(cls, motion_model: MotionModel, origin: str = "") -> Model:
         """Wrap a library motion model for this interface.
 
-        Parameters
-        ----------
-        motion_model : odomcorrupt.model.motion_model.MotionModel
-            Noise law and effects.
-        origin : str
-            Source of the numbers in words, for summaries.
+        motion_model : noise law and effects
+        origin : source of the numbers in words, for summaries
 
         Returns
         -------
@@ -239,10 +224,7 @@ class Model:
     def load(cls, path: str | PathLike[str]) -> Model:
         """Return the model in a file, as written by `fit`, `learn` and `presets`.
 
-        Parameters
-        ----------
-        path : path
-            Model file, TOML.
+        path : model file, TOML
 
         Returns
         -------
@@ -261,10 +243,7 @@ class Model:
     def preset(cls, name: str = "typical") -> Model:
         """Return a ready-made robot, or noise, by the name of its preset.
 
-        Parameters
-        ----------
-        name : str
-            Preset, as `typical` or `turtlebot3-burger`; `list_presets` has them all.
+        name : preset, as `typical` or `turtlebot3-burger`; `list_presets` has them all
 
         Returns
         -------
@@ -284,12 +263,8 @@ class Model:
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the model as human-readable TOML; return the path.
 
-        Parameters
-        ----------
-        path : path
-            File to write.
-        overwrite : bool
-            Whether an existing file is replaced.
+        path : file to write
+        overwrite : whether an existing file is replaced
 
         Returns
         -------
@@ -315,10 +290,7 @@ class Model:
     def with_effects(self, effects: EffectsLike) -> Model:
         """Return this model with effects added.
 
-        Parameters
-        ----------
-        effects : str, Effect, or sequence of these
-            Each as text, as in "unequal_wheels:curvature=0.005", or as an effect of the library.
+        effects : each as text, as in "unequal_wheels:curvature=0.005", or as an effect of the library
 
         Returns
         -------
@@ -371,16 +343,10 @@ class Model:
     ) -> NDArray[Any]:
         """Return noisy odometry of a path, identical to the corruption of a bag with these stamps.
 
-        Parameters
-        ----------
-        t_s : (n,)
-            Times, seconds, ascending.
-        xy_yaw : (n, 3)
-            Clean poses: x and y in metres, heading in radians (wrapped or not).
-        seed : int
-            Seed of all random draws: the same seed and run give the same path as `corrupt` and the command line.
-        runs, first_run : int
-            Number of runs, and the number of the first one.
+        t_s : (n,) times, seconds, ascending
+        xy_yaw : (n, 3) clean poses: x and y in metres, heading in radians (wrapped or not)
+        seed : seed of all random draws: the same seed and run give the same path as `corrupt` and the command line
+        runs, first_run : number of runs, and the number of the first one
 
         Returns
         -------

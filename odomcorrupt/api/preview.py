@@ -80,18 +80,11 @@ def info(
 ) -> Info:
     """Return a bag's topics, frames, TF edges, its motion, anomalies, and topics that still contain the true motion.
 
-    Parameters
-    ----------
-    bag : path
-        Bag of any kind, read once; "-" is a pipe.
-    odom_topic : str, optional
-        Odometry topic that a model would be applied to; by default the only one.
-    odom_frame, base_frame : str, optional
-        Frames, if those of the odometry messages differ from those of TF.
-    recover : bool
-        Whether to read the undamaged parts of a damaged bag.
-    watch : callable
-        Called with every block read.
+    bag : bag of any kind, read once; "-" is a pipe
+    odom_topic : odometry topic that a model would be applied to; by default the only one
+    odom_frame, base_frame : frames, if those of the odometry messages differ from those of TF
+    recover : whether to read the undamaged parts of a damaged bag
+    watch : called with every block read
 
     Returns
     -------
@@ -148,18 +141,16 @@ class Preview(Result):
     model : model of the drift
     seed : seed of the runs
     losses : unreadable parts of a damaged input, in sentences
-    following : words of the suggested next command
     """
 
     result: Forecast
     model: Model
     seed: int
     losses: tuple[str, ...] = ()
-    following: tuple[object, ...] = ()
 
     def summary(self) -> Summary:
         """Return the drift at the end and on the way, the model, and whether the message rate matters."""
-        return brief(self.result, self.model.motion_model, self.model.origin, self.seed, self.following)
+        return brief(self.result, self.model.motion_model, self.model.origin, self.seed)
 
     def details(self) -> str:
         """Return drive, model, a table of the drift, and whether the message rate matters."""
@@ -196,22 +187,13 @@ def preview(
 ) -> Preview:
     """Return how far a motion model will make the odometry of a bag drift, from many runs; no bag is written.
 
-    Parameters
-    ----------
-    bag : path
-        Bag of any kind, read once; "-" is a pipe.
-    model : Model, Noise, path of a model file or name of a preset
-        By default the preset `typical`.
-    seed : int, optional
-        Seed of all random draws: run k is the one that `corrupt` draws with this seed and `run=k`; by default drawn.
-    run, runs : int
-        Number of the first run, and number of runs, two or more.
-    within : MapCondition or path of a map's .yaml, optional
-        As in `corrupt`.
-    watch : callable
-        Called with every block read.
-    **options
-        See `BagOptions`; those that concern only the output have no effect.
+    bag : bag of any kind, read once; "-" is a pipe
+    model : model, noise, model file or preset; by default the preset `typical`
+    seed : seed of all random draws: run k is the one that `corrupt` draws with this seed and `run=k`; by default drawn
+    run, runs : number of the first run, and number of runs, two or more
+    within : map condition or a map's .yaml; as in `corrupt`
+    watch : called with every block read
+    **options : see `BagOptions`; those that concern only the output have no effect
 
     Returns
     -------

@@ -26,12 +26,10 @@ class Score(Result):
     """Errors of a localisation in each run of a batch, against the drift of its odometry.
 
     result : complete numerical result: statistics over the runs, break-down point, errors along the path
-    following : words of the suggested next command
     verdicts : verdicts of the rules of `check`
     """
 
     result: ScoreReport
-    following: tuple[object, ...] = ()
     verdicts: tuple[Verdict, ...] = ()
 
     @property
@@ -42,12 +40,8 @@ class Score(Result):
     def check(self, rules: Sequence[str], baseline: Mapping[str, Any] | None = None) -> Score:
         """Return the same score with the verdicts of a gate.
 
-        Parameters
-        ----------
-        rules : sequence of str
-            Such as "ate_p90 +20%" (relative to the baseline), "lost +1", "lost +5%" or "ate_median > 0.3".
-        baseline : mapping, optional
-            `to_dict()` of an earlier score, or the content of a file of `odomcorrupt score --save`.
+        rules : such as "ate_p90 +20%" (relative to the baseline), "lost +1", "lost +5%" or "ate_median > 0.3"
+        baseline : `to_dict()` of an earlier score, or the content of a file of `odomcorrupt score --save`
 
         Returns
         -------
@@ -68,7 +62,7 @@ class Score(Result):
         """Return the gate's result, the number of failed runs, the errors and the break-down point."""
         from odomcorrupt.report.score import score_brief
 
-        return score_brief(self.result, self.verdicts, following=self.following)
+        return score_brief(self.result, self.verdicts)
 
     def details(self) -> str:
         """Return sentences, the tables of points and over runs, a line for each run, and the gate's verdicts."""
@@ -131,25 +125,16 @@ def score(
 ) -> Score:
     """Return the errors of a localisation that was run on each bag of a batch.
 
-    Parameters
-    ----------
-    runs : path or several
-        Directory of a batch, or of a sweep with several batches, combined in one score.
-    estimate : str, optional
-        Topic, or edge of TF such as "/tf:map.base_link", in the bags with the estimates; None for text files.
-    truth : str, optional
-        Topic or edge of TF of the truth: in the batch's input, else in the run or in the bag with the estimate. None:
-        the odometry before corruption (`clean.tum` of the batch), i.e. the truth of a simulation.
-    truth_bag : path, optional
-        Bag, TUM or CSV file with the truth, if it is a separate one.
-    outputs : path, optional
-        Directory with the estimates: files or bags that begin like the runs (`run_000012.tum`); by default beside the
-        runs. For a sweep, it contains a directory for each point.
-    align : {"rigid", "origin", "none", "same"}
-        Alignment of estimate and truth: best fit of positions, equal first poses, none (both in one frame), or none
-        although the frames have different names.
-    limits : odomcorrupt.scoring.errors.Limits, optional
-        Limits of loss, jumps and coverage.
+    runs : directory of a batch, or of a sweep with several batches, combined in one score
+    estimate : topic, or edge of TF such as "/tf:map.base_link", in the bags with the estimates; None for text files
+    truth : topic or edge of TF of the truth: in the batch's input, else in the run or in the bag with the estimate.
+        None: the odometry before corruption (`clean.tum` of the batch), i.e. the truth of a simulation
+    truth_bag : bag, TUM or CSV file with the truth, if it is a separate one
+    outputs : directory with the estimates: files or bags that begin like the runs (`run_000012.tum`); by default beside
+        the runs. For a sweep, it contains a directory for each point
+    align : "rigid", "origin", "none" or "same"; alignment of estimate and truth: best fit of positions, equal first
+        poses, none (both in one frame), or none although the frames have different names
+    limits : limits of loss, jumps and coverage
 
     Returns
     -------

@@ -53,7 +53,7 @@ class Console(NamedTuple):
         bag : the bag that was written: text goes to stderr, because stdout may carry a bag; JSON to stdout, except
             if the bag is "-"
         """
-        brief = "" if self.as_json or self.quiet else result.summary()
+        brief = "" if self.as_json or self.quiet else result.brief
         details = result.details() if self.verbose and not self.as_json else ""
         self.print(brief, details, result.to_dict() if self.as_json else None, files=files, bag=bag)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
@@ -62,5 +61,4 @@ def command(
     following = ["density", *typed_words("--output", "--overwrite"), "--plot", "density.png"]
     if output is not None:
         following = ["sample", *typed_words("--output", "--overwrite", "--at", "--reading")]
-    shown = replace(found, following=("odomcorrupt", *following))
-    console.show(shown, files=written(output, draw))
+    console.show(found.then("odomcorrupt", *following), files=written(output, draw))

@@ -75,5 +75,7 @@ def command(model: Path, *, target: Target | None, output: Path | None, console:
         "ros2_control": ["ros2", "run", "controller_manager", "spawner", given["controller"], "--param-file", output],
         "robot_localization": ["ros2", "run", "robot_localization", "ekf_node", "--ros-args", "--params-file", output],
     }
-    shown = replace(result, name=model.name, following=tuple(load[target]))
-    console.show(shown, files={output: lambda: result.save(output, overwrite=True)})
+    console.show(
+        replace(result, name=model.name).then(*load[target]),
+        files={output: lambda: result.save(output, overwrite=True)},
+    )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
@@ -77,11 +75,13 @@ def command(
         runs = reading.read(paths, console, stages, track=begin.motion_model.track_m if begin else None)
         stages("fit", 0.0)
         result = fit(runs, add, start=begin, law=law)
-    words = [*map(str, paths), *reading.words]
-    shown = replace(result, following=f"odomcorrupt compare {shlex.join([*words, str(output)])}")
-    if output is None:
-        shown = replace(result, following=shlex.join(["odomcorrupt", "fit", *typed_words(), "-o", "robot.toml"]))
-    console.show(shown, files=written(output, lambda path: result.model.save(path, overwrite=True)))
+    following = ["fit", *typed_words(), "-o", "robot.toml"]
+    if output is not None:
+        following = ["compare", *map(str, paths), *reading.words, str(output)]
+    console.show(
+        result.then("odomcorrupt", *following),
+        files=written(output, lambda path: result.model.save(path, overwrite=True)),
+    )
 
 
 def _square_test(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -68,9 +67,9 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
     with usage_errors(ModelError):
         result = integrate(input_, **given)
     if output is not None:
-        result = replace(result, following=("odomcorrupt", "info", output))
+        result = result.then("odomcorrupt", "info", output)
     elif plot is None:
-        result = replace(result, following=("odomcorrupt", "integrate", *typed_words(), "--plot", "errors.png"))
+        result = result.then("odomcorrupt", "integrate", *typed_words(), "--plot", "errors.png")
 
     def save(path: Path) -> str:
         done = result.save(path, overwrite=overwrite)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,9 +72,9 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
         result = draw_maps(bag, model, method=method, watch=stages, **{name: given[name] for name in _ASKED})
     if method == "odometry" and maps is None:
         words = typed_words("--output", "--overwrite")
-        result = replace(result, following=("odomcorrupt", "map", *words, "-o", "map.png"))
+        result = result.then("odomcorrupt", "map", *words, "-o", "map.png")
     if method == "laser" and maps is not None:
-        result = replace(result, following=("odomcorrupt", "learn", bag, "--truth-file", maps.with_suffix(".tum")))
+        result = result.then("odomcorrupt", "learn", bag, "--truth-file", maps.with_suffix(".tum"))
 
     def save(path: Path) -> str:
         files = result.save(path, overwrite=overwrite)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -52,7 +51,7 @@ def command(input_: str, plot: Path | None, *, console: Console, **given: Any) -
     following = ["odomcorrupt", "preview", *typed_words("--plot", "--overwrite"), *seed, "--plot", "fan.png"]
     if plot is not None:
         following = ["odomcorrupt", *typed_words("--plot", "--overwrite", "--runs"), "noisy.mcap", *seed]
-    console.show(replace(result, following=tuple(following)), files=written(plot, result.plot))
+    console.show(result.then(*following), files=written(plot, result.plot))
     return report_losses(result.losses)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,5 +93,5 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
             del values["schema"]
             write_text(path, json.dumps(values, indent=1) + "\n")
 
-    shown = replace(drawn, following=("odomcorrupt", *following))
+    shown = drawn.then("odomcorrupt", *following)
     console.show(shown, files=written(output, write))

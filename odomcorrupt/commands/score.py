@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -120,8 +119,8 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
         path: functools.partial(_write, path, text) for path, text in texts if path is not None
     }
     files |= {path: functools.partial(result.plot, path) for path in pictures if path is not None}
-    following = ("odomcorrupt", "score", *typed_words(), "--report", "page.html")
-    console.show(replace(result, following=() if given["report"] else following), files=files)
+    following = () if given["report"] else ("odomcorrupt", "score", *typed_words(), "--report", "page.html")
+    console.show(result.then(*following), files=files)
     return 1 if result.failed else 0
 
 

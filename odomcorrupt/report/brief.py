@@ -36,7 +36,7 @@ from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.select.confidence import EVEN_ODDS
 from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.study.validate.held_out import OF_ONE_DRIVE
-from odomcorrupt.summary import ALWAYS, FIRST, FOUND, SPARE, USUAL, Line, Summary, Tone, command_line
+from odomcorrupt.summary import ALWAYS, FIRST, FOUND, SPARE, USUAL, Line, Summary, Tone
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -85,7 +85,6 @@ def findings_brief(
     notes: Sequence[str] = (),
     alerts: Sequence[str] = (),
     reproduction: Reproduction | None = None,
-    following: str = "",
 ) -> Summary:
     """Return the findings of a search: each effect with size and probability, held-out errors, undecided alternatives.
 
@@ -95,7 +94,6 @@ def findings_brief(
     written : the model as written, which may lack findings that cannot be applied
     notes, alerts : the reader's notes on the recordings, and findings that are shown in any case
     reproduction : drift of the final model relative to the recordings, if known
-    following : suggested next command, "" for none
     """
     undecided = {name for choice in advice.choices for name in choice.names}
     fit, last = search.fit if robot is None else robot.fit, comparison.evaluations[-1]
@@ -140,7 +138,7 @@ def findings_brief(
     if notes := tuple(dict.fromkeys(notes)):
         said = notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them"
         lines.append(Line("notes", said, "warning", SPARE))
-    return Summary((*lines, command_line(following)))
+    return Summary(tuple(lines))
 
 
 def _figures(search: Learned) -> str:
@@ -386,7 +384,7 @@ def _contact_words(effect: Effect, search: Learned) -> str:
     return "; give --track: the wheels may cross it separately" if search.drive_type.name == "differential" else ""
 
 
-def fit_brief(result: RobotFit, following: str = "") -> Summary:
+def fit_brief(result: RobotFit) -> Summary:
     """Return the error after 10 s on the fitted data, the noise coefficients and the effects of a fit."""
     fit = result.fit
     law = fit.problem.approach.law_name
@@ -403,7 +401,7 @@ def fit_brief(result: RobotFit, following: str = "") -> Summary:
     for effect, errors in effects_with_errors(fit):
         kind = "set-up" if effect.kind == "setup" else "effect"
         lines.append(Line(kind, f"{effect.name}  {', '.join(numbers_text(effect, errors))}"))
-    return Summary((*lines, *_clock_lines(result.clocks, fit), command_line(following)))
+    return Summary((*lines, *_clock_lines(result.clocks, fit)))
 
 
 _LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")

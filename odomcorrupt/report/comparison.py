@@ -10,7 +10,7 @@ from odomcorrupt.report.findings import plainly
 from odomcorrupt.report.plain import finite, picked
 from odomcorrupt.study.validate.compare import NOT_APPLIED, agreement_of
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR, size_question
-from odomcorrupt.summary import Line, Summary, Tone, command_line
+from odomcorrupt.summary import Line, Summary, Tone
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -54,7 +54,7 @@ def comparison_text(comparison: Comparison) -> str:
     return "\n".join(lines)
 
 
-def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
+def comparison_brief(comparison: Comparison) -> Summary:
     """Return the verdict on the last model, and a line for each model with error, likelihood and rejection."""
     last = comparison.evaluations[-1]
     if len(comparison.evaluations) == 1:
@@ -82,7 +82,7 @@ def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
     elif last.failures:
         worst = sentence(last.failures[0])
         lines.append(Line("deviation", f"the largest one, too small to reject {last.name}: {worst}"))
-    return Summary((*lines, command_line(following)))
+    return Summary(tuple(lines))
 
 
 def failure_lines(evaluation: ModelEvaluation) -> list[str]:

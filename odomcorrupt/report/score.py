@@ -14,7 +14,7 @@ from odomcorrupt.report.plain import finite, picked
 from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
 from odomcorrupt.scoring.gate import quantity
 from odomcorrupt.scoring.run import METRICS, RunScore, ScoreReport
-from odomcorrupt.summary import ALWAYS, MOST_LINES, Line, Summary, command_line
+from odomcorrupt.summary import ALWAYS, MOST_LINES, Line, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -80,12 +80,11 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     ]
 
 
-def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: Sequence[object]) -> Summary:
+def score_brief(report: ScoreReport, verdicts: Sequence[Verdict]) -> Summary:
     """Return the gate's result, the number of failed runs, the errors, the break-down point and the covariances.
 
     report : scores of the runs
     verdicts : verdicts of the gate's rules
-    following : words of the suggested next command
     """
     said = f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}"
     bad = sum(one.failed for one in verdicts)
@@ -119,7 +118,7 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: 
     if nees.n:
         lines.append(Line("NEES", f"{nees.median.value:.3g} per degree of freedom (1 is calibrated)"))
     lines += [Line("note", note, "warning") for note in report.notes]
-    return Summary((*lines, command_line(following)), most)
+    return Summary(tuple(lines), most)
 
 
 def gate_lines(verdicts: Iterable[Verdict]) -> list[str]:

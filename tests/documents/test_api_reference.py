@@ -52,5 +52,5 @@ def test_the_site_shows_compact_lines_of_docstrings_as_a_section():
     assert "Attributes\n----------\nodom_topic\n    odometry topic" in text
     named = {word for line in re.findall(r"^(\w[\w, ]*)$", text, re.MULTILINE) for word in line.split(", ")}
     assert set(BagOptions.__annotations__) <= named
-    plain = inspect.getdoc(odomcorrupt.corrupt)
+    plain = inspect.getdoc(odomcorrupt.Model)
     assert in_sections(plain, "Parameters") == plain

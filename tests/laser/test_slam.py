@@ -223,7 +223,7 @@ def test_a_part_that_the_map_does_not_cover_is_stated(bag):
     drawn = laser_maps(cut, np.zeros((len(whole.odometry), 3)), 0.2)
     assert drawn.parts.startswith("2 parts that no scan connects: the map covers 0-22 s only")
     assert drawn.placed.startswith(f"{np.count_nonzero(whole.path.t_s <= 22.0)} of ")
-    assert [line.label for line in laser_brief(drawn, ()).lines[:3]] == ["MATCHED", "parts", "walls"]
+    assert [line.label for line in laser_brief(drawn).lines[:3]] == ["MATCHED", "parts", "walls"]
     assert drawn.parts in laser_text(drawn).splitlines()
     # the odometry without noise makes the map of the odometry
     np.testing.assert_array_equal(drawn.maps[1].grid.cells, drawn.maps[2].grid.cells)

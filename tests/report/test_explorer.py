@@ -13,8 +13,8 @@ from scipy.stats import chi2
 
 from odomcorrupt.report.html.page import prose
 from odomcorrupt.report.html.study import report_html
+from odomcorrupt.report.plots.comparison import draw_errors, rms_interval
 from odomcorrupt.report.plots.paths import draw_paths
-from odomcorrupt.report.plots.study import draw_errors, rms_interval
 from odomcorrupt.study.validate.compare import compare
 
 

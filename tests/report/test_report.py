@@ -21,9 +21,9 @@ from odomcorrupt.report.comparison import MOST, comparison_brief, comparison_jso
 from odomcorrupt.report.findings import noise_text
 from odomcorrupt.report.html.study import report_html
 from odomcorrupt.report.plain import finite
+from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.report.plots.paths import draw_paths
-from odomcorrupt.report.plots.study import PICTURES
 from odomcorrupt.study.validate.compare import compare
 
 VOID = {"meta", "img", "link", "br", "hr"}

@@ -39,8 +39,8 @@ from odomcorrupt.report.findings import (
     value_text,
 )
 from odomcorrupt.report.html.study import found_html
+from odomcorrupt.report.plots.comparison import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
-from odomcorrupt.report.plots.study import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import plan_of
@@ -57,6 +57,7 @@ from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm
 from odomcorrupt.study.validate.held_out import OF_ONE_DRIVE, without_parts
 from odomcorrupt.study.validate.lack_of_fit import Failure
+from odomcorrupt.summary import command_line
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
 PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
@@ -266,7 +267,8 @@ def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich
     following = (
         f"odomcorrupt compare {'/data/recordings/' * 5}judge --truth /vrpn/robot/pose {'/data/models/' * 5}robot.toml"
     )
-    text = findings_brief(rich, ADVICE, rejected, notes=("a", "b"), following=following).text().splitlines()
+    brief = findings_brief(rich, ADVICE, rejected, notes=("a", "b"))
+    text = brief._replace(lines=(*brief.lines, command_line(following))).text().splitlines()
     labels = [row.split()[0] for row in text]
     assert "errors" in labels
     assert "rejected" in labels

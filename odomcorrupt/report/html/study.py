@@ -44,7 +44,7 @@ from odomcorrupt.report.findings import (
     words_text,
 )
 from odomcorrupt.report.html.page import SCRIPT, page, picture, prose, table
-from odomcorrupt.report.plots.study import (
+from odomcorrupt.report.plots.comparison import (
     PICTURES,
     draw_candidates,
     draw_errors,
