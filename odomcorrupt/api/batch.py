@@ -136,7 +136,6 @@ class Batch(Result):
 
     def _figure(self) -> Figure:
         """Return a figure of dispersion against distance, with the prediction of the linearised model."""
-        from odomcorrupt.batching.dispersion import measure
         from odomcorrupt.report.plots.samples import draw_spread
 
         return draw_spread(measure(self.jobs[0].directory))

@@ -17,6 +17,9 @@ from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, spli
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.bags.provenance import ProvenanceWatcher
+from odomcorrupt.bags.source import temporary_copy, temporary_folder
+from odomcorrupt.correction.run import brief as correction_brief
+from odomcorrupt.correction.run import correct_bag, correction_summary, require_start
 from odomcorrupt.corruption.correction import Curve
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.patch import Motions, TopicTwist
@@ -25,9 +28,12 @@ from odomcorrupt.corruption.run import Outcome, corrupt_bag
 from odomcorrupt.corruption.summary import brief, oddities
 from odomcorrupt.corruption.summary import summary as paragraph
 from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.forecasting.forecast import clean_drive_of
 from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.model.motion_model import NOISE_FREE
 from odomcorrupt.report.plain import finite
 from odomcorrupt.rng import draw_seed
+from odomcorrupt.trajectories import read_drive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -140,7 +146,6 @@ class Corruption(Result):
     def _figure(self) -> Figure:
         """Return a figure of the clean path and the noisy one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
-        from odomcorrupt.trajectories import read_drive
 
         if "-" in (self.source, self.target):
             raise OdomCorruptError("a picture of a corruption: reads both bags again, which is impossible on a pipe")
@@ -198,9 +203,6 @@ def corrupt(
     with ExitStack() as kept:
         path, bag = None, bag_path(source)
         if condition is not None:
-            from odomcorrupt.bags.source import temporary_copy, temporary_folder
-            from odomcorrupt.forecasting.forecast import clean_drive_of
-
             # a path within a map is drawn for the whole drive at once
             bag = temporary_copy(sys.stdin.buffer, temporary_folder(kept) / "bag", "stdin") if bag is None else bag
             drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)
@@ -238,14 +240,10 @@ class Correction(Result):
 
     def summary(self) -> Summary:
         """Return the effects removed, how far that moved the odometry, and the remaining error."""
-        from odomcorrupt.correction.run import brief as correction_brief
-
         return correction_brief(self.outcome, self.target)
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        from odomcorrupt.correction.run import correction_summary
-
         return correction_summary(self.outcome)
 
     def to_dict(self) -> dict[str, Any]:
@@ -273,7 +271,6 @@ class Correction(Result):
     def _figure(self) -> Figure:
         """Return a figure of the measured path and the corrected one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
-        from odomcorrupt.trajectories import read_drive
 
         before, after = (read_drive(Path(path), self.outcome.run.odometry) for path in (self.source, self.target))
         return draw_corruption(before.xyt, after.xyt, Path(self.target).name, names=("measured", "corrected"))
@@ -316,11 +313,6 @@ def correct(
     >>> [effect.name for effect in done.outcome.effects.undone]
     ['wheelbase']
     """
-    import numpy as np
-
-    from odomcorrupt.correction.run import correct_bag, require_start
-    from odomcorrupt.model.motion_model import NOISE_FREE
-
     before = bag_path(source)
     if before is None:
         raise OdomCorruptError("-: correction reads a bag twice, which is impossible on a pipe; name a file")

@@ -9,6 +9,8 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.recordings import (
     PathLikes,
@@ -19,9 +21,37 @@ from odomcorrupt.api.recordings import (
     require_travel,
 )
 from odomcorrupt.api.result import Result
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import ModelError, OdomCorruptError, RecordingError
 from odomcorrupt.extras import part_of_study
+from odomcorrupt.model.motion_model import NOISE_FREE
+from odomcorrupt.report.brief import findings_brief, fit_brief, mistakes_first
+from odomcorrupt.report.comparison import comparison_brief, comparison_json, comparison_text, reproduction_sentence
+from odomcorrupt.report.diagnosis import (
+    candidates_table,
+    drive_sentence,
+    fit_json,
+    fit_text,
+    found_text,
+    laws_table,
+    learned_json,
+    reproduction_json,
+    shares_text,
+)
+from odomcorrupt.report.findings import clock_lines, effects_with_errors, numbers_text
 from odomcorrupt.result_files import refuse_existing, write_bytes
+from odomcorrupt.study.design.plan import drive_bag
+from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
+from odomcorrupt.study.estimate.returns import USUAL, closed_drive
+from odomcorrupt.study.estimate.returns import fit_returns as fit_ends
+from odomcorrupt.study.io import Source
+from odomcorrupt.study.io.laser_truth import end_seen
+from odomcorrupt.study.io.reader import read_odometry
+from odomcorrupt.study.pipeline import LAW, diagnose_model, learn_robot
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.validate.compare import agreement_of
+from odomcorrupt.study.validate.compare import compare as compare_models
+from odomcorrupt.study.validate.round_trip import verified_model
 from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
@@ -62,22 +92,16 @@ class Fit(Result):
 
     def summary(self) -> Summary:
         """Return the error on the fitted data, the noise and the effects."""
-        from odomcorrupt.report.brief import fit_brief, mistakes_first
-
         return mistakes_first(fit_brief(self.result), self.recordings.mistakes)
 
     def details(self) -> str:
         """Return all coefficients with their intervals, effects, clocks, and downweighted segments."""
-        from odomcorrupt.report.diagnosis import fit_text, laws_table
-
         return "\n\n".join(
             [*([laws_table(self.laws)] if self.laws else []), fit_text(self.result), *self.proof.changes]
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Return law, coefficients with intervals, effects, clocks and the error on the fitted data."""
-        from odomcorrupt.report.diagnosis import fit_json
-
         return fit_json(self.result, self.laws)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -123,10 +147,6 @@ def fit(
     >>> "wheel_scale.e" in result.model.parameters
     True
     """
-    from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
-    from odomcorrupt.study.pipeline import LAW
-    from odomcorrupt.study.validate.round_trip import verified_model
-
     begin = None if start is None else as_model(start).motion_model
     wanted = effects_to_fit(begin, (effects,) if isinstance(effects, str) else effects)
     law_name = law or (LAW if begin is None else begin.noise.law_name)
@@ -144,8 +164,6 @@ def fit(
 @part_of_study
 def require_effects(start: Model | None, effects: Sequence[str]) -> None:
     """Raise EffectError if one of the effects cannot be fitted; called before recordings are read."""
-    from odomcorrupt.study.estimate.calibrate import effects_to_fit
-
     effects_to_fit(None if start is None else start.motion_model, effects)
 
 
@@ -164,9 +182,6 @@ class SquareTest(Result):
     @property
     def model(self) -> Model:
         """The effects as a model without noise, which a few end poses cannot determine."""
-        from odomcorrupt.effects.effect import amplitudes
-        from odomcorrupt.model.motion_model import NOISE_FREE
-
         found = self.result
         names = [f"{e.name}.{p.name}" for e in found.effects for p in amplitudes(e)]
         return Model.of(
@@ -181,8 +196,6 @@ class SquareTest(Result):
 
     def summary(self) -> Summary:
         """Return the effects with standard errors, and the distance of the ends from the start before and after."""
-        from odomcorrupt.report.findings import effects_with_errors, numbers_text
-
         found = self.result
         lines = [
             Line("" if i else "FITTED", f"{effect.name}  {', '.join(numbers_text(effect, errors))}", "good")
@@ -229,8 +242,6 @@ class SquareTest(Result):
 
     @staticmethod
     def _rms(ends: Any) -> str:
-        import numpy as np
-
         distance = float(np.sqrt(np.mean(np.sum(ends[:, :2] ** 2, axis=1))))
         return f"{1e3 * distance:.1f} mm, {np.degrees(np.sqrt(np.mean(ends[:, 2] ** 2))):.2f} deg"
 
@@ -266,14 +277,6 @@ def fit_returns(
     RecordingError
         If the last sweeps of a drive do not match its first.
     """
-    import numpy as np
-
-    from odomcorrupt.study.estimate.returns import USUAL, closed_drive
-    from odomcorrupt.study.estimate.returns import fit_returns as fit_ends
-    from odomcorrupt.study.io import Source
-    from odomcorrupt.study.io.laser_truth import end_seen
-    from odomcorrupt.study.io.reader import read_odometry
-
     files = as_paths(paths)
     if len(ends) not in (1, len(files)):
         raise RecordingError(f"{len(ends)} ends for {len(files)} drives; give one for all, or one for each")
@@ -310,29 +313,19 @@ class Comparison(Result):
     @property
     def worse(self) -> bool:
         """Whether the last model predicts these data worse than the first, by some measures and better by none."""
-        from odomcorrupt.study.validate.compare import agreement_of
-
         return agreement_of(self.result).verdict == "worse"
 
     def summary(self) -> Summary:
         """Return whether the last model is better than the first by all measures, and one line per model."""
-        from odomcorrupt.report.brief import mistakes_first
-        from odomcorrupt.report.comparison import comparison_brief
-
         return mistakes_first(comparison_brief(self.result), self.mistakes)
 
     def details(self) -> str:
         """Return clocks, the table of horizons, the models in order, and all lack of fit."""
-        from odomcorrupt.report.comparison import comparison_text
-        from odomcorrupt.report.findings import clock_lines
-
         lines = clock_lines(self.result.recordings, self.result.clocks)
         return "\n".join([*lines, comparison_text(self.result)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the comparison as docs/json.md describes it."""
-        from odomcorrupt.report.comparison import comparison_json
-
         return comparison_json(self.result)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -404,8 +397,6 @@ def compare(
         .of_drive_type(drive_type)
         .in_frame(_shared_origin(named))
     )
-    from odomcorrupt.study.validate.compare import compare as compare_models
-
     found = compare_models(runs, {name: model.motion_model for name, model in named.items()})
     return Comparison(found, mistakes=runs.mistakes)
 
@@ -482,9 +473,6 @@ class Findings(Result):
         str
             Description of the drive; "" if no drive would decide anything, in which case no file is written.
         """
-        from odomcorrupt.report.diagnosis import drive_sentence
-        from odomcorrupt.study.design.plan import drive_bag
-
         target = Path(fspath(path))
         refuse_existing(target, overwrite=overwrite)
         plan = self.result.advice.best
@@ -505,8 +493,6 @@ class Findings(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the findings in the form of docs/json.md."""
-        from odomcorrupt.report.diagnosis import learned_json
-
         found = self.result
         return learned_json(
             found.search, found.sequence.evaluations, found.advice, evaluated=self._evaluated, fit=self._fit
@@ -532,8 +518,6 @@ class Diagnosis(Findings):
 
     def summary(self) -> Summary:
         """Return the missing effects, their size and probability, and the gain of each."""
-        from odomcorrupt.report.brief import findings_brief, mistakes_first
-
         found = self.result
         brief = findings_brief(
             found.search,
@@ -550,8 +534,6 @@ class Diagnosis(Findings):
 
     def details(self) -> str:
         """Return the candidates, the findings, the gain of each addition, and undecided alternatives."""
-        from odomcorrupt.report.diagnosis import candidates_table, found_text, shares_text
-
         found = self.result
         said = found_text(found.search, found.advice, evaluated=self._evaluated)
         parts = [candidates_table(found.search.rounds[0]), said]
@@ -597,9 +579,6 @@ def diagnose(
     runs = refuse_turns_alone(as_recordings(recordings))
     if known is not None:
         runs = runs.on_track(known.track_m).of_drive_type(known.setup.drive_type).in_frame(known.setup.origin)
-    from odomcorrupt.study.pipeline import diagnose_model
-    from odomcorrupt.study.select.decisions import DECISIONS
-
     name = Path(fspath(model)).name if isinstance(model, str | PathLike) else "the model" if known else ""
     return Diagnosis(runs, diagnose_model(runs, known, name=name, decisions=decisions or DECISIONS, watch=watch))
 
@@ -613,8 +592,6 @@ class Learned(Findings):
     @property
     def model(self) -> Model:
         """The learned model, in usable form."""
-        from odomcorrupt.report.comparison import reproduction_sentence
-
         model = self.result.proof.model
         said = reproduction_sentence(self.result.reproduction)
         if said:
@@ -638,8 +615,6 @@ class Learned(Findings):
 
     def summary(self) -> Summary:
         """Return the findings, their size and probability, and the held-out errors without and with them."""
-        from odomcorrupt.report.brief import findings_brief, mistakes_first
-
         found = self.result
         brief = findings_brief(
             found.search,
@@ -655,9 +630,6 @@ class Learned(Findings):
 
     def details(self) -> str:
         """Return the findings, undecided alternatives, the fit, and the full comparison."""
-        from odomcorrupt.report.comparison import comparison_text, reproduction_sentence
-        from odomcorrupt.report.diagnosis import fit_text, found_text
-
         found = self.result
         said = found_text(found.search, found.advice, evaluated=self._evaluated, fit=self._fit)
         fitted = [fit_text(found.robot, clocks=False), *found.proof.changes]
@@ -666,8 +638,6 @@ class Learned(Findings):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the findings and the comparison in the form of docs/json.md."""
-        from odomcorrupt.report.diagnosis import reproduction_json
-
         return Findings.to_dict(self) | {
             "reproduction": reproduction_json(self.result.reproduction),
             "comparison": self.comparison.to_dict(),
@@ -715,7 +685,4 @@ def learn(
     runs = require_travel(as_recordings(recordings))
     held_out = validate if isinstance(validate, Recordings) or validate else ()
     others = as_recordings(held_out, like=runs).in_frame(runs.geodetic_origin) if held_out else ()
-    from odomcorrupt.study.pipeline import learn_robot
-    from odomcorrupt.study.select.decisions import DECISIONS
-
     return Learned(runs, learn_robot(runs, others, decisions=decisions or DECISIONS, watch=watch))

@@ -13,6 +13,7 @@ import numpy as np
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.summary import model_brief
 from odomcorrupt.errors import MapError, OdomCorruptError
 from odomcorrupt.extras import part_of_study
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.mapping import LaserMaps
-    from odomcorrupt.mapping.frames import Mount
     from odomcorrupt.mapping.scan_map import ScanMap
     from odomcorrupt.study.work import Watch
     from odomcorrupt.summary import Summary
@@ -83,8 +83,6 @@ class Maps(Result):
             from odomcorrupt.laser.mapping import laser_brief
 
             return laser_brief(self.matched)
-        from odomcorrupt.corruption.summary import model_brief
-
         model = model_brief(self.model.motion_model, self.model.origin.partition(":")[0])
         return maps_brief(self.maps, self.notes, (model, f"{self.seed}, run {self.run}"))
 
@@ -247,6 +245,12 @@ def draw_maps(
         raise MapError(f"--resolution {resolution}: the side of a cell must be more than zero metres")
     if max_yaw_rate is not None and not max_yaw_rate >= 0.0:
         raise MapError(f"--max-yaw-rate {max_yaw_rate}: it must be zero rad/s or more")
+    mount = None
+    if laser_pose is not None:
+        pose = np.asarray(laser_pose, dtype=np.float64)
+        if pose.shape != (3,) or not np.isfinite(pose).all():
+            raise MapError(f"--laser-pose {laser_pose}: give x, y and heading of the laser on the robot")
+        mount = mount_at(pose)
     path, chosen = Path(fspath(bag)), as_model(model)
     drawn_seed = draw_seed() if seed is None else seed
 
@@ -262,7 +266,7 @@ def draw_maps(
         ).then("odomcorrupt", "map", path, "--method", "laser", "-o", "map.yaml")  # fmt: skip
     watch("drawing maps", 0.0)
     drive = read_drive(path, odom_topic)
-    rays = read_rays(path, scan, drive.child_frame_id, None if laser_pose is None else _mount(laser_pose))
+    rays = read_rays(path, scan, drive.child_frame_id, mount)
     slow = slow_rays(rays, drive, max_yaw_rate)
     noisy = Trajectory(drive.stamps_ns, drive.xyt + error_of(drive.trajectory))
     paths = {"clean odometry": drive.trajectory, "noisy odometry": noisy}
@@ -289,10 +293,3 @@ def _laser_maps(
 
     matched = laser_run(path, str(path), odom_topic, scan, watch)
     return laser_maps(matched, error_of(matched.odometry), resolution)
-
-
-def _mount(laser_pose: Sequence[float]) -> Mount:
-    pose = np.asarray(laser_pose, dtype=np.float64)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise MapError(f"--laser-pose {laser_pose}: give x, y and heading of the laser on the robot")
-    return mount_at(pose)

@@ -7,20 +7,30 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from odomcorrupt.api.result import Result
+from odomcorrupt.corruption.inverse import SystematicEffects
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.summary import model_words
+from odomcorrupt.effects.effect import Effect, parameters
 from odomcorrupt.errors import ModelError
+from odomcorrupt.model import motion_model
+from odomcorrupt.model.effect_notation import parse_effect
+from odomcorrupt.model.model_file import format_model, read_model
+from odomcorrupt.model.motion_model import MotionModel, Step, parse_alpha
+from odomcorrupt.model.noise_laws import law_named
+from odomcorrupt.model.presets import PRESETS, preset_named
 from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.sampling.convert import conversion_brief, conversion_json, conversion_text, convert
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.model import motion_model
-    from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.model.noise_laws import Law
-    from odomcorrupt.summary import Summary
 
     EffectsLike = str | Effect | Sequence[str | Effect]
 
@@ -67,9 +77,6 @@ class Noise:
         ModelError
             If there is no such law, or a number is invalid in it.
         """
-        from odomcorrupt.model import motion_model
-        from odomcorrupt.model.noise_laws import law_named
-
         law = law_named(self.law)
         names = law.alphas + ("",) * len(self.alpha)
         values = [_coefficient(value, name, law) for value, name in zip(self.alpha, names, strict=False)]
@@ -83,8 +90,6 @@ class Noise:
 
 def _coefficient(value: float | str, name: str, law: Law) -> float:
     """Return a coefficient; angles are valid for coefficients of rotation only, per the metre or radian they state."""
-    from odomcorrupt.model.motion_model import parse_alpha
-
     if not isinstance(value, str):
         return float(value)
     number = parse_alpha(value)
@@ -112,20 +117,14 @@ class Conversion(Result):
 
     def summary(self) -> Summary:
         """Return the coefficients of the other law, the drift of both, and how to use them."""
-        from odomcorrupt.sampling.convert import conversion_brief
-
         return conversion_brief(self.before, self.after)
 
     def details(self) -> str:
         """Return both laws in words, their drift, and the options that select the other law."""
-        from odomcorrupt.sampling.convert import conversion_text
-
         return conversion_text(self.before, self.after)
 
     def to_dict(self) -> dict[str, Any]:
         """Return both laws, and the growth of the variances per metre and per radian."""
-        from odomcorrupt.sampling.convert import conversion_json
-
         return conversion_json(self.before, self.after)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -159,10 +158,6 @@ def convert_alpha(noise: Noise, law: str, *, step: str | None = None) -> Convers
     >>> round(oc.convert_alpha(amcl, "diffusion").after.coefficients.trans_trans, 4)
     0.2236
     """
-    from odomcorrupt.model.motion_model import Step
-    from odomcorrupt.model.noise_laws import law_named
-    from odomcorrupt.sampling.convert import convert
-
     before, other = noise.as_motion_noise(), law_named(law)
     wanted = noise.step if step is None else step
     per_step = Step.parse(wanted) if other.per_step and wanted is not None else None
@@ -197,8 +192,6 @@ class Model:
     """Source of the numbers, in words; "" if given by the user."""
 
     def __init__(self, noise: Noise | None = None, *, effects: EffectsLike = (), track_m: float | None = None) -> None:
-        from odomcorrupt.model import motion_model
-
         self.motion_model = motion_model.MotionModel((noise or Noise()).as_motion_noise(), track_m=track_m)
         self.origin = ""
         if effects:
@@ -235,8 +228,6 @@ class Model:
         ModelError
             If the file is not a valid model; the message states the fault.
         """
-        from odomcorrupt.model.model_file import read_model
-
         return cls.of(read_model(Path(fspath(path))), f"of {fspath(path)}")
 
     @classmethod
@@ -255,8 +246,6 @@ class Model:
         ModelError
             If there is no such preset.
         """
-        from odomcorrupt.model.presets import preset_named
-
         preset = preset_named(name)
         return cls.of(preset.model, f"preset {preset.name}: {preset.source}")
 
@@ -283,8 +272,6 @@ class Model:
 
     def toml(self) -> str:
         """Return the text of the model file, as `save` writes it."""
-        from odomcorrupt.model.model_file import format_model
-
         return format_model(self.motion_model)
 
     def with_effects(self, effects: EffectsLike) -> Model:
@@ -304,9 +291,6 @@ class Model:
         """
         if not effects:
             return self
-        from odomcorrupt.effects.effect import Effect
-        from odomcorrupt.model.effect_notation import parse_effect
-
         found, assumed = [], []
         for given in (effects,) if isinstance(effects, str | Effect) else effects:
             if isinstance(given, str):
@@ -326,8 +310,6 @@ class Model:
     @property
     def parameters(self) -> dict[str, float]:
         """All parameters by name: non-zero coefficients, then "effect.parameter"."""
-        from odomcorrupt.effects.effect import parameters
-
         noise = self.motion_model.noise
         numbers = {name: getattr(noise.coefficients, name) for name in noise.coefficients.__slots__}
         own = {f"{e.name}.{p.name}": getattr(e, p.name) for e in self.effects for p in parameters(e)}
@@ -366,11 +348,6 @@ class Model:
         >>> model.corrupt_path(t, np.column_stack((0.3 * t, 0 * t, 0 * t)), seed=3, runs=50).shape
         (50, 100, 3)
         """
-        import numpy as np
-
-        from odomcorrupt.corruption.inverse import SystematicEffects
-        from odomcorrupt.corruption.path import NoisyPath
-
         times, poses = np.asarray(t_s, dtype=np.float64), np.asarray(xy_yaw, dtype=np.float64)
         if times.ndim != 1 or poses.shape != (len(times), 3):
             raise ModelError(f"a path: times {times.shape} and poses {poses.shape}; give shapes (n,) and (n, 3)")
@@ -393,14 +370,10 @@ class Model:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        from odomcorrupt.corruption.summary import model_words
-
         words = model_words(self.motion_model, self.origin)
         return f"<Model: {words[0].lower()}{words[1:]}>"
 
     def _repr_html_(self) -> str:
-        from odomcorrupt.summary import Line, Summary
-
         errors = self.standard_errors
         numbers = [
             Line(name, f"{value:.4g}" + (f" +- {errors[name]:.2g}" if name in errors else ""))
@@ -428,16 +401,12 @@ def as_model(given: ModelLike | MotionModel | None) -> Model:
     if given is None:
         return Model.preset()
     if isinstance(given, str | PathLike):
-        from odomcorrupt.model.presets import PRESETS
-
         name = fspath(given)
         if name in PRESETS:
             return Model.preset(name)
         if not name.endswith(".toml") and not Path(name).exists():
             raise ModelError(f"{name}: no model file and no preset; presets are {', '.join(PRESETS)}")
         return Model.load(name)
-    from odomcorrupt.model.motion_model import MotionModel
-
     if not isinstance(given, MotionModel):
         raise ModelError(f"model: {given!r}; give a Model, a Noise, a model file, or the name of a preset")
     return Model.of(given)

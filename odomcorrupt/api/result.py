@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.extras import require
+from odomcorrupt.result_files import refuse_existing, write_bytes
 from odomcorrupt.summary import command_line
 
 if TYPE_CHECKING:
@@ -49,6 +50,10 @@ class Result(ABC):
         """Return this result with another suggested next command.
 
         words : words of the command; none for no command
+
+        Returns
+        -------
+        Result
         """
         return replace(self, following=shlex.join(map(str, words)))
 
@@ -106,7 +111,6 @@ class Result(ABC):
         figure = self.draw(picture)
         if path is not None:
             from odomcorrupt.report.plots.figure import rendered
-            from odomcorrupt.result_files import refuse_existing, write_bytes
 
             target = Path(fspath(path))
             kind = target.suffix.lower().removeprefix(".")

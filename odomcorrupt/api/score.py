@@ -8,6 +8,17 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.extras import part_of_study
+from odomcorrupt.report.score import (
+    gate_lines,
+    score_brief,
+    score_csv,
+    score_json,
+    score_junit,
+    score_markdown,
+    score_text,
+)
+from odomcorrupt.scoring.gate import check
+from odomcorrupt.scoring.run import score as score_runs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -54,44 +65,30 @@ class Score(Result):
         ScoreError
             If a rule is invalid, a rise has no baseline, or the two have too few runs with equal seeds.
         """
-        from odomcorrupt.scoring.gate import check
-
         return replace(self, verdicts=tuple(check(self.to_dict(), rules, baseline)))
 
     def summary(self) -> Summary:
         """Return the gate's result, the number of failed runs, the errors and the break-down point."""
-        from odomcorrupt.report.score import score_brief
-
         return score_brief(self.result, self.verdicts)
 
     def details(self) -> str:
         """Return sentences, the tables of points and over runs, a line for each run, and the gate's verdicts."""
-        from odomcorrupt.report.score import gate_lines, score_text
-
         return "\n".join([score_text(self.result), *gate_lines(self.verdicts)])
 
     def markdown(self) -> str:
         """Return the gate's result, what failed, and the tables of points and over runs, for a summary page of CI."""
-        from odomcorrupt.report.score import score_markdown
-
         return score_markdown(self.result, self.verdicts)
 
     def junit(self) -> str:
         """Return the gate as JUnit XML, a test case for each rule."""
-        from odomcorrupt.report.score import score_junit
-
         return score_junit(self.result, self.verdicts)
 
     def points_csv(self) -> str:
         """Return drift, number of runs, failed runs, median and p90 of the ATE for each point of a sweep, as CSV."""
-        from odomcorrupt.report.score import score_csv
-
         return score_csv(self.result)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the score as docs/json.md describes it: metres, radians, seconds."""
-        from odomcorrupt.report.score import score_json
-
         return score_json(self.result, self.verdicts)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -154,8 +151,6 @@ def score(
     >>> oc.score("scored", "/odom", align="origin").result.runs[0].status
     'lost'
     """
-    from odomcorrupt.scoring.run import score as score_runs
-
     return Score(
         score_runs(
             as_paths(runs), estimate, truth=truth, truth_bag=truth_bag, outputs=outputs, align=align, limits=limits

@@ -11,8 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import EffectError, OdomCorruptError
 from odomcorrupt.extras import part_of_study
+from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.rng import draw_seed
+from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
+from odomcorrupt.simulation.routes import read_commands
+from odomcorrupt.simulation.run import Scenario, fingerprint, format_answer, write_mcap
+from odomcorrupt.simulation.run import simulate as simulate_run
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -95,7 +100,6 @@ class Simulation(Result):
 
     def _figure(self) -> Figure:
         """Return a figure of the true path and that of the odometry."""
-        from odomcorrupt.geometry.se2 import between, compose
         from odomcorrupt.report.plots.paths import draw_corruption
 
         run = self.recording
@@ -157,11 +161,6 @@ def simulate(
     >>> run.answer["cause"]
     'wheelbase'
     """
-    from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
-    from odomcorrupt.simulation.routes import read_commands
-    from odomcorrupt.simulation.run import Scenario, fingerprint, format_answer, write_mcap
-    from odomcorrupt.simulation.run import simulate as simulate_run
-
     path = None if target is None else Path(fspath(target))
     secret = None if path is None else path.with_suffix(".answer.toml")
     secret = secret if answer is None else Path(fspath(answer))

@@ -49,14 +49,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.predictive_check import Reproduction
 
 
-def advice_text(advice: Advice, instead: Mapping[str, str] | None = None) -> str:
-    """Return all advice, one sentence per line; "" if no alternatives are open.
-
-    instead : as of `advice_sentences`
-    """
-    return "\n".join(advice_sentences(advice, instead))
-
-
 def advice_sentences(advice: Advice, instead: Mapping[str, str] | None = None) -> list[str]:
     """Return a sentence for every ambiguity, and one per group of effects with the same reason and drive.
 
@@ -181,7 +173,7 @@ def found_text(
     elif evaluated is not None and evaluated.verdict.rejected:
         lines.append(f"the model holds in practice: {within(evaluated)}")
     lines = lines or [NOTHING]
-    lines += [text for text in (advice_text(advice, selected_instead(learned)), limits_sentence(advice.limits)) if text]
+    lines += [*advice_sentences(advice, selected_instead(learned)), *filter(None, [limits_sentence(advice.limits)])]
     return "\n".join(lines)
 
 

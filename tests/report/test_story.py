@@ -16,20 +16,9 @@ from test_report import parsed_page, shown
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
+from odomcorrupt.report import diagnosis as texts
 from odomcorrupt.report.brief import _contact_words, _found_lines, _mounting_words, findings_brief
 from odomcorrupt.report.comparison import comparison_text, rejection, within
-from odomcorrupt.report.diagnosis import (
-    NOTHING,
-    advice_sentences,
-    advice_text,
-    fit_text,
-    found_text,
-    inseparable_sentence,
-    laws_table,
-    learned_json,
-    limits_sentence,
-    shares_text,
-)
 from odomcorrupt.report.findings import (
     clock_lines,
     dependences_found,
@@ -139,7 +128,7 @@ def poor(searched):
 
 
 def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
-    text = found_text(rich, ADVICE)
+    text = texts.found_text(rich, ADVICE)
     assert "missing, in the order of evidence" in text
     assert re.search(r"  \+ unequal_wheels .* mm after 10 s   confidence 0\.\d\d", text)
     # 40 nats of what depends on something look like a gain that wanders, too, and are more than its 25
@@ -194,10 +183,10 @@ def test_a_dependence_of_the_model_is_told_as_such_though_another_part_was_dropp
     included, other = dependences_found(kept)
     assert (included.fitted, included.part, list(included.numbers)) == (True, name, ["k"])
     assert (other.fitted, other.part, other.law.instead_of) == (False, "", ())
-    printed = learned_json(kept, sequence.evaluations, NONE)["unknown"]
+    printed = texts.learned_json(kept, sequence.evaluations, NONE)["unknown"]
     assert [one["in_model"] for one in printed] == [True, False]
     assert [one["expression"] for one in printed] == [included.expression, other.expression]
-    text = found_text(kept, NONE)
+    text = texts.found_text(kept, NONE)
     assert f"fitted: {included.expression}" in text
     assert f"suggested: {other.expression}" in text
     lines, _ = _found_lines(kept, kept.fit, set())
@@ -307,31 +296,31 @@ def test_only_a_sign_that_is_as_significant_in_the_final_model_contradicts_physi
     first = searched.rounds[0]
     forbidden = replace(first.candidates[0], refused="of a physically impossible sign")
     against = replace(searched, fit=first.before, contradictions=(forbidden,), noise=(), unknown=(), laws=())
-    assert "the data contradict physics: unequal_wheels" in found_text(against, NONE)
+    assert "the data contradict physics: unequal_wheels" in texts.found_text(against, NONE)
     # the final model explains it
-    assert "contradict" not in found_text(replace(against, fit=searched.fit), NONE)
+    assert "contradict" not in texts.found_text(replace(against, fit=searched.fit), NONE)
     # a dependence only approximates an unknown cause, and its misfit may have any sign
-    assert "contradict" not in found_text(replace(against, unknown=UNKNOWNS[:1]), NONE)
+    assert "contradict" not in texts.found_text(replace(against, unknown=UNKNOWNS[:1]), NONE)
 
 
 def test_what_explains_about_as_much_as_a_name_is_said_beside_it(rich):
     rival = replace(UNKNOWNS[0], instead_of=("unequal_wheels",))
     both = replace(rich, unknown=(rival,), laws=())
-    text = found_text(both, ADVICE)
+    text = texts.found_text(both, ADVICE)
     assert "or instead of unequal_wheels: the yaw error depends on speed (40 nats), and these data do not" in text
     assert both.unexplained == ()
     assert both.left_nats == 0.0
     assert "nan" not in text
-    alone = found_text(replace(rich, unknown=UNKNOWNS[4:]), NONE)
+    alone = texts.found_text(replace(rich, unknown=UNKNOWNS[4:]), NONE)
     assert "the along error is periodic, every 0.52 m driven" in alone
 
 
 def test_where_nothing_is_found_the_text_says_so(poor):
-    assert found_text(poor, NONE) == NOTHING
+    assert texts.found_text(poor, NONE) == texts.NOTHING
 
 
 def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive():
-    lines = advice_text(ADVICE).splitlines()
+    lines = texts.advice_sentences(ADVICE)
     assert len(lines) == len(CHOICES) + 3
     assert lines[0].startswith(
         "side_slip or turn_asymmetry: these data do not separate them (it never turned to the left); drive "
@@ -343,8 +332,8 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
     assert lines[4].startswith("backlash, accel_slip: not testable here: never reversed; drive ")
     assert lines[5] == "slope: not testable here: no map; give a map"
     assert lines[6] == "time_offset: not testable here: it stood still"
-    assert advice_text(NONE) == limits_sentence(()) == ""
-    assert limits_sentence(LIMITS) == (
+    assert (texts.advice_sentences(NONE), texts.limits_sentence(())) == ([], "")
+    assert texts.limits_sentence(LIMITS) == (
         "smallest detectable sizes: wheel_scale 0.12 %, lever_arm x 3.4 mm, lever_arm y 5 mm"
     )
 
@@ -355,7 +344,7 @@ def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
     parsed = parsed_page(page)
     assert parsed.tags.count("img") == 5
     text = unescape(page)
-    for sentence in advice_text(ADVICE).splitlines():
+    for sentence in texts.advice_sentences(ADVICE):
         assert sentence.partition(": ")[0] in text
     for one in UNKNOWNS[:3]:
         assert one.expression in text
@@ -367,7 +356,7 @@ def test_the_page_of_a_search_that_found_nothing_is_whole(poor, sequence):
     good = replace(sequence, evaluations=(kept(sequence.evaluations[0]),))
     page = found_html(poor, good, NONE, "")
     parsed_page(page)
-    assert NOTHING[1:] in unescape(page)
+    assert texts.NOTHING[1:] in unescape(page)
     assert "rejected" not in page.split("</h1>", 1)[1].split("</p>", 1)[0]
 
 
@@ -379,17 +368,18 @@ def kept(evaluation):
 @pytest.mark.slow
 def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequence):
     first = sequence.evaluations[0]
-    text = found_text(poor, NONE, evaluated=first)
+    text = texts.found_text(poor, NONE, evaluated=first)
     assert text == f"no known effect is missing, but the model is rejected: {rejection(first)}"
     assert "times the predicted ones (NEES " in text
     assert "an effect that is not in the model remains" in text
-    assert found_text(poor, NONE, evaluated=kept(first)) == NOTHING
-    beside = found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
+    assert texts.found_text(poor, NONE, evaluated=kept(first)) == texts.NOTHING
+    beside = texts.found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
     assert "no further known effect is missing, but" in beside
     page = found_html(poor, replace(sequence, evaluations=(first,)), NONE, "")
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
     printed = [
-        learned_json(poor, sequence.evaluations[:1], NONE, evaluated=one)["rejected"] for one in (first, kept(first))
+        texts.learned_json(poor, sequence.evaluations[:1], NONE, evaluated=one)["rejected"]
+        for one in (first, kept(first))
     ]
     assert printed == [rejection(first), None]
 
@@ -431,7 +421,7 @@ def test_an_included_law_is_reported_with_the_numbers_of_the_model(searched):
     effect = user_effect("yaw_over_acceleration", "yaw += v * (k * a)", {"k": 0.0123})
     fit = SimpleNamespace(effects=(effect,), standard_errors=np.array([0.001]))
     learned = replace(searched, unknown=(found,), laws=(found,))
-    text = found_text(learned, NONE, fit=fit)
+    text = texts.found_text(learned, NONE, fit=fit)
     assert "fitted: yaw += v * (0.0123 * a)  (k 0.7047 +- 0.057 deg s^2/m^2)" in text
     (included,) = dependences_found(learned, fit)
     assert included.numbers == {"k": (0.0123, 0.001, "rad s^2/m^2")}
@@ -442,10 +432,10 @@ def test_an_included_law_is_reported_with_the_numbers_of_the_model(searched):
 
 def test_a_clock_is_no_reason_to_say_that_nothing_is_missing(poor):
     off = replace(poor.clocks, clocks=(Clock(-9e-5, 1.5e-4),), free=((True, True),), errors=((2e-4, 5e-7),))
-    text = found_text(replace(poor, clocks=off), NONE)
+    text = texts.found_text(replace(poor, clocks=off), NONE)
     # the offset is free beside a skew, and not there itself
     assert text.endswith("the odometry's clock is off: skew 150 +- 0.5 ppm (confidence 0.99)")
-    assert NOTHING not in text
+    assert texts.NOTHING not in text
 
 
 def test_names_too_long_for_their_column_stand_above_their_row(sequence):
@@ -457,11 +447,11 @@ def test_names_too_long_for_their_column_stand_above_their_row(sequence):
 
 
 def test_json_has_no_number_that_is_none(rich, poor, sequence):
-    printed = learned_json(rich, sequence.evaluations, ADVICE)
+    printed = texts.learned_json(rich, sequence.evaluations, ADVICE)
     assert json.loads(json.dumps(printed, allow_nan=False))["verdict"] == "unknown"
     assert len(printed["unknown"]) == len(UNKNOWNS)
     assert [one["effect"] for one in printed["not_testable"]] == [one.effect for one in UNTESTABLE]
-    assert learned_json(poor, sequence.evaluations[:1], NONE)["verdict"] == "complete"
+    assert texts.learned_json(poor, sequence.evaluations[:1], NONE)["verdict"] == "complete"
 
 
 @pytest.mark.slow
@@ -489,11 +479,11 @@ def test_a_step_that_included_a_dependence_is_drawn_with_its_title(rich):
 
 
 def test_the_fall_of_the_error_is_reported_for_ladders_alone(sequence):
-    text = shares_text(sequence.evaluations)
+    text = texts.shares_text(sequence.evaluations)
     assert text.startswith("held-out position error (RMS):\n  + unequal_wheels")
     assert "10 s: " in text
     assert "-" in text.partition("10 m: ")[2]
-    assert shares_text(sequence.evaluations[:1]) == ""
+    assert texts.shares_text(sequence.evaluations[:1]) == ""
 
 
 def test_values_have_units_that_a_person_thinks_in():
@@ -523,11 +513,11 @@ def fitted(searched, case):
 
 
 def test_a_fit_is_reported_with_its_coefficients_as_the_law_has_them(fitted):
-    text = fit_text(fitted)
+    text = texts.fit_text(fitted)
     assert text.startswith("law quadratic, coefficients with 95 % intervals:")
     assert "as the law has it" in text
     assert "  unequal_wheels: curvature -0." in text
-    table = laws_table({"quadratic": fitted, "other": fitted}).splitlines()
+    table = texts.laws_table({"quadratic": fitted, "other": fitted}).splitlines()
     assert table[1].split() == ["quadratic", "0.0", str(len(fitted.fit.components.active)), "yes"]
 
 
@@ -587,8 +577,8 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     monkeypatch.setattr(
         "odomcorrupt.study.pipeline.compare", lambda _runs, models, **_named: asked.append(models) or sequence
     )
-    monkeypatch.setattr("odomcorrupt.study.validate.compare.compare", lambda _runs, _models, **_clocks: sequence)
-    monkeypatch.setattr("odomcorrupt.report.html.study.found_html", lambda story, version: f"{version} {story[3]}")
+    monkeypatch.setattr("odomcorrupt.api.findings.compare_models", lambda _runs, _models, **_clocks: sequence)
+    monkeypatch.setattr("odomcorrupt.report.html.study.found_html", lambda *_found: _found[-1])
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}
@@ -612,7 +602,7 @@ def test_the_mean_of_a_dependence_on_time_is_reported_beside_it(rich, sequence):
     learned = replace(rich, unknown=(one,), laws=(), means=(mean.name,), fit=fit)
     k = learned.mean_of(one)
     assert [e.k for e in fit.effects if e.name == mean.name] == [k]
-    assert f"in the model: its mean, {k:.4g}" in found_text(learned, NONE)
+    assert f"in the model: its mean, {k:.4g}" in texts.found_text(learned, NONE)
     assert f"the model has its mean, {k:.4g}" in "".join(line.text for line in _found_lines(learned, fit, set())[0])
     assert f"in the model: its mean, {k:.4g}" in found_html(learned, sequence, NONE, "")
     assert replace(learned, means=()).mean_of(one) is None
@@ -634,7 +624,7 @@ TWINS = {"wheelbase": ("gyro_scale",)}
 
 
 def said(*choices, best=BACK):
-    return inseparable_sentence(Advice(choices, (), (), best), lambda name: TWINS.get(name, ()))
+    return texts.inseparable_sentence(Advice(choices, (), (), best), lambda name: TWINS.get(name, ()))
 
 
 def choice(*names, plan=BACK):
@@ -788,5 +778,7 @@ def test_a_region_is_given_by_its_full_size():
 
 def test_an_effect_with_evidence_is_not_called_untestable():
     advice = Advice((), (UntestableEffect("backlash", "never reversed", None, "reverse"),), (), None)
-    assert advice_sentences(advice) == ["backlash: not testable here: never reversed; reverse"]
-    assert advice_sentences(advice, {"backlash": "wheelbase"}) == ["backlash: not separated from wheelbase; reverse"]
+    assert texts.advice_sentences(advice) == ["backlash: not testable here: never reversed; reverse"]
+    assert texts.advice_sentences(advice, {"backlash": "wheelbase"}) == [
+        "backlash: not separated from wheelbase; reverse"
+    ]
