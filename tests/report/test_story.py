@@ -234,11 +234,12 @@ def test_a_dependence_that_is_negligible_is_in_the_model_only_if_it_is(rich, mon
         assert line.text == f"{UNKNOWNS[0].expression}: {said}"
 
 
-def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequence, monkeypatch):
-    def doubted(*given):
-        return [one._replace(confidence=0.02) for one in effects_found(*given)]
+def doubted(confidence):
+    return lambda *given: [one._replace(confidence=confidence) for one in effects_found(*given)]
 
-    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted)
+
+def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequence, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted(0.02))
     known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
     lines = findings_brief(known, NONE, sequence).lines
     assert not any(line.label == "perhaps" or line.text.startswith("unequal_wheels  ") for line in lines)
@@ -253,9 +254,7 @@ def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequenc
 def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich, sequence):
     first = sequence.evaluations[0]
     rejected = replace(sequence, evaluations=(first, replace(first, name="with all")))
-    following = (
-        f"odomcorrupt compare {'/data/recordings/' * 5}judge --truth /vrpn/robot/pose {'/data/models/' * 5}robot.toml"
-    )
+    following = f"odomcorrupt compare {'/data/recordings/' * 5}judge --truth /vrpn/pose {'/data/models/' * 5}robot.toml"
     brief = findings_brief(rich, ADVICE, rejected, notes=("a", "b"))
     text = brief._replace(lines=(*brief.lines, command_line(following))).text().splitlines()
     labels = [row.split()[0] for row in text]
@@ -265,10 +264,7 @@ def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich
 
 
 def test_a_name_below_even_odds_follows_dependences_and_noise_with_perhaps(rich, sequence, monkeypatch):
-    def doubted(*given):
-        return [one._replace(confidence=0.27) for one in effects_found(*given)]
-
-    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted)
+    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted(0.27))
     known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
     lines = findings_brief(known, NONE, sequence).lines
     assert lines[0].text.startswith("the yaw error depends on speed")
