@@ -17,10 +17,11 @@ from odomcorrupt.commands._options import (
     Decorator,
     EffectText,
     Number,
+    Setting,
     added,
-    one_of,
     setting,
     usage_errors,
+    valued,
 )
 from odomcorrupt.errors import ModelError
 
@@ -276,24 +277,17 @@ map_options = added(
     setting(
         "--map-pose", type=POSE, help="Pose of the odom frame in the map. [default: TF of the bag; without a bag 0,0,0]"
     ),
-    setting(
-        "--robot-radius",
-        "radius",
-        type=Number("metres", 0.0, 100.0),
-        default=0.2,
-        help="Radius of the robot, metres. [default: 0.2]",
+    valued(
+        "--robot-radius", "radius", kind=Number("metres", 0.0, 100.0), default=0.2, text="Radius of the robot, metres.",
+        cls=Setting,
     ),
-    one_of(
-        "--map-check",
-        "check",
-        among=["endpoint", "path"],
+    valued(
+        "--map-check", "check", among=["endpoint", "path"],
         text="Cells that must be free: at the end of each motion, or along it.",
     ),
-    one_of("--unknown", among=["blocked", "free"], text="Treat unknown cells of the map as blocked or as free."),
-    click.option(
-        "--max-tries", "tries", type=click.IntRange(1, 1_000_000), default=100, help="Draws per motion. [default: 100]"
-    ),
-)
+    valued("--unknown", among=["blocked", "free"], text="Treat unknown cells of the map as blocked or as free."),
+    valued("--max-tries", "tries", kind=click.IntRange(1, 1_000_000), default=100, text="Draws per motion."),
+)  # fmt: skip
 """Adds the options of `choose_condition`."""
 
 

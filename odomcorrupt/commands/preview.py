@@ -10,7 +10,7 @@ import click
 from odomcorrupt.commands import corrupt
 from odomcorrupt.commands._bag import bag_options, bag_words, report_losses, source_of
 from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
-from odomcorrupt.commands._options import PICTURE, setting
+from odomcorrupt.commands._options import PICTURE, seed_option, valued
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 
@@ -21,11 +21,9 @@ if TYPE_CHECKING:
 @click.command("preview", cls=AlphaCommand, short_help="Forecast what a motion model will do to a bag.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @model_options
-@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
-@click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="The first of the runs. [default: 0]")
-@click.option(
-    "--runs", type=click.IntRange(2, 100_000), default=100, metavar="N", help="How many to draw. [default: 100]"
-)
+@seed_option
+@valued("--run", kind=click.IntRange(0), default=0, metavar="N", text="The first of the runs.")
+@valued("--runs", kind=click.IntRange(2, 100_000), default=100, metavar="N", text="How many to draw.")
 @bag_options
 @map_options
 @click.option("--plot", "-o", "--output", type=PICTURE, help="Picture: .png, .svg or .pdf.")

@@ -17,7 +17,7 @@ from odomcorrupt.commands._model import (
     map_options,
     move_options,
 )
-from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, setting, usage_errors
+from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, seed_option, setting, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
 from odomcorrupt.result_files import write_text
@@ -41,7 +41,7 @@ _RESULT = OutputFile(*PICTURES, "csv", "json")
     help="Along a bag: distance between clouds, metres.",
 )
 @setting(*ODOM_TOPIC, metavar="TOPIC", help="Along a bag: odometry topic.")
-@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
+@seed_option
 @overwrite_option()
 @unpack_option
 @standard_options
