@@ -419,10 +419,6 @@ class Drift:
         message : message of rospy or rclpy: pose, twist, and their covariances in the plane are changed
         stamp_ns : its stamp, nanoseconds
 
-        Returns
-        -------
-        None
-
         Raises
         ------
         OdomCorruptError

@@ -73,11 +73,6 @@ class Export(Result):
         path : file to write
         overwrite : whether an existing file is replaced
 
-        Returns
-        -------
-        pathlib.Path
-            The file.
-
         Raises
         ------
         OdomCorruptError

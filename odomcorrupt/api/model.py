@@ -200,14 +200,10 @@ class Model:
 
     @classmethod
     def of(cls, motion_model: MotionModel, origin: str = "") -> Model:
-        """Wrap a library motion model for this interface.
+        """Return the model of this interface for a motion model of the library.
 
         motion_model : noise law and effects
         origin : source of the numbers in words, for summaries
-
-        Returns
-        -------
-        Model
         """
         model = cls.__new__(cls)
         model.motion_model, model.origin = motion_model, origin
@@ -218,10 +214,6 @@ class Model:
         """Return the model in a file, as written by `fit`, `learn` and `presets`.
 
         path : model file, TOML
-
-        Returns
-        -------
-        Model
 
         Raises
         ------
@@ -254,11 +246,6 @@ class Model:
 
         path : file to write
         overwrite : whether an existing file is replaced
-
-        Returns
-        -------
-        pathlib.Path
-            The file.
 
         Raises
         ------

@@ -318,10 +318,6 @@ class Density(Result):
 
         count : number of samples
         seed : seed of the random draws
-
-        Returns
-        -------
-        matplotlib.figure.Figure
         """
         from odomcorrupt.report.plots.samples import draw_density
 

@@ -74,10 +74,6 @@ class Recordings(Sequence["Recording"]):
         """Return the same recordings with a known track; recordings that state their own keep it.
 
         track_m : nominal distance between the wheels, metres; None changes nothing
-
-        Returns
-        -------
-        Recordings
         """
         if track_m is None or self.track_m is not None:
             return self
@@ -111,10 +107,6 @@ class Recordings(Sequence["Recording"]):
         """Return the same recordings with satellite fixes converted to the frame of another origin.
 
         origin : origin of an east-north frame; None leaves them in the frame of their first fix
-
-        Returns
-        -------
-        Recordings
         """
         from odomcorrupt.study.io.fixes import in_frame
 
@@ -124,10 +116,6 @@ class Recordings(Sequence["Recording"]):
         """Return the recordings in other files, read with the topics, clock shift and track of the first of these.
 
         paths : bags or tables
-
-        Returns
-        -------
-        Recordings
 
         Raises
         ------

@@ -50,10 +50,6 @@ class Result(ABC):
         """Return this result with another suggested next command.
 
         words : words of the command; none for no command
-
-        Returns
-        -------
-        Result
         """
         return replace(self, following=shlex.join(map(str, words)))
 
@@ -67,10 +63,6 @@ class Result(ABC):
         """Return a figure of this result.
 
         picture : name of the figure, if there are several; "" for the default one
-
-        Returns
-        -------
-        matplotlib.figure.Figure
 
         Raises
         ------
@@ -97,10 +89,6 @@ class Result(ABC):
         path : file to write, .png, .svg or .pdf
         picture : name of the figure, if there are several
         overwrite : whether an existing file is replaced
-
-        Returns
-        -------
-        matplotlib.figure.Figure
 
         Raises
         ------
