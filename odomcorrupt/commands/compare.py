@@ -60,7 +60,7 @@ def command(
     models = named_models(list(dict.fromkeys(names)))
     track = next((m.motion_model.track_m for m in models.values() if m.motion_model.track_m is not None), None)
     with reading.stages(console) as stages:
-        runs = reading.read(paths, console, stages, track=track)
+        runs, _ = reading.read(paths, console, stages, track=track)
         stages("comparison", 0.0)
         result = compare(runs, models)
     files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}

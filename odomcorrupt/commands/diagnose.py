@@ -39,7 +39,7 @@ def command(
     # an unreadable model is reported before minutes of work
     model = Model.load(names[0]) if names else None
     with reading.stages(console) as stages:
-        runs = reading.read(paths, console, stages, track=model.motion_model.track_m if model else None)
+        runs, _ = reading.read(paths, console, stages, track=model.motion_model.track_m if model else None)
         result = diagnose(runs, names[0] if names else None, watch=stages)
     words = [*map(str, paths), *reading.words]
     result = result.then(*_following(result, words, names))

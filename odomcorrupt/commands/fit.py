@@ -72,7 +72,7 @@ def command(
     begin = None if start is None else Model.load(start)
     require_effects(begin, add)
     with reading.stages(console) as stages:
-        runs = reading.read(paths, console, stages, track=begin.motion_model.track_m if begin else None)
+        runs, _ = reading.read(paths, console, stages, track=begin.motion_model.track_m if begin else None)
         stages("fit", 0.0)
         result = fit(runs, add, start=begin, law=law)
     following = ["fit", *typed_words(), "-o", "robot.toml"]

@@ -55,7 +55,7 @@ def command(
     if models:
         raise click.UsageError(f"{models[0]} is a model; `fit --start` and `diagnose` take models")
     with reading.stages(console) as stages:
-        runs, held_out = reading.read_with_held_out(paths, validate, console, stages)
+        runs, held_out = reading.read(paths, console, stages, held_out=validate)
         result = learn(runs, validate=held_out or (), watch=stages)
     evaluated_on = [*map(str, validate or paths), *reading.words]
     usable = not result.comparison.fails and result.result.reproduction.holds
