@@ -39,8 +39,7 @@ def test_docstrings_name_every_parameter_and_what_is_returned(name):
         word for line in re.findall(r"^([*\w, ]+)(?: :|$)", text, re.MULTILINE) for word in re.findall(r"\w+", line)
     }
     assert [one.name for one in taken if one.name not in named] == []
-    # of a method the first line and the type in the signature may be enough
-    plain = "return " in text.splitlines()[0].lower() and ("." in name or not taken)
+    plain = "return " in text.splitlines()[0].lower() and ("." in name or not taken)  # enough for a method
     assert plain or signature.return_annotation in ("None", None) or "Returns\n-------" in text
 
 
