@@ -19,14 +19,7 @@ from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.report import diagnosis as texts
 from odomcorrupt.report.brief import _contact_words, _found_lines, _mounting_words, findings_brief
 from odomcorrupt.report.comparison import comparison_text, rejection, within
-from odomcorrupt.report.findings import (
-    clock_lines,
-    dependences_found,
-    effects_found,
-    foremost,
-    numbers_text,
-    value_text,
-)
+from odomcorrupt.report.findings import dependences_found, effects_found, foremost
 from odomcorrupt.report.html.study import found_html
 from odomcorrupt.report.plots.comparison import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
@@ -483,11 +476,11 @@ def test_the_fall_of_the_error_is_reported_for_ladders_alone(sequence):
 
 
 def test_values_have_units_that_a_person_thinks_in():
-    assert value_text(0.1, 0.01, "rad/m") == "5.73 +- 0.57 deg/m"
-    assert value_text(0.002, None, "m") == "2 mm"
-    assert value_text(0.05, 0.001, "s") == "50 +- 1 ms"
-    assert value_text(4.0, None, "s") == "4 s"
-    assert value_text(0.01, 0.002, "") == "1 +- 0.2 %"
+    assert texts.value_text(0.1, 0.01, "rad/m") == "5.73 +- 0.57 deg/m"
+    assert texts.value_text(0.002, None, "m") == "2 mm"
+    assert texts.value_text(0.05, 0.001, "s") == "50 +- 1 ms"
+    assert texts.value_text(4.0, None, "s") == "4 s"
+    assert texts.value_text(0.01, 0.002, "") == "1 +- 0.2 %"
 
 
 def test_clocks_that_are_off_have_a_line_and_others_none(searched):
@@ -497,10 +490,10 @@ def test_clocks_that_are_off_have_a_line_and_others_none(searched):
         free=tuple((True, True) for _ in searched.clocks.clocks),
         errors=tuple((0.001, 1e-6) for _ in searched.clocks.clocks),
     )
-    assert clock_lines(["a"], clocks) == [
+    assert texts.clock_lines(["a"], clocks) == [
         "a: the odometry's clock is off: offset 50 +- 1 ms (confidence 0.99), skew 20 +- 1 ppm (confidence 0.99)"
     ]
-    assert clock_lines(["a"], replace(clocks, free=((False, False),))) == []
+    assert texts.clock_lines(["a"], replace(clocks, free=((False, False),))) == []
 
 
 @pytest.fixture(scope="session")
@@ -767,7 +760,7 @@ def test_a_yaw_is_a_turn_and_a_lever_arm_a_point():
 
 def test_a_region_is_given_by_its_full_size():
     patch = effect_from_values("region_slip", {"slip": 0.1, "x": 1.0, "y": 2.0, "radius": 2.483, "width": 3.455})
-    said = ", ".join(numbers_text(patch, [0.01]))
+    said = ", ".join(texts.numbers_text(patch, [0.01]))
     assert said.endswith("5.0 m x 6.9 m")
     assert "radius" not in said
 
