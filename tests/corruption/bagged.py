@@ -198,6 +198,17 @@ def twists(t, poses):
     return np.vstack((np.zeros((1, 3)), np.column_stack((along, across, turn)) / dt[:, None]))
 
 
+def driven(t, poses, *edges, **options):
+    """Odometry of a drive, and beside each message transforms: parent, child, and a pose or a function of its."""
+    out = []
+    for stamp, pose in zip(t, poses, strict=True):
+        out.append((ODOM, int(stamp), odometry(stamp, pose, **options)))
+        if edges:
+            tree = [(stamp, *frames, own(pose) if callable(own) else own) for *frames, own in edges]
+            out.append((TF, int(stamp), transforms(*tree)))
+    return out
+
+
 def robot(t, poses, latency_ns=3_000_000):
     """What a robot sends on that drive: odometry, TF a little later, an IMU that is none of our business."""
     out = []
