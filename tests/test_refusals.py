@@ -23,6 +23,7 @@ trans_rot = 0.01
 """
 REFUSED = {
     f"sample {OFFICE} --start 0,0,0": "--start: the motion is that of",
+    f"sample {OFFICE} --end 1,0,0": "--end: the motion is that of",
     f"sample {OFFICE} --example article": "--example: the motion is that of",
     "sample --start 0,0": "'0,0' is not a pose; write x,y,heading as in 0.2,0.35,10deg",
     "sample --start 10deg,0,0": "is not a pose",

@@ -264,14 +264,6 @@ def test_a_learned_time_offset_stays_and_the_way_out_is_named(tmp_path, capsys, 
     assert "stays" not in capsys.readouterr().err
 
 
-def test_a_pipe_cannot_be_read_twice(tmp_path, capsys):
-    assert run(["correct", "-v", "-", str(tmp_path / "out.mcap"), "--effect", "wheel_scale:e=0.01"]) == 2
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1
-    assert "INPUT is a pipe" in said
-    assert not (tmp_path / "out.mcap").exists()
-
-
 def test_a_pipe_can_be_written(tmp_path, capfdbinary):
     effect = ["--effect", "wheel_scale:e=0.01"]
     source = str(FIXTURES / "office.mcap")

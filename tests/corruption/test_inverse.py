@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from drives import office, silent
+from drives import error_in_any_cut, office, silent
 
 from odomcorrupt.corruption.inverse import Drive, EffectInverse, SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
@@ -17,56 +17,15 @@ from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 
-STRONG = (
-    effect_from_values("wheel_scale", {"e": 0.05}),
-    effect_from_values("wheelbase", {"e": 0.6}),
-    effect_from_values("unequal_wheels", {"curvature": 0.1}),
-    effect_from_values("side_slip", {"k": 0.3}),
-    effect_from_values("gyro_bias", {"bias": 0.02}),
-    effect_from_values("lever_arm", {"x": 0.2, "y": -0.1}),
-)
-
-
-def error_in_any_cut(model, t, poses, size=41):
-    """Return the errors (n, 3) of a drive, which are the same when it comes in pieces."""
-    path, whole = NoisyPath(model, 4), NoisyPath(model, 4).feed(t, poses).error_xyt
-    pieces = [path.feed(t[i : i + size], poses[i : i + size]).error_xyt for i in range(0, len(t), size)]
-    assert np.array_equal(np.concatenate(pieces), whole)
-    return whole
-
 
 def drive_of(t, poses):
     return Drive(increments(poses), np.diff(t) * 1e-9, (t[1:] - t[0]) * 1e-9, poses[:-1])
-
-
-def test_correcting_what_was_corrupted_gives_the_clean_drive_back():
-    t, poses = office(50.0, 40.0)
-    samples = NoisyPath(silent(STRONG, track_m=0.5), 1).feed(t, poses)
-    odometry = poses + samples.error_xyt
-    assert np.abs(samples.error_xyt[-1]).max() > 0.5
-    back = corrected_increments(STRONG, motion_of((t - t[0]) * 1e-9, odometry, track_m=0.5))
-    clean = increments(poses)
-    for part in ("ds_m", "dl_m", "dtheta_rad"):
-        assert getattr(back, part) == pytest.approx(getattr(clean, part), abs=1e-11)
-
-
-def test_a_scale_of_one_percent_is_inverted_exactly_and_not_to_first_order():
-    t, poses = office(50.0, 8.0)
-    poses[:, 1:] = 0.0
-    poses[:, 0] = np.linspace(0.0, 50.0, len(t))
-    samples = NoisyPath(silent([effect_from_values("wheel_scale", {"e": 0.01})]), 1).feed(t, poses)
-    assert (poses + samples.error_xyt)[-1, 0] == pytest.approx(50.0 / 1.01, abs=1e-8)
 
 
 def test_a_gyro_bias_turns_a_parked_robot_and_nothing_else_moves():
     t, poses = office(50.0, 20.0)
     samples = NoisyPath(silent([effect_from_values("gyro_bias", {"bias": 0.01})]), 1).feed(t, poses * 0.0)
     assert samples.error_xyt[-1] == pytest.approx([0.0, 0.0, 0.01 * 20.0], abs=1e-9)
-
-
-def test_clock_effects_do_not_bend_the_path():
-    samples = NoisyPath(silent([effect_from_values("time_offset", {"offset": 0.1})]), 1).feed(*office())
-    assert not samples.error_xyt.any()
 
 
 @pytest.mark.filterwarnings("error")
