@@ -253,6 +253,11 @@ def mcap_record_places(data):
     return places
 
 
+def mcap_record(opcode, *parts):
+    """Return a record of an MCAP."""
+    return struct.pack("<BQ", opcode, sum(map(len, parts))) + b"".join(parts)
+
+
 def damaged_copies_fail(source, tmp_path, offsets, suffix):
     """Cut a bag at offsets; return those cuts that went through or left something behind."""
     data = source.read_bytes()

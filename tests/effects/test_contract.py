@@ -288,12 +288,6 @@ def test_every_word_of_the_language_is_documented():
     assert all(re.search(rf"\b{word}\b", listed) for word in (*VARIABLES, *FUNCTIONS))
 
 
-def test_shapes_and_aliases_are_documented():
-    for name, kind in registry().items():
-        if kind.aliased_with:
-            assert re.search(rf"`{name}` of `{kind.aliased_with}`", PAGE)
-
-
 @pytest.mark.parametrize("name", ["wheel_scale", "sideways_scale", "wheelbase", "gyro_scale", "steering_scale"])
 def test_a_ratio_and_its_inverse_are_both_possible(name):
     (scale,) = (p for p in parameters(registry()[name]) if p.name == "e")
