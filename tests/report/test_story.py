@@ -577,7 +577,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     assert all(f"wrote {name}" in err for name in files.values())
     assert "missing, in the order of evidence" in out
     assert list(asked[0]) == ["without effects", "with unequal_wheels, yaw over speed, gauss_markov"]
-    assert (tmp_path / "all.html").read_text().endswith(" odomcorrupt sim.bag noisy.bag --model robot.toml")
+    assert (tmp_path / "all.html").read_text().endswith("odomcorrupt sim.bag noisy.bag --model robot.toml")
     assert run([*words, "--json", "--force"]) == 0
     printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert printed["comparison"]["models"][0]["name"] == sequence.evaluations[0].name
