@@ -86,7 +86,9 @@ def test_the_input_is_never_the_output(name, tmp_path):
     assert (tmp_path / "in.mcap").read_bytes() == OFFICE_MCAP.read_bytes()
 
 
-def test_an_output_into_nowhere_is_refused(tmp_path):
+def test_an_input_and_an_output_that_are_nowhere_are_refused(tmp_path):
+    with pytest.raises(BagError, match=r"nothing\.mcap: cannot be opened"):
+        open_reader(tmp_path / "nothing.mcap")
     with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="does not exist"):
         open_writer(tmp_path / "no" / "out.mcap", reader)
 
