@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mountings
-from odomcorrupt.study.estimate.gauss_newton import fit_problem
+from odomcorrupt.study.estimate.gauss_newton import fit_problem, prior_deviations
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
@@ -230,7 +230,8 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
         clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
         for beside in ((), rivals):
             problem = pose_problem(runs, (*nuisance, *beside), [clock] * len(runs), approach=approach)
-            best = fit_problem(problem, [free] * len(runs), start=noise, nearly=True)
+            held = prior_deviations(problem.effects)
+            best = fit_problem(problem, [free] * len(runs), start=noise, nearly=True, held=held)
             noise = best.noise.free
             clock = best.onward.clocks[0]
             errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))

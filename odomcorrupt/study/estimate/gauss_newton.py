@@ -254,6 +254,14 @@ def fit_problem(
     )
 
 
+def prior_deviations(effects: Sequence[Effect]) -> Array:
+    """Return the standard deviations (p,) of the normal prior of the effects' amplitudes: twice their typical sizes.
+
+    For `fit_problem`: without a prior, a scale that the data do not show ends anywhere within its bounds.
+    """
+    return np.array([2.0 * p.typical for effect in effects for p in amplitudes(effect)])
+
+
 def _held_step(noise: NoiseFit, begun: Sequence[Effect], now: Sequence[Effect], held: Array) -> Array:
     """Return the step (q,) to the maximum of likelihood times prior; see `fit_problem` for the prior's `held`."""
     away = _made(begun, now, np.zeros(0))
