@@ -65,13 +65,14 @@ memory are those of the larger half, with one thread.
 
 ## Fitted models
 
+Values fitted on even / odd runs:
+
 {models}
 
-Which effects are fitted was chosen on all runs, by regression of windows; their values are those of one half. Two of
-them are not among the published parameters: scrub while turning, of rollers above all (`turn_scrub`: on four mecanum
-wheels all travel falls by 3 % per 0.1 rad/s), and an off-centre load, which turns a robot in bends (`off_centre_load`).
-On the mecanum robot only its part per sideways speed has one sign on both halves.
-{why}
+Which effects are fitted was chosen on all runs, by regression of windows. Two of them are not among the published
+parameters: scrub while turning, of rollers above all (`turn_scrub`: on four mecanum wheels all travel falls by 3 % per
+0.1 rad/s), and an off-centre load, which turns a robot in bends (`off_centre_load`; on the mecanum robot only its part
+per sideways speed has one sign on both halves). {why}
 
 ## What falls short
 
@@ -329,12 +330,19 @@ def page_of(found: Mapping[str, Mapping[str, Any]]) -> str:
         cost = [f"{max(m[what] for m in costs):g}" if costs else "" for what in ("cpu_s_per_minute", "peak_mb")]
         rows.append([robot.title, str(one["runs"]), *(cells.get(column, "") for column in columns), *cost])
         for kind in ("fitted", "learned"):
-            for half, model in zip(("even", "odd"), one.get(kind, {}).get("models", ()), strict=False):
-                effects = "; ".join(
-                    f"`{name}` " + ", ".join(f"{k} {v}" for k, v in own.items() if v != 0.0)
-                    for name, own in model["effects"].items()
-                )
-                models.append(f"- {robot.title}, {kind} on {half} runs: {effects or 'nothing'}.")
+            halves = [model["effects"] for model in one.get(kind, {}).get("models", ())]
+            values: dict[str, dict[str, list[str]]] = {}
+            for half in halves:
+                for name, own in half.items():
+                    for parameter, value in own.items():
+                        if value != 0.0:
+                            values.setdefault(name, {}).setdefault(parameter, []).append(f"{value:.3g}")
+            effects = "; ".join(
+                f"`{name}` " + ", ".join(f"{parameter} {' / '.join(pair)}" for parameter, pair in own.items())
+                for name, own in values.items()
+            )
+            if halves:
+                models.append(f"- {robot.title}, {kind}: {effects or 'nothing'}.")
             if kind in errors and any(own > goal for own, goal in zip(errors[kind], robot.goal, strict=True)):
                 goal = f"{robot.goal[0]:.3f} ({robot.goal[1]:.3f})"
                 short.append(f"- {robot.title}, {kind}: {cells[kind]} m; the goal is {goal}.")

@@ -9,10 +9,9 @@ from odomcorrupt.study.io.first_look import PATTERNS
 PAGE = Path(__file__).parent / "how-to" / "mistakes.md"
 HEAD = """# Plain mistakes
 
-Most odometry is wrong for a plain reason: a wheel wired backwards, a track in centimetres, forward that is -x. Before
-any statistics `learn`, `diagnose`, `fit` and `compare` compare sums of the motion over a second or some, in odometry
-and truth: ratios of travel and of turns, signs, which motion goes with which, and whether each trajectory agrees with
-itself. The result is the first line, with its figures:
+A wheel wired backwards, a track in centimetres, forward that is -x: before any statistics `learn`, `diagnose`, `fit`
+and `compare` compare sums of the motion over about a second in odometry and truth, and each trajectory with itself.
+What is wrong is the first line, with its figures:
 
     odomcorrupt learn drive.mcap -o robot.toml
 
@@ -24,9 +23,8 @@ Mend it and record again. Meanwhile signs, axes and units are undone and the stu
 parts of the model, however large, so that `correct` undoes them in these bags. Where nothing can be learned, the
 command ends with that line and exit code 1. `info` names the rows marked (alone) without a truth.
 
-Odometry and truth that contradict each other do not show which of the two is wrong. The one that contradicts itself is,
-or else the one that a gyro in the bag contradicts (its z axis up), or the odometry if its own wheel joints do. If
-nothing decides, both are named.
+Of odometry and truth the one is wrong that contradicts itself, or else the one that a gyro in the bag contradicts (its
+z axis up), or the odometry if its own wheel joints do. If nothing decides, both are named.
 
 The rows are tested in this order, and each is undone before the next test:
 

@@ -22,7 +22,7 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.report.text.numbers import value_text
+from odomcorrupt.report.findings import value_text
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import choose_approach

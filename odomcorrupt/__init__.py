@@ -25,18 +25,25 @@ if TYPE_CHECKING:
         list_effects,
         list_presets,
     )
-    from odomcorrupt.api.comparison import Comparison, compare
-    from odomcorrupt.api.corruption import Correction, Corruption, correct, corrupt
-    from odomcorrupt.api.drift import Drift, Drifted
+    from odomcorrupt.api.corruption import Correction, Corruption, Drift, Drifted, correct, corrupt
     from odomcorrupt.api.export import Export, export_parameters
-    from odomcorrupt.api.findings import Diagnosis, Learned, diagnose, learn
-    from odomcorrupt.api.fit import Fit, SquareTest, fit, fit_returns
-    from odomcorrupt.api.info import Info, info
+    from odomcorrupt.api.findings import (
+        Comparison,
+        Diagnosis,
+        Fit,
+        Learned,
+        SquareTest,
+        compare,
+        diagnose,
+        fit,
+        fit_returns,
+        learn,
+    )
     from odomcorrupt.api.integration import Integration, integrate
     from odomcorrupt.api.maps import Maps, draw_maps
     from odomcorrupt.api.model import Conversion, Model, Noise, convert_alpha
     from odomcorrupt.api.motion import Density, Particles, Samples, density, sample, sample_along
-    from odomcorrupt.api.preview import Preview, preview
+    from odomcorrupt.api.preview import Info, Preview, info, preview
     from odomcorrupt.api.recordings import Recordings, read_recordings
     from odomcorrupt.api.score import Score, score
     from odomcorrupt.api.simulation import Simulation, simulate
@@ -47,31 +54,25 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "api.batch": ("Assembly", "Batch", "BatchCost", "Spread", "assemble", "batch", "estimate_batch", "spread"),
-    "api.catalogue": (
-        "EffectDescription", "EffectList", "PresetList", "describe_effect", "list_effects", "list_presets",
-    ),
-    "api.comparison": ("Comparison", "compare"),
-    "api.corruption": ("Correction", "Corruption", "correct", "corrupt"),
-    "api.drift": ("Drift", "Drifted"),
-    "api.export": ("Export", "export_parameters"),
-    "api.findings": ("Diagnosis", "Learned", "diagnose", "learn"),
-    "api.fit": ("Fit", "SquareTest", "fit", "fit_returns"),
-    "api.info": ("Info", "info"),
-    "api.integration": ("Integration", "integrate"),
-    "api.maps": ("Maps", "draw_maps"),
-    "api.model": ("Conversion", "Model", "Noise", "convert_alpha"),
-    "api.motion": ("Density", "Particles", "Samples", "density", "sample", "sample_along"),
-    "api.preview": ("Preview", "preview"),
-    "api.recordings": ("Recordings", "read_recordings"),
-    "api.score": ("Score", "score"),
-    "api.simulation": ("Simulation", "simulate"),
-    "errors": ("OdomCorruptError",),
-    "scoring.errors": ("path_errors",),
-    "scoring.estimates": ("Estimate", "read_estimate"),
-}  # fmt: skip
+    "api.batch": "Assembly Batch BatchCost Spread assemble batch estimate_batch spread",
+    "api.catalogue": "EffectDescription EffectList PresetList describe_effect list_effects list_presets",
+    "api.corruption": "Correction Corruption Drift Drifted correct corrupt",
+    "api.export": "Export export_parameters",
+    "api.findings": "Comparison Diagnosis Fit Learned SquareTest compare diagnose fit fit_returns learn",
+    "api.integration": "Integration integrate",
+    "api.maps": "Maps draw_maps",
+    "api.model": "Conversion Model Noise convert_alpha",
+    "api.motion": "Density Particles Samples density sample sample_along",
+    "api.preview": "Info Preview info preview",
+    "api.recordings": "Recordings read_recordings",
+    "api.score": "Score score",
+    "api.simulation": "Simulation simulate",
+    "errors": "OdomCorruptError",
+    "scoring.errors": "path_errors",
+    "scoring.estimates": "Estimate read_estimate",
+}
 """Modules of the public names."""
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 
 __all__ = [
     "Assembly", "Batch", "BatchCost", "Comparison", "Conversion", "Correction", "Corruption", "Density", "Diagnosis",
@@ -91,8 +92,12 @@ def __getattr__(name: str) -> "Any":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib
 
-    value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
-    globals()[name] = value
+    try:
+        globals()[name] = value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    except ImportError as error:
+        from odomcorrupt.extras import explained
+
+        raise explained(error) from error
     return value
 
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 DEFAULT = "corrupt"
-_LONGEST = 2000
-"""Characters of an error message."""
+_HALF = 1000
+"""Half the most characters of an error message."""
 
 _OWN_FLAGS = frozenset({"-h", "--help", "--version"})
 
@@ -123,8 +123,7 @@ def run(args: Sequence[str]) -> int:
     try:
         result = cli.main(args=list(args), prog_name="odomcorrupt", standalone_mode=False)
     except ImportError as error:
-        known = explained(error)
-        if known is error:
+        if (known := explained(error)) is error:
             raise
         return _report_error(known, args)
     except (click.ClickException, click.Abort, KeyboardInterrupt, OdomCorruptError, OSError, MemoryError) as error:
@@ -141,7 +140,8 @@ def _report_error(error: BaseException, args: Sequence[str]) -> int:
         error.show()
         code = error.exit_code
     elif isinstance(error, click.ClickException):
-        _say(f"{error.format_message()} (see {_path(args)} --help)")
+        named = args and args[0] in command_names() and args[0] != DEFAULT
+        _say(f"{error.format_message()} (see odomcorrupt{f' {args[0]}' if named else ''} --help)")
         code = error.exit_code
     elif isinstance(error.__cause__, EOFError):  # click would report every EOFError as an interruption
         _say(f"a file ended early: {error.__cause__}")
@@ -160,12 +160,6 @@ def _report_error(error: BaseException, args: Sequence[str]) -> int:
     return code
 
 
-def _path(args: Sequence[str]) -> str:
-    """Return the words to type before --help."""
-    named = args and args[0] in command_names() and args[0] != DEFAULT
-    return f"odomcorrupt {args[0]}" if named else "odomcorrupt"
-
-
 def _warn(message: Warning | str, *_where: object, **_more: object) -> None:
     """Print a warning in one line, without its place in the source."""
     _say(f"warning: {message}")
@@ -173,8 +167,7 @@ def _warn(message: Warning | str, *_where: object, **_more: object) -> None:
 
 def _say(sentence: str) -> None:
     """Print a sentence in one line; of a very long one, which quotes a file, the middle is left out."""
-    half = _LONGEST // 2
-    shown = sentence if len(sentence) <= _LONGEST else f"{sentence[:half]} ... {sentence[-half:]}"
+    shown = sentence if len(sentence) <= 2 * _HALF else f"{sentence[:_HALF]} ... {sentence[-_HALF:]}"
     click.echo(f"odomcorrupt: {visible(shown.replace(chr(10), ' '))}", err=True)
 
 

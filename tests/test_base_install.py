@@ -1,7 +1,5 @@
 """Without the extras all commands on bags work; the others name the library and the command that installs it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command line: which command runs, what it says, and with which exit code it ends."""
 
-from __future__ import annotations
-
 import io
 import os
 import re
@@ -234,6 +232,7 @@ BROKEN = {
     "missing": lambda: None,
     "text": lambda: b"this is no bag at all, but long enough to be one\n" * 9,
     "empty": lambda: b"",
+    "without a header": lambda: Path(OFFICE).read_bytes()[:8] + b"\x07" + Path(OFFICE).read_bytes()[9:],
     "truncated.mcap": lambda: Path(OFFICE).read_bytes()[:320_000],
     "truncated.bag": lambda: Path(OFFICE1).read_bytes()[:300_000],
 }

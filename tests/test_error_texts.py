@@ -1,7 +1,5 @@
 """Errors name arguments in Python, and options while the command line runs."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

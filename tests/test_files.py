@@ -1,7 +1,5 @@
 """What is read beside bags is a regular file; a pipe, device, socket or directory in its place is one line at once."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket
@@ -78,27 +76,22 @@ def call(*words, cwd):
     return done.returncode, done.stderr
 
 
+OFFICE, MYSTERY = (FIXTURES / f"{name}.mcap" for name in ("office", "mystery"))
 NOISY = ("--alpha", "0.1", "0.1", "0.1", "0.1", "--seed", "1")
 PLACES = {
-    "model": lambda room: (room / "in.toml", (FIXTURES / "office.mcap", "out.mcap", "--model", "in.toml")),
-    "model of a batch": lambda room: (
-        room / "in.toml",
-        ("batch", FIXTURES / "office.mcap", "o", "--runs", "2", "--model", "in.toml"),
-    ),
-    "defaults": lambda room: (room / "odomcorrupt.toml", (FIXTURES / "office.mcap", "out.mcap", *NOISY)),
-    "config": lambda room: (room / "in.toml", (FIXTURES / "office.mcap", "out.mcap", *NOISY, "--config", "in.toml")),
-    "map": lambda room: (room / "map.yaml", (FIXTURES / "office.mcap", "out.mcap", *NOISY, "--map", "map.yaml")),
-    "image": lambda room: (room / "map.pgm", (FIXTURES / "office.mcap", "out.mcap", *NOISY, "--map", "map.yaml")),
-    "recording": lambda room: (room / "run.csv", ("fit", "run.csv", "--truth-bag", "truth.tum")),
-    "truth": lambda room: (room / "truth.tum", ("fit", FIXTURES / "mystery.mcap", "--truth-bag", "truth.tum")),
-    "compared model": lambda room: (room / "in.toml", ("compare", FIXTURES / "mystery.mcap", "in.toml")),
-    "exported model": lambda room: (room / "in.toml", ("export", "in.toml", "--to", "nav2")),
-    "baseline": lambda room: (
-        room / "base.json",
-        ("score", ".", "--baseline", "base.json", "--fail-if", "ate_p90 +20%"),
-    ),
-    "batch.json": lambda room: (room / "batch.json", ("spread", ".")),
-    "metadata.yaml": lambda room: (room / "bag" / "metadata.yaml", ("bag", "out", *NOISY)),
+    "model": ("in.toml", (OFFICE, "out.mcap", "--model", "in.toml")),
+    "model of a batch": ("in.toml", ("batch", OFFICE, "o", "--runs", "2", "--model", "in.toml")),
+    "defaults": ("odomcorrupt.toml", (OFFICE, "out.mcap", *NOISY)),
+    "config": ("in.toml", (OFFICE, "out.mcap", *NOISY, "--config", "in.toml")),
+    "map": ("map.yaml", (OFFICE, "out.mcap", *NOISY, "--map", "map.yaml")),
+    "image": ("map.pgm", (OFFICE, "out.mcap", *NOISY, "--map", "map.yaml")),
+    "recording": ("run.csv", ("fit", "run.csv", "--truth-bag", "truth.tum")),
+    "truth": ("truth.tum", ("fit", MYSTERY, "--truth-bag", "truth.tum")),
+    "compared model": ("in.toml", ("compare", MYSTERY, "in.toml")),
+    "exported model": ("in.toml", ("export", "in.toml", "--to", "nav2")),
+    "baseline": ("base.json", ("score", ".", "--baseline", "base.json", "--fail-if", "ate_p90 +20%")),
+    "batch.json": ("batch.json", ("spread", ".")),
+    "metadata.yaml": ("bag/metadata.yaml", ("bag", "out", *NOISY)),
 }
 
 
@@ -109,8 +102,9 @@ def test_no_command_waits_for_a_pipe(name, tmp_path):
     (tmp_path / "map.yaml").write_text(YAML)
     (tmp_path / "map.pgm").write_bytes(PGM)
     (tmp_path / "bag").mkdir()
-    shutil.copyfile(FIXTURES / "office.mcap", tmp_path / "bag" / "bag_0.mcap")
-    path, words = PLACES[name](tmp_path)
+    shutil.copyfile(OFFICE, tmp_path / "bag" / "bag_0.mcap")
+    place, words = PLACES[name]
+    path = tmp_path / place
     path.unlink(missing_ok=True)
     as_pipe(path)
     code, said = call(*words, cwd=tmp_path)

@@ -1,7 +1,5 @@
 """Imports between packages point one way, as in the table of docs/architecture.md; names are assigned once."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """The price list changes what it names and nothing else, and finds the fewest changes that change a row."""
 
-from __future__ import annotations
-
 import ast
 import sys
 from pathlib import Path

@@ -1,14 +1,7 @@
 """The line that says how far a bag has got."""
 
-from __future__ import annotations
-
-import contextlib
-import os
-import pty
 import re
-import subprocess
 import sys
-import termios
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +9,7 @@ import pytest
 
 from odomcorrupt.bags.block import TABLE, Block
 from odomcorrupt.commands import _progress
+from terminal import on_a_terminal
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 OFFICE = str(FIXTURES / "office.mcap")
@@ -24,25 +18,6 @@ OFFICE = str(FIXTURES / "office.mcap")
 def block(log_s):
     table = np.array([(1, int(log_s * 1e9), 0, 0)], dtype=TABLE)
     return Block(np.zeros(3_000_000, dtype=np.uint8), table)
-
-
-def on_a_terminal(columns, *words):
-    """Return what a command writes to a pseudo-terminal."""
-    master, slave = pty.openpty()
-    termios.tcsetwinsize(slave, (24, columns))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "odomcorrupt", *words],
-        **dict.fromkeys(("stdin", "stdout", "stderr"), slave),
-        env={name: value for name, value in os.environ.items() if name != "COLUMNS"},
-    )
-    os.close(slave)
-    said = b""
-    with contextlib.suppress(OSError):
-        while piece := os.read(master, 65536):
-            said += piece
-    os.close(master)
-    assert process.wait() == 0
-    return said.decode()
 
 
 def test_a_terminal_gets_seconds_and_megabytes_and_wiped(monkeypatch, capsys):
@@ -65,7 +40,7 @@ def test_what_is_no_terminal_gets_nothing(monkeypatch, capsys):
 
 def test_progress_is_reported_on_terminals_only_and_wiped_away(tmp_path):
     """Run under a pseudo-terminal of 60 columns: the last thing on it is the folded summary."""
-    said = on_a_terminal(60, OFFICE, str(tmp_path / "out.mcap"), "--seed", "1")
+    said = on_a_terminal(60, "-m", "odomcorrupt", OFFICE, str(tmp_path / "out.mcap"), "--seed", "1")
     assert "\r\x1b[K" in said
     lines = said.rsplit("\x1b[K", 1)[1].splitlines()
     assert lines[0].startswith("\x1b[32mMOVED")
@@ -94,7 +69,9 @@ def test_what_reading_took_is_no_estimate_of_what_follows_it(monkeypatch):
 def test_a_search_says_its_stage_the_share_done_and_the_time_left():
     """The share never falls, never reaches the end before it, and takes several values."""
     recordings = [str(FIXTURES / name) for name in ("mystery.mcap", "mystery_other.mcap")]
-    *lines, verdict = on_a_terminal(100, "learn", recordings[0], "--validate", recordings[1]).split("\r\x1b[K")
+    *lines, verdict = on_a_terminal(
+        100, "-m", "odomcorrupt", "learn", recordings[0], "--validate", recordings[1]
+    ).split("\r\x1b[K")
     seconds = [int(found[1]) for line in lines if (found := re.search(r", (\d+) s\b", line))]
     shares = [int(found[1]) for line in lines if (found := re.search(r"(\d+) % done", line))]
     assert seconds == sorted(seconds)

@@ -1,7 +1,5 @@
 """The pytest plugin: bags of a model kept by content, and an assertion with the gate's statistics."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What the commands refuse: one clear line, the right exit code, and nothing written."""
 
-from __future__ import annotations
-
 import builtins
 import json
 import shlex
@@ -25,6 +23,7 @@ trans_rot = 0.01
 """
 REFUSED = {
     f"sample {OFFICE} --start 0,0,0": "--start: the motion is that of",
+    f"sample {OFFICE} --end 1,0,0": "--end: the motion is that of",
     f"sample {OFFICE} --example article": "--example: the motion is that of",
     "sample --start 0,0": "'0,0' is not a pose; write x,y,heading as in 0.2,0.35,10deg",
     "sample --start 10deg,0,0": "is not a pose",
@@ -40,7 +39,10 @@ REFUSED = {
     f"batch {OFFICE} runs --runs 2 --layout split --output trajectories {NOISE}": "is for whole bags",
     f"batch {OFFICE} runs --runs 2 --shard 1/2 --dask tcp://x:1 {NOISE}": "--shard and --dask: both spread the runs",
     f"batch {OFFICE} runs --runs 2 --shard 1/2 --alpha 0 0 0 0": "--shard: all shards need the same --seed; give one",
-    f"batch {OFFICE} runs --runs 2 --shard 3/2 {NOISE}": "'3/2'; write which of how many, counted from 1",
+    **{
+        f"batch {OFFICE} runs --runs 2 --shard {bad} {NOISE}": f"'{bad}'; write which of how many, counted from 1"
+        for bad in ("3/2", "0/3", "3", "1/0")
+    },
     f"batch {OFFICE} runs --runs 2 --tf correction {NOISE}": "--tf correction and --new-odom-frame FRAME go together",
     f"batch {OFFICE} runs --runs 2 --keep-truth /t --output overlay {NOISE}": "--keep-truth: adds messages",
     "spread . -o out.txt": "ends in .txt; write .png, .svg or .pdf",

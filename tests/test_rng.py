@@ -1,7 +1,5 @@
 """Streams of random numbers."""
 
-from __future__ import annotations
-
 from itertools import combinations, product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """stdout and stderr that are full, closed, or read by nobody, names that would take over a terminal, and Ctrl-C."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal
@@ -163,10 +161,10 @@ def console(*args, **more):
     return subprocess.run([*OURS, *args], capture_output=True, check=False, **more)
 
 
-@pytest.mark.parametrize("source", [OFFICE, OFFICE1])
-def test_a_pipe_carries_bytes_only_and_the_same_as_a_file(tmp_path, source):
+@pytest.mark.parametrize(("source", "more"), [(OFFICE, {}), (OFFICE, {"PYTHONUNBUFFERED": "1"}), (OFFICE1, {})])
+def test_a_pipe_carries_bytes_only_and_the_same_as_a_file(tmp_path, source, more):
     with Path(source).open("rb") as file:
-        done = console("-", "-", "--odom-topic", "/odom", "--seed", "5", stdin=file)
+        done = console("-", "-", "--odom-topic", "/odom", "--seed", "5", stdin=file, env=WITHOUT | more)
     assert done.returncode == 0
     assert done.stderr.startswith(b"MOVED ")
     # a pipe leaves the messages' generation of ROS alone, a name in .mcap makes it 2
@@ -183,6 +181,9 @@ def test_a_pipe_without_a_topic_or_cut_short_fails_in_one_line():
     half = console("-", "-", "--odom", "odom", input=Path(OFFICE).read_bytes()[:200_000])
     assert half.returncode == 1
     assert half.stderr.count(b"\n") == 1
+    database = console("-", "-", input=(FIXTURES / "office_ros2" / "office_ros2.db3").read_bytes())
+    line = b"odomcorrupt: stdin: a sqlite3 bag cannot come through a pipe; name the file or directory\n"
+    assert (database.returncode, database.stdout, database.stderr) == (1, b"", line)
 
 
 def test_a_consumer_that_closes_early_gets_no_complaint():

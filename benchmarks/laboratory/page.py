@@ -54,17 +54,12 @@ def page(rows: Rows, advice: Rows) -> str:
     good = {name: [row for row in own if "failed" not in row] for name, own in arm.items()}
     excited = [row for row in good["single"] if is_excited(row)]
     lines = [HEAD, FINDINGS.read_text(), "## Cases", ""]
-    lines += table(("arm", "planned by the present protocol", "ran", "failed"), [
+    lines += table(("arm", "planned", "ran", "failed"), [
         [name, LENGTHS[name], len(arm[name]), len(arm[name]) - len(good[name])] for name in ARMS
     ])  # fmt: skip
-    lines += [
-        "## Controls: no hidden cause",
-        "",
-        "Motion capture:",
-        "",
-        *controls(good["controls"], "at most 2 in 200"),
-    ]
-    lines += ["RTK:", "", *controls(good["rtk"], "at most 1 in 30")]
+    lines += ["## Controls: no hidden cause", ""]
+    lines += controls("Motion capture", good["controls"], "at most 2 in 200")
+    lines += controls("RTK", good["rtk"], "at most 1 in 30")
     lines += [
         "Sham: a wrong effect added on purpose, 10 s error on another drive over that before:",
         "",

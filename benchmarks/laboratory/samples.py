@@ -64,9 +64,9 @@ def plants(rows: Rows) -> list[str]:
         error = row["answer"]["found"].get(name, {"errors": {}})["errors"].get(key)
         out.append([
             row["recording"], f"`{cause}`", f"{size:+.4g}", "not named" if change is None else f"{change:+.4g}",
-            "" if error is None else f"{error:.2g}", _words(row["plain"]), _words(row["answer"]),
+            "" if error is None else f"{error:.2g}",
         ])  # fmt: skip
-    head = ("recording", "planted", "size", "difference that came back", "its standard error", "plain", "planted")
+    head = ("recording", "planted", "size", "difference that came back", "its standard error")
     return [f"Within 10 %: {part(hits)}.", "", *table(head, out)]
 
 

@@ -50,19 +50,11 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> Lines:
     return [*lines, *("| " + " | ".join(str(cell) for cell in row) + " |" for row in rows), ""]
 
 
-def controls(rows: Rows, goal: str) -> Lines:
-    """Return a table of the names found in controls, by kind."""
-    kinds = {
-        "an effect": [bool(row["answer"]["added"]) for row in rows],
-        "a clock": [bool(row["answer"]["clocks"]) for row in rows],
-        "noise": [bool(row["answer"]["noise"]) for row in rows],
-        "unknown dependence": [bool(row["answer"]["unknown"]) for row in rows],
-        "**anything**": [first_name(row) != "nothing" for row in rows],
-    }
-    by = [[kind, part(hits), goal if kind == "**anything**" else ""] for kind, hits in kinds.items()]
-    lines = table(("named", "drives", "goal"), by)
-    lines += [f"- {_drive(row)}: {_said(row)}" for row in rows if first_name(row) != "nothing"]
-    return [*lines, ""]
+def controls(truth: str, rows: Rows, goal: str) -> Lines:
+    """Return how often anything is named in controls with such a truth, and a line for each of these drives."""
+    named = [row for row in rows if first_name(row) != "nothing"]
+    hits = part([first_name(row) != "nothing" for row in rows], goal)
+    return [f"{truth}: anything is named in {hits}.", "", *(f"- {_drive(row)}: {_said(row)}" for row in named)]
 
 
 def single(rows: Rows) -> Lines:
@@ -134,10 +126,13 @@ def confusion(rows: Rows) -> Lines:
 
 
 def misses(rows: Rows) -> Lines:
-    """Return a line for each drive whose first name is not right, excited or not."""
-    lines = []
+    """Return a line for each drive with a wrong first name or an excited cause; a count of the other misses."""
+    lines, silent = [], 0
     for row in rows:
         if right(first_name(row), row):
+            continue
+        if first_name(row) == "nothing" and "answer" in row and not is_excited(row):
+            silent += 1
             continue
         expected = row.get("expected")
         why = ""
@@ -146,7 +141,8 @@ def misses(rows: Rows) -> Lines:
             state += "" if expected["separable"] or not expected["excited"] else ", not separable"
             why = f" ({expected['nats']:.0f} nats, {expected['apart_nats']:.0f} beside {expected['rival']}{state})"
         lines.append(f"- {_drive(row)}{why}: {_said(row)}")
-    return [*(lines or ["None."]), ""]
+    more = f"Nothing is named in {silent} drives that do not show their cause."
+    return [*(lines or ["None."]), "", *([more, ""] if silent else [])]
 
 
 def outside(rows: Rows) -> Lines:

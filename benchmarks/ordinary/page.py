@@ -60,22 +60,21 @@ def page(rows: Rows) -> str:
         "## Calibration of the confidence",
         "",
         *_calibration(rows),
-        "## Confidently wrong",
-        "",
-        *_list(rows, lambda row: ", ".join(v.wrong_and_sure(row))),
-        "## False alarms",
-        "",
-        *_list(rows, lambda row: ", ".join(v.false_alarms(row))),
-        "## Models or commands that failed",
-        "",
-        *_list(rows, lambda row: "; ".join(v.refusals(row))),
-        "## Worse than no model",
-        "",
-        *_list(rows, lambda row: _error(row) if v.harmed(row) else ""),
-        "## Excited and not right",
-        "",
-        *_list(rows, _miss),
     ]
+    sections: dict[str, Callable[[dict[str, Any]], str]] = {
+        "Confidently wrong": lambda row: ", ".join(v.wrong_and_sure(row)),
+        "False alarms": lambda row: ", ".join(v.false_alarms(row)),
+        "Models or commands that failed": lambda row: "; ".join(v.refusals(row)),
+        "Worse than no model": lambda row: _error(row) if v.harmed(row) else "",
+        "Excited and not right": _miss,
+    }
+    listed = {title: _list(rows, what) for title, what in sections.items()}
+    for title, own in listed.items():
+        lines += [f"## {title}", "", *own, ""] if own else []
+    empty = [title[0].lower() + title[1:] for title, own in listed.items() if not own]
+    lines += [f"There are no drives of these kinds: {'; '.join(empty)}.", ""] if empty else []
+    if any(listed.values()):
+        lines += [f"A drive is repeated by its key: `{v.reproduce(rows[0])}`."]
     return "\n".join(lines) + "\n"
 
 
@@ -163,8 +162,8 @@ def _list(rows: Rows, what: Callable[[dict[str, Any]], str]) -> Lines:
     for row in rows:
         said = what(row)
         if said:
-            lines += [f"- **{row['key']}** {_planted(row)}: {said}. `{v.reproduce(row)}`"]
-    return [*(lines or ["None."]), ""]
+            lines += [f"- **{row['key']}** {_planted(row)}: {said}."]
+    return lines
 
 
 def _planted(row: dict[str, Any]) -> str:

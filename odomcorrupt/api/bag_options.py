@@ -7,10 +7,12 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
+from odomcorrupt.corruption.run import Container
+from odomcorrupt.corruption.transform import Options
+from odomcorrupt.mapping.conditioned import read_condition
+
 if TYPE_CHECKING:
     from odomcorrupt.bags.convert.message_types import Generation
-    from odomcorrupt.corruption.run import Container
-    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.conditioned import MapCondition
 
 
@@ -57,9 +59,6 @@ class BagOptions(TypedDict, total=False):
 
 def split_options(options: BagOptions) -> tuple[Options, Container]:
     """Return the options of the modification, and those of reading and writing."""
-    from odomcorrupt.corruption.run import Container
-    from odomcorrupt.corruption.transform import Options
-
     moved = set(Options._fields)
     known = moved | {field.name for field in fields(Container)}
     for name in options:
@@ -80,7 +79,5 @@ def bag_path(path: str | PathLike[str]) -> Path | None:
 def as_condition(within: MapCondition | str | PathLike[str] | None) -> MapCondition | None:
     """Return a map condition unchanged, or read it from the path of a map; None without a map."""
     if isinstance(within, str | PathLike):
-        from odomcorrupt.mapping.conditioned import read_condition
-
         return read_condition(fspath(within))
     return within

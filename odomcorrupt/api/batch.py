@@ -25,7 +25,7 @@ from odomcorrupt.batching.parameter_draws import fleet_model
 from odomcorrupt.corruption.summary import places_lines
 from odomcorrupt.errors import BatchError, BatchOptionError
 from odomcorrupt.model.model_file import read_model
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.plain import finite
 from odomcorrupt.summary import ALWAYS, MOST_LINES, USUAL, Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -136,7 +136,6 @@ class Batch(Result):
 
     def _figure(self) -> Figure:
         """Return a figure of dispersion against distance, with the prediction of the linearised model."""
-        from odomcorrupt.batching.dispersion import measure
         from odomcorrupt.report.plots.samples import draw_spread
 
         return draw_spread(measure(self.jobs[0].directory))
@@ -250,26 +249,16 @@ def batch(
 ) -> Batch:
     """Make runs 0 to n - 1 of a seed: the same bytes as single calls of `corrupt`, much faster; existing runs are kept.
 
-    Parameters
-    ----------
-    inputs : path or several
-        Bags.
-    directory : path
-        Directory of the runs; its manifest.jsonl has the command that makes any single one.
-    model : Model, Noise, path of a model file or name of a preset, optional
-        By default the preset `typical`. Values that a file states as "a +- b" are drawn for each run.
-    runs : int
-        Number of runs.
-    seed : int, optional
-        Seed of all random draws; by default that of the batch in the directory, or a random one.
-    verify : bool
-        Whether runs whose checksums differ from the manifest are made again.
-    dask : str, optional
-        Address of a Dask scheduler whose workers make the runs, as "tcp://host:8786".
-    progress : callable, optional
-        Called with the number of runs; returns a context manager with callbacks for progress.
-    **options
-        See `BatchOptions` and `BagOptions`.
+    inputs : bags
+    directory : directory of the runs; its manifest.jsonl has the command that makes any single one
+    model : model, noise, model file or preset; by default the preset `typical`. Values that a file states as "a +- b"
+        are drawn for each run
+    runs : number of runs
+    seed : seed of all random draws; by default that of the batch in the directory, or a random one
+    verify : whether runs whose checksums differ from the manifest are made again
+    dask : address of a Dask scheduler whose workers make the runs, as "tcp://host:8786"
+    progress : called with the number of runs; returns a context manager with callbacks for progress
+    **options : see `BatchOptions` and `BagOptions`
 
     Returns
     -------
@@ -314,10 +303,7 @@ def estimate_batch(
 ) -> BatchCost:
     """Return the time and the disk space that the missing runs of a batch need, measured on the beginning of the bags.
 
-    Parameters
-    ----------
-    inputs, directory, model, runs, seed, **options
-        As of `batch`.
+    inputs, directory, model, runs, seed, **options : as of `batch`
 
     Returns
     -------
@@ -432,16 +418,10 @@ def assemble(
 ) -> Assembly:
     """Write the whole bag of a run that `batch(..., output="overlay")` made, which has only the modified topics.
 
-    Parameters
-    ----------
-    run : path
-        Overlay in the directory of its batch.
-    output : path
-        Bag to write.
-    original : path, optional
-        Bag that the batch was made from; by default the one noted in the batch, if it is unchanged.
-    **options
-        See `BagOptions`; those that choose what is modified have no effect.
+    run : overlay in the directory of its batch
+    output : bag to write
+    original : bag that the batch was made from; by default the one noted in the batch, if it is unchanged
+    **options : see `BagOptions`; those that choose what is modified have no effect
 
     Returns
     -------
@@ -479,15 +459,13 @@ class Spread(Result):
     """Dispersion of the runs of a batch, measured and predicted by the linearised model.
 
     result : complete numerical result: standard deviations after each distance, paths, errors of each run
-    following : words of the suggested next command
     """
 
     result: SpreadReport
-    following: tuple[object, ...] = ()
 
     def summary(self) -> Summary:
         """Return whether the dispersion at the end is as predicted, and its values along the drive."""
-        return spread_brief(self.result, self.following)
+        return spread_brief(self.result)
 
     def details(self) -> str:
         """Return a table of the dispersion along the drive, measured and predicted."""
@@ -520,10 +498,7 @@ class Spread(Result):
 def spread(directory: str | PathLike[str]) -> Spread:
     """Return how position and heading of a batch's runs spread with distance, beside what the linear model predicts.
 
-    Parameters
-    ----------
-    directory : path
-        Directory of a batch with at least two runs.
+    directory : directory of a batch with at least two runs
 
     Returns
     -------

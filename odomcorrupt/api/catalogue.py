@@ -10,11 +10,11 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.effects import effect_named, registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.model.presets import PRESETS
-from odomcorrupt.report.json.numbers import picked
+from odomcorrupt.report.plain import picked
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
-    from odomcorrupt.effects.effect import Effect, Parameter
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.presets import Preset
 
 _FAMILIES = {"effect": "SYSTEMATIC", "setup": "setup", "event": "event", "noise": "random"}
@@ -84,7 +84,11 @@ class EffectDescription(Result):
         if kind.about is not None:
             lines += [f"truth minus odometry:  {kind.about.equation}", ""]
         lines.append("parameters")
-        lines += [f"  {p.name:<12} {p.meaning}; {_range(p)}" for p in own]
+        for p in own:
+            unit = f" {p.unit}" if p.unit else ""
+            shape = "" if p.amplitude else f"; {p.identity:g}{unit} if not given"
+            typical = f"typically {p.typical:g}{unit}, from {p.low:g} to {p.high:g}{shape}"
+            lines.append(f"  {p.name:<12} {p.meaning}; {typical}")
         lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
         if kind.needs_track:
             track = ", or its parameter track" if any(p.name == "track" for p in own) else ""
@@ -133,12 +137,6 @@ def _example(kind: type[Effect]) -> str:
     """Return a command that applies an effect of typical size to a bag."""
     values = ",".join(f"{p.name}={p.typical:g}" for p in amplitudes(kind))
     return f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"
-
-
-def _range(p: Parameter) -> str:
-    unit = f" {p.unit}" if p.unit else ""
-    shape = "" if p.amplitude else f"; {p.identity:g}{unit} if not given"
-    return f"typically {p.typical:g}{unit}, from {p.low:g} to {p.high:g}{shape}"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -211,10 +209,7 @@ def list_effects() -> EffectList:
 def describe_effect(name: str) -> EffectDescription:
     """Return equation, parameters, typical size and source of an effect, and what it can be confused with.
 
-    Parameters
-    ----------
-    name : str
-        Name of the effect, as in `list_effects`.
+    name : name of the effect, as in `list_effects`
 
     Returns
     -------

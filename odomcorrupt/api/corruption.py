@@ -1,25 +1,39 @@
-"""Corruption of a bag's odometry with realistic drift, and correction of the systematic errors in measured odometry."""
+"""Drift in a bag's odometry, or in a live robot's; and the correction of the systematic errors in measured odometry."""
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
+
+import numpy as np
 
 from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, split_options
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.bags.provenance import ProvenanceWatcher
+from odomcorrupt.bags.source import temporary_copy, temporary_folder
+from odomcorrupt.correction.run import brief as correction_brief
+from odomcorrupt.correction.run import correct_bag, correction_summary, require_start
+from odomcorrupt.corruption.correction import Curve
+from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.patch import Motions, TopicTwist
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.run import Outcome, corrupt_bag
 from odomcorrupt.corruption.summary import brief, oddities
 from odomcorrupt.corruption.summary import summary as paragraph
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.forecasting.forecast import clean_drive_of
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.model.motion_model import NOISE_FREE
+from odomcorrupt.report.plain import finite
 from odomcorrupt.rng import draw_seed
+from odomcorrupt.trajectories import read_drive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,7 +42,8 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block
     from odomcorrupt.correction.run import Corrected
-    from odomcorrupt.corruption.drift import Drift
+    from odomcorrupt.corruption.drift import Drift as Errors
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.conditioned import MapCondition
     from odomcorrupt.summary import Summary
 
@@ -62,7 +77,7 @@ class Corruption(Result):
         return self.outcome.run
 
     @property
-    def drift(self) -> Drift:
+    def drift(self) -> Errors:
         """Errors at the end and per 10 m, drawn and expected from the noise; metres and radians."""
         return self.outcome.drift
 
@@ -131,7 +146,6 @@ class Corruption(Result):
     def _figure(self) -> Figure:
         """Return a figure of the clean path and the noisy one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
-        from odomcorrupt.trajectories import read_drive
 
         if "-" in (self.source, self.target):
             raise OdomCorruptError("a picture of a corruption: reads both bags again, which is impossible on a pipe")
@@ -153,25 +167,15 @@ def corrupt(
 ) -> Corruption:
     """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.
 
-    Parameters
-    ----------
-    source, target : path
-        Bags of any kind; "-" is a pipe. The target is written completely or not at all.
-    model : Model, Noise, path of a model file or name of a preset, optional
-        By default the preset `typical`.
-    seed : int, optional
-        Seed of all random draws: the same seed gives the same bytes. By default a random one, stated in the result.
-    run : int
-        Number of the run under this seed.
-    within : MapCondition or path of a map's .yaml, optional
-        Draw poses in free space only, as a particle filter does; the odom frame is then the map's. See
-        `odomcorrupt.mapping.conditioned.read_condition` for other robots and frames.
-    also : sequence of str
-        Odometry topics of other robots in the bag, each corrupted with a drift of its own in the same pass.
-    watch : callable
-        Called with every block written.
-    **options
-        See `BagOptions`.
+    source, target : bags of any kind; "-" is a pipe. The target is written completely or not at all
+    model : model, noise, model file or preset; by default the preset `typical`
+    seed : seed of all random draws: the same seed gives the same bytes. By default a random one, stated in the result
+    run : number of the run under this seed
+    within : map condition or a map's .yaml; draw poses in free space only, as a particle filter does; the odom frame is
+        then the map's. See `odomcorrupt.mapping.conditioned.read_condition` for other robots and frames
+    also : odometry topics of other robots in the bag, each corrupted with a drift of its own in the same pass
+    watch : called with every block written
+    **options : see `BagOptions`
 
     Returns
     -------
@@ -199,9 +203,6 @@ def corrupt(
     with ExitStack() as kept:
         path, bag = None, bag_path(source)
         if condition is not None:
-            from odomcorrupt.bags.source import temporary_copy, temporary_folder
-            from odomcorrupt.forecasting.forecast import clean_drive_of
-
             # a path within a map is drawn for the whole drive at once
             bag = temporary_copy(sys.stdin.buffer, temporary_folder(kept) / "bag", "stdin") if bag is None else bag
             drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)
@@ -228,7 +229,7 @@ class Correction(Result):
     outcome: Corrected
 
     @property
-    def drift(self) -> Drift:
+    def drift(self) -> Errors:
         """Change of the odometry (`drawn`), and remaining error expected from the noise (`expected`)."""
         return self.outcome.run.drift
 
@@ -239,14 +240,10 @@ class Correction(Result):
 
     def summary(self) -> Summary:
         """Return the effects removed, how far that moved the odometry, and the remaining error."""
-        from odomcorrupt.correction.run import brief as correction_brief
-
         return correction_brief(self.outcome, self.target)
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        from odomcorrupt.correction.run import correction_summary
-
         return correction_summary(self.outcome)
 
     def to_dict(self) -> dict[str, Any]:
@@ -274,7 +271,6 @@ class Correction(Result):
     def _figure(self) -> Figure:
         """Return a figure of the measured path and the corrected one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
-        from odomcorrupt.trajectories import read_drive
 
         before, after = (read_drive(Path(path), self.outcome.run.odometry) for path in (self.source, self.target))
         return draw_corruption(before.xyt, after.xyt, Path(self.target).name, names=("measured", "corrected"))
@@ -291,19 +287,12 @@ def correct(
 ) -> Correction:
     """Remove the systematic effects of a model from measured odometry.
 
-    Parameters
-    ----------
-    source, target : path
-        Bags; the source is read twice and cannot be a pipe, the target may be "-".
-    model : Model or path of a model file
-        Model from `fit` or `learn`; None copies the bag.
-    start_xyt : (3,) or "odom", optional
-        Start pose of the odometry in the frame of position-dependent effects, metres and radians; "odom" if that
-        frame is the odometry's own. Required for a learned model with such effects.
-    watch : callable
-        Called with every block written.
-    **options
-        See `BagOptions`.
+    source, target : bags; the source is read twice and cannot be a pipe, the target may be "-"
+    model : model or model file from `fit` or `learn`; None copies the bag
+    start_xyt : (3,) or "odom" start pose of the odometry in the frame of position-dependent effects, metres and
+        radians; "odom" if that frame is the odometry's own. Required for a learned model with such effects
+    watch : called with every block written
+    **options : see `BagOptions`
 
     Returns
     -------
@@ -324,11 +313,6 @@ def correct(
     >>> [effect.name for effect in done.outcome.effects.undone]
     ['wheelbase']
     """
-    import numpy as np
-
-    from odomcorrupt.correction.run import correct_bag, require_start
-    from odomcorrupt.model.motion_model import NOISE_FREE
-
     before = bag_path(source)
     if before is None:
         raise OdomCorruptError("-: correction reads a bag twice, which is impossible on a pipe; name a file")
@@ -341,3 +325,112 @@ def correct(
         before, bag_path(target), robot, options=moved, container=container, start_xyt=start, watch=watch
     )
     return Correction(fspath(source), fspath(target), outcome)
+
+
+_PLANAR = [6 * i + j for i in (0, 1, 5) for j in (0, 1, 5)]
+"""Places of x, y, yaw in a covariance of 6 x 6 numbers."""
+
+
+class Drifted(NamedTuple):
+    """Odometry with its drift.
+
+    pose_xyt : (3,) metres and radians, in the odom frame
+    twist : (3,) forward and leftward m/s, yaw rate rad/s, in the robot's axes
+    pose_covariance, twist_covariance : (3, 3) of these; that of the first twist is zero, because nothing has moved yet
+    """
+
+    pose_xyt: Array
+    twist: Array
+    pose_covariance: Array
+    twist_covariance: Array
+
+
+class Drift:
+    """The drift of one run, for closed loop: the controller acts on odometry that has drifted.
+
+    The numbers are those of `corrupt` and `batch` with the same model, seed and run.
+
+    Parameters
+    ----------
+    model : Model, Noise, path of a model file or name of a preset
+        By default the preset `typical`.
+    seed : int, optional
+        Seed of all random draws; by default drawn, see the attribute `seed`.
+    run : int
+        Number of the run under this seed.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> drift = oc.Drift("typical", seed=1)
+    >>> drift.step(0, (0.0, 0.0, 0.0), (0.5, 0.0, 0.0)).pose_xyt.tolist()
+    [0.0, 0.0, 0.0]
+    >>> [round(v, 3) for v in drift.step(1_000_000_000, (0.5, 0.0, 0.0), (0.5, 0.0, 0.0)).pose_xyt.tolist()]
+    [0.53, 0.003, -0.007]
+    """
+
+    def __init__(self, model: ModelLike = "typical", seed: int | None = None, run: int = 0) -> None:
+        self.seed = draw_seed() if seed is None else seed
+        self._path = NoisyPath(as_model(model).motion_model, self.seed, run)
+        self._curve, self._twist = Curve(), TopicTwist()
+        self._last_ns: int | None = None
+
+    def step(self, stamp_ns: int, pose_xyt: Sequence[float], twist: Sequence[float] = (0.0, 0.0, 0.0)) -> Drifted:
+        """Return the next odometry message with its drift.
+
+        stamp_ns : stamp, nanoseconds, not before the last one
+        pose_xyt : (3,) clean pose in the odom frame, metres and radians
+        twist : (3,) clean forward and leftward speed, m/s, and yaw rate, rad/s, in the robot's axes
+
+        Returns
+        -------
+        Drifted
+            Pose, twist, and their covariances.
+
+        Raises
+        ------
+        OdomCorruptError
+            If time runs backwards, or a number is not finite.
+        """
+        stamps_ns, xyt = np.array([stamp_ns], dtype=np.int64), np.array([pose_xyt], dtype=float)
+        full, level = np.zeros((1, 6)), np.zeros((1, 4))
+        full[0, [0, 1, 5]] = twist
+        level[0, 2:] = np.sin(xyt[0, 2] / 2.0), np.cos(xyt[0, 2] / 2.0)
+        if not (np.isfinite(xyt).all() and np.isfinite(full).all()):
+            raise OdomCorruptError(f"step: pose {tuple(pose_xyt)}, twist {tuple(twist)}; give finite numbers")
+        if self._last_ns is not None and stamp_ns < self._last_ns:
+            raise OdomCorruptError(
+                f"step: stamp {stamp_ns} after {self._last_ns}; make a new Drift where time restarts"
+            )
+        self._last_ns = stamp_ns
+        self._curve.extend(self._path.feed(stamps_ns, xyt), stamps_ns)
+        self._curve.forget(stamp_ns)
+        at = self._curve.at(stamps_ns, stamps_ns)
+        noisy = compose(at.xyt, xyt)[0]
+        change = self._twist.change(Motions(stamps_ns, xyt, level, full), at)
+        return Drifted(
+            noisy, full[0, [0, 1, 5]] + np.where(change.known, change.added, 0.0)[0],
+            pose_covariance(at.sums, noisy[:2, None] - at.origin_xy)[0], change.covariance[0],
+        )  # fmt: skip
+
+    def apply(self, message: Any, stamp_ns: int) -> None:
+        """Give a nav_msgs/Odometry message of ROS 1 or ROS 2 its drift, in place.
+
+        message : message of rospy or rclpy: pose, twist, and their covariances in the plane are changed
+        stamp_ns : its stamp, nanoseconds
+
+        Raises
+        ------
+        OdomCorruptError
+            As by `step`.
+        """
+        p, q, v = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
+        yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
+        found = self.step(stamp_ns, (p.x, p.y, yaw), (v.linear.x, v.linear.y, v.angular.z))
+        p.x, p.y, turned = found.pose_xyt.tolist()
+        q.x, q.y, q.z, q.w = 0.0, 0.0, math.sin(turned / 2.0), math.cos(turned / 2.0)
+        v.linear.x, v.linear.y, v.angular.z = found.twist.tolist()
+        for one, covariance in ((message.pose, found.pose_covariance), (message.twist, found.twist_covariance)):
+            values = np.array(one.covariance, dtype=float)
+            values[_PLANAR] = covariance.ravel()
+            one.covariance = values.tolist()

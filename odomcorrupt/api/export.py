@@ -21,7 +21,7 @@ from odomcorrupt.export import (
     wheels_snippet,
 )
 from odomcorrupt.result_files import refuse_existing, write_text
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from odomcorrupt.api.model import ModelLike
@@ -36,13 +36,11 @@ class Export(Result):
 
     name, to : name of the model, and the program
     result : complete result: YAML, comments, values by name, effects that the program cannot represent
-    following : words of the suggested next command
     """
 
     name: str
     to: Target
     result: Snippet
-    following: tuple[object, ...] = ()
 
     def summary(self) -> Summary:
         """Return the values, and the effects that cannot be represented."""
@@ -55,7 +53,7 @@ class Export(Result):
         if self.to == "robot_localization":
             shown = [f"twist covariance diagonal {', '.join(values.values())}"]
         lines.append(Line("values", ", ".join(shown)))
-        return Summary((*lines, command_line(self.following)))
+        return Summary(tuple(lines))
 
     def details(self) -> str:
         """Return the YAML, with assumptions and effects left out as comments."""
@@ -72,17 +70,8 @@ class Export(Result):
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the YAML; return the path.
 
-        Parameters
-        ----------
-        path : path
-            File to write.
-        overwrite : bool
-            Whether an existing file is replaced.
-
-        Returns
-        -------
-        pathlib.Path
-            The file.
+        path : file to write
+        overwrite : whether an existing file is replaced
 
         Raises
         ------
@@ -112,22 +101,14 @@ def export_parameters(
 
     Multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
 
-    Parameters
-    ----------
-    model : Model, Noise, path of a model file or name of a preset
-        Model of the robot.
-    to : str
-        "ros2_control", "nav2" or "robot_localization".
-    track_m : float, optional
-        Nominal distance between the wheels, metres; by default that of the model. Used by "ros2_control".
-    update_min_d, update_min_a : float
-        Distance (m) and angle (rad) after which amcl updates its particles.
-    turn : str
-        Turn on which amcl's noise is matched to the model's: "rolling" (along an arc) or on the "spot".
-    speed, turn_rate, rate : float
-        Speed (m/s) and turn rate (rad/s) at which the noise is evaluated, and rate of the odometry, Hz.
-    controller : str
-        Name of the node in the YAML.
+    model : model of the robot, noise, model file or preset
+    to : "ros2_control", "nav2" or "robot_localization"
+    track_m : nominal distance between the wheels, metres; by default that of the model. Used by "ros2_control"
+    update_min_d, update_min_a : distance (m) and angle (rad) after which amcl updates its particles
+    turn : turn on which amcl's noise is matched to the model's: "rolling" (along an arc) or on the "spot"
+    speed, turn_rate, rate : speed (m/s) and turn rate (rad/s) at which the noise is evaluated, and rate of the
+        odometry, Hz
+    controller : name of the node in the YAML
 
     Returns
     -------

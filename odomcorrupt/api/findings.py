@@ -1,28 +1,430 @@
-"""Search for the physical effects that a model lacks: its diagnosis, and a model learned with them."""
+"""The study: a model fitted to recordings, models compared on measurements, and the effects that a model lacks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import degrees
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from odomcorrupt.api.comparison import Comparison
+import numpy as np
+
 from odomcorrupt.api.model import Model, ModelLike, as_model
-from odomcorrupt.api.recordings import PathLikes, Recordings, as_recordings, refuse_turns_alone, require_travel
+from odomcorrupt.api.recordings import (
+    PathLikes,
+    Recordings,
+    as_paths,
+    as_recordings,
+    refuse_turns_alone,
+    require_travel,
+)
 from odomcorrupt.api.result import Result
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.errors import ModelError, OdomCorruptError, RecordingError
 from odomcorrupt.extras import part_of_study
+from odomcorrupt.model.motion_model import NOISE_FREE
+from odomcorrupt.report.brief import findings_brief, fit_brief, mistakes_first
+from odomcorrupt.report.comparison import comparison_brief, comparison_json, comparison_text, reproduction_sentence
+from odomcorrupt.report.diagnosis import (
+    candidates_table,
+    drive_sentence,
+    fit_json,
+    fit_text,
+    found_text,
+    laws_table,
+    learned_json,
+    reproduction_json,
+    shares_text,
+)
+from odomcorrupt.report.findings import clock_lines, effects_with_errors, numbers_text
 from odomcorrupt.result_files import refuse_existing, write_bytes
+from odomcorrupt.study.design.plan import drive_bag
+from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
+from odomcorrupt.study.estimate.returns import USUAL, closed_drive
+from odomcorrupt.study.estimate.returns import fit_returns as fit_ends
+from odomcorrupt.study.io import Source
+from odomcorrupt.study.io.laser_truth import end_seen
+from odomcorrupt.study.io.reader import read_odometry
+from odomcorrupt.study.pipeline import LAW, diagnose_model, learn_robot
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.validate.compare import agreement_of
+from odomcorrupt.study.validate.compare import compare as compare_models
+from odomcorrupt.study.validate.round_trip import verified_model
 from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from odomcorrupt.model.motion_model import Origin
+    from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
+    from odomcorrupt.study.estimate.returns import ReturnsFit
+    from odomcorrupt.study.io.recording import Mistake
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
     from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.validate.compare import Comparison as ModelComparison
     from odomcorrupt.study.validate.compare import ModelEvaluation
+    from odomcorrupt.study.validate.round_trip import RoundTrip
     from odomcorrupt.study.work import Watch
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Fit(Result):
+    """A motion model fitted to recordings.
+
+    recordings : recordings fitted to
+    result : model with confidence intervals, clocks, and the fit
+    proof : the usable model, verified by reading it back, a correction and a corruption
+    laws : fits of all laws if all were tried, the likeliest first
+    """
+
+    recordings: Recordings
+    result: RobotFit
+    proof: RoundTrip
+    laws: Mapping[str, RobotFit] = field(default_factory=dict)
+
+    @property
+    def model(self) -> Model:
+        """The fitted model, in usable form."""
+        return Model.of(self.proof.model)
+
+    def summary(self) -> Summary:
+        """Return the error on the fitted data, the noise and the effects."""
+        return mistakes_first(fit_brief(self.result), self.recordings.mistakes)
+
+    def details(self) -> str:
+        """Return all coefficients with their intervals, effects, clocks, and downweighted segments."""
+        return "\n\n".join(
+            [*([laws_table(self.laws)] if self.laws else []), fit_text(self.result), *self.proof.changes]
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return law, coefficients with intervals, effects, clocks and the error on the fitted data."""
+        return fit_json(self.result, self.laws)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one row per parameter: value and standard error."""
+        errors = self.model.standard_errors
+        return [
+            {"parameter": name, "value": value, "standard_error": errors.get(name)}
+            for name, value in self.model.parameters.items()
+        ]
+
+
+@part_of_study
+def fit(
+    recordings: Recordings | PathLikes,
+    effects: str | Sequence[str] = (),
+    *,
+    start: ModelLike | None = None,
+    law: str | None = None,
+) -> Fit:
+    """Fit a robot's motion model to recordings: noise, noise of the truth, clocks, set-up, and the requested effects.
+
+    recordings : runs of one robot, each with its own clock offset
+    effects : names of effects to fit besides those of `start`
+    start : model or model file that contributes effects to be refitted
+    law : noise law, or "all" for the likeliest; by default that of `start`, or diffusion
+
+    Returns
+    -------
+    Fit
+        `model` is the model; `to_pandas()` its parameters with standard errors.
+
+    Raises
+    ------
+    EffectError
+        If an effect is unknown or cannot be fitted in this way.
+    FitError
+        If the recordings are not sufficient for a fit.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> result = oc.fit("fixtures/mystery.mcap", ["wheel_scale"])
+    >>> "wheel_scale.e" in result.model.parameters
+    True
+    """
+    begin = None if start is None else as_model(start).motion_model
+    wanted = effects_to_fit(begin, (effects,) if isinstance(effects, str) else effects)
+    law_name = law or (LAW if begin is None else begin.noise.law_name)
+    runs = require_travel(as_recordings(recordings))
+    if begin is not None:
+        runs = runs.on_track(begin.track_m).of_drive_type(begin.setup.drive_type).in_frame(begin.setup.origin)
+    if law_name == "all":
+        laws = fit_every_law(runs, wanted, start=begin)
+        best = next(iter(laws.values()))
+        return Fit(runs, best, verified_model(best.model, runs), laws)
+    best = fit_robot(runs, wanted, law_name=law_name, start=begin)
+    return Fit(runs, best, verified_model(best.model, runs))
+
+
+@part_of_study
+def require_effects(start: Model | None, effects: Sequence[str]) -> None:
+    """Raise EffectError if one of the effects cannot be fitted; called before recordings are read."""
+    effects_to_fit(None if start is None else start.motion_model, effects)
+
+
+END = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SquareTest(Result):
+    """Systematic errors estimated from the end poses of drives.
+
+    result : complete numerical result
+    """
+
+    result: ReturnsFit
+
+    @property
+    def model(self) -> Model:
+        """The effects as a model without noise, which a few end poses cannot determine."""
+        found = self.result
+        names = [f"{e.name}.{p.name}" for e in found.effects for p in amplitudes(e)]
+        return Model.of(
+            replace(
+                NOISE_FREE,
+                effects=found.effects,
+                track_m=found.recordings[0].track_m,
+                standard_errors=dict(zip(names, map(float, found.standard_errors), strict=True)),
+                source={"recordings": [r.name for r in found.recordings]},
+            )
+        )
+
+    def summary(self) -> Summary:
+        """Return the effects with standard errors, and the distance of the ends from the start before and after."""
+        found = self.result
+        lines = [
+            Line("" if i else "FITTED", f"{effect.name}  {', '.join(numbers_text(effect, errors))}", "good")
+            for i, (effect, errors) in enumerate(effects_with_errors(found))
+        ]
+        before, after = (self._rms(ends) for ends in (found.before, found.after))
+        lines.append(Line("ends", f"{before} -> {after} (RMS of {len(found.before)} drives)"))
+        if all(abs(row["value"]) < 2.0 * row["standard_error"] for row in self.rows()):
+            lines.append(Line("none", "no effect exceeds two standard errors: these ends show none", "warning"))
+        unseen = "travel: a closed path does not show wheel_scale; drive a straight of measured length"
+        return Summary((*lines, Line("open", unseen, "warning")))
+
+    def details(self) -> str:
+        """Return the summary, and the end of every drive before and after."""
+        lines = [self.summary().text()]
+        for drive, before, after in zip(self.result.recordings, self.result.before, self.result.after, strict=True):
+            said = " -> ".join(self._end(end) for end in (before, after))
+            lines.append(f"  {drive.name}: {said}")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return effects with standard errors, and the ends before and after, m and rad."""
+        return {
+            "schema": 2,
+            "parameters": {row["parameter"]: row for row in self.rows()},
+            "ends_before": self.result.before.tolist(),
+            "ends_after": self.result.after.tolist(),
+            "spread": self.result.spread,
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one row per parameter: value and standard error."""
+        errors = self.model.standard_errors
+        return [
+            {"parameter": name, "value": value, "standard_error": errors[name]}
+            for name, value in self.model.parameters.items()
+            if name in errors
+        ]
+
+    @staticmethod
+    def _end(end: Any) -> str:
+        along, across, yaw = end.tolist()
+        return f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, {degrees(yaw):.2f} deg"
+
+    @staticmethod
+    def _rms(ends: Any) -> str:
+        distance = float(np.sqrt(np.mean(np.sum(ends[:, :2] ** 2, axis=1))))
+        return f"{1e3 * distance:.1f} mm, {np.degrees(np.sqrt(np.mean(ends[:, 2] ** 2))):.2f} deg"
+
+
+@part_of_study
+def fit_returns(
+    paths: PathLikes,
+    ends: Sequence[tuple[float, float, float]] = (END,),
+    *,
+    effects: str | Sequence[str] = (),
+    odom: str | None = None,
+    track_m: float | None = None,
+    scan: str | None = None,
+) -> SquareTest:
+    """Fit systematic errors to drives that end where they began, or at a known pose: a square test on any path.
+
+    paths : bags, TUM or CSV files with odometry, one drive each, in both directions of rotation
+    ends : true end poses relative to the start: m, m, rad; one for all, or one for each
+    effects : effects to fit, unequal_wheels and wheelbase by default
+    odom : topic of the odometry, if there are several
+    track_m : nominal distance between the wheels, metres
+    scan : topic of laser scans: the end is measured by matching the last sweeps with the first, instead of `ends`
+
+    Returns
+    -------
+    SquareTest
+        `model` has the effects; `details()` the end of every drive before and after.
+
+    Raises
+    ------
+    FitError
+        If the drives do not separate the effects.
+    RecordingError
+        If the last sweeps of a drive do not match its first.
+    """
+    files = as_paths(paths)
+    if len(ends) not in (1, len(files)):
+        raise RecordingError(f"{len(ends)} ends for {len(files)} drives; give one for all, or one for each")
+    each = list(ends) if len(ends) > 1 else list(ends) * len(files)
+    drives = []
+    for path, end in zip(files, each, strict=True):
+        odometry, track = read_odometry(Source(path, odom=odom, track_m=track_m))
+        real = np.array(end) if scan is None else end_seen(path, path.name, odom, scan)
+        drives.append(closed_drive(path.name, odometry, real, track))
+    return SquareTest(fit_ends(drives, (effects,) if isinstance(effects, str) else effects or USUAL))
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Comparison(Result):
+    """Comparison of models with measurements: measured and expected errors, and each model's lack of fit.
+
+    result : complete numerical result
+    mistakes : plain mistakes of wiring, units, signs and axes in the recordings
+    """
+
+    result: ModelComparison
+    mistakes: tuple[Mistake, ...] = ()
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the data reject the last model, however small the deviation."""
+        return self.result.evaluations[-1].verdict.rejected
+
+    @property
+    def fails(self) -> bool:
+        """Whether the deviation matters: errors are 1.25 times larger or smaller than the last model predicts."""
+        return self.result.evaluations[-1].verdict.fails
+
+    @property
+    def worse(self) -> bool:
+        """Whether the last model predicts these data worse than the first, by some measures and better by none."""
+        return agreement_of(self.result).verdict == "worse"
+
+    def summary(self) -> Summary:
+        """Return whether the last model is better than the first by all measures, and one line per model."""
+        return mistakes_first(comparison_brief(self.result), self.mistakes)
+
+    def details(self) -> str:
+        """Return clocks, the table of horizons, the models in order, and all lack of fit."""
+        lines = clock_lines(self.result.recordings, self.result.clocks)
+        return "\n".join([*lines, comparison_text(self.result)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the comparison as docs/json.md describes it."""
+        return comparison_json(self.result)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one row per model: errors in metres, log likelihood in nats per metre, whether it is rejected."""
+        return [
+            {
+                "model": j.name,
+                "error_10s_m": j.ten_second_error_m,
+                "nats_per_m": j.nats.per_m,
+                "nats_per_m_error": j.nats.error,
+                "ate_m": j.trajectory.ate_m,
+                "rpe_1m_m": j.trajectory.rpe_m,
+                "rejected": j.verdict.rejected,
+            }
+            for j in self.result.evaluations
+        ]
+
+    def report(self) -> str:
+        """Return the comparison as a self-contained HTML page with tables and figures, usable offline."""
+        from odomcorrupt.report.html.study import report_html
+
+        return report_html(self.result)
+
+    def draw(self, picture: str) -> Figure:
+        """Return a figure by name: error (against distance; also ""), path, nees, residuals, map or pit."""
+        from odomcorrupt.report.plots.comparison import PICTURES
+
+        if (picture or "error") not in PICTURES:
+            raise OdomCorruptError(f"no picture is called {picture!r}; there are {', '.join(PICTURES)}")
+        return PICTURES[picture or "error"].draw(self.result)
+
+
+@part_of_study
+def compare(
+    recordings: Recordings | PathLikes, models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]
+) -> Comparison:
+    """Compare models with measurements, and locate their lack of fit.
+
+    Recordings to which a model was fitted, under any name, cross-validate it: it is refitted without each of them, or
+    without each half of the only one, and evaluated on it.
+
+    recordings : recordings to evaluate on
+    models : models, paths of model files, or names of presets; the others are compared with the first
+
+    Returns
+    -------
+    Comparison
+        `to_pandas()` has one row per model.
+
+    Raises
+    ------
+    ModelError
+        If there is no model, or a file is not a model.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> rec = oc.read_recordings("fixtures/mystery_other.mcap")
+    >>> table = oc.compare(rec, ["typical", oc.Model(oc.Noise(alpha=(0.1, 0.1, 0.1, 0.1)))]).rows()
+    >>> [row["model"] for row in table]
+    ['typical', 'model 2']
+    """
+    named = named_models(models)
+    track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
+    drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")
+    runs = (
+        require_travel(as_recordings(recordings))
+        .on_track(track)
+        .of_drive_type(drive_type)
+        .in_frame(_shared_origin(named))
+    )
+    found = compare_models(runs, {name: model.motion_model for name, model in named.items()})
+    return Comparison(found, mistakes=runs.mistakes)
+
+
+def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
+    """Return the common origin of the positions in all models; None if no model states one."""
+    origins = {name: m.motion_model.setup.origin for name, m in models.items() if m.motion_model.setup.origin}
+    placed = {origins[n] for n in origins if any(e.reads_places for e in models[n].motion_model.effects)}
+    if len(placed) > 1:
+        raise ModelError(
+            f"{', '.join(origins)}: position-dependent effects with different origins; compare one model at a time"
+        )
+    return next(iter([*placed, *origins.values()]), None)
+
+
+def named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:
+    """Return models by name: for files the file name if unique, else the path; "model N" for others."""
+    if isinstance(models, Mapping):
+        return {name: as_model(model) for name, model in models.items()}
+    given = list(models) if isinstance(models, Sequence) and not isinstance(models, str) else [models]
+    if not given:
+        raise ModelError("no model given; name one or more .toml files that `odomcorrupt fit` wrote")
+    full = [fspath(m) if isinstance(m, str | PathLike) else f"model {i}" for i, m in enumerate(given, start=1)]
+    short = [Path(name).name for name in full]
+    names = short if len(set(short)) == len(short) else full
+    if len(set(names)) < len(names):
+        raise ModelError(f"models: {', '.join(names)}; the same model is named twice")
+    return {name: as_model(model) for name, model in zip(names, given, strict=True)}
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -31,12 +433,10 @@ class Findings(Result):
 
     recordings : recordings searched
     result : complete numerical result
-    following : suggested next command
     """
 
     recordings: Recordings
     result: DiagnosedModel | LearnedRobot
-    following: str = ""
 
     @property
     def verdict(self) -> Literal["complete", "missing", "unknown"]:
@@ -65,21 +465,14 @@ class Findings(Result):
     def save_next_drive(self, path: str | PathLike[str], *, overwrite: bool = False) -> str:
         """Write the drive that separates the most of the undecided effects, as /cmd_vel in an MCAP.
 
-        Parameters
-        ----------
-        path : path
-            MCAP to write.
-        overwrite : bool
-            Whether an existing file is replaced.
+        path : MCAP to write
+        overwrite : whether an existing file is replaced
 
         Returns
         -------
         str
             Description of the drive; "" if no drive would decide anything, in which case no file is written.
         """
-        from odomcorrupt.report.text.design import drive_sentence
-        from odomcorrupt.study.design.plan import drive_bag
-
         target = Path(fspath(path))
         refuse_existing(target, overwrite=overwrite)
         plan = self.result.advice.best
@@ -100,8 +493,6 @@ class Findings(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the findings in the form of docs/json.md."""
-        from odomcorrupt.report.json.diagnosis import learned_json
-
         found = self.result
         return learned_json(
             found.search, found.sequence.evaluations, found.advice, evaluated=self._evaluated, fit=self._fit
@@ -109,11 +500,9 @@ class Findings(Result):
 
     def report(self) -> str:
         """Return the findings as a self-contained HTML page with tables and figures, usable offline."""
-        from odomcorrupt import __version__
-        from odomcorrupt.report.html.diagnosis import SearchReport, found_html
+        from odomcorrupt.report.html.study import found_html
 
-        story = SearchReport(self.result.search, self.result.sequence, self.result.advice, self.following)
-        return found_html(story, version=__version__)
+        return found_html(self.result.search, self.result.sequence, self.result.advice, self.following)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -129,9 +518,6 @@ class Diagnosis(Findings):
 
     def summary(self) -> Summary:
         """Return the missing effects, their size and probability, and the gain of each."""
-        from odomcorrupt.report.text.brief import findings_brief
-        from odomcorrupt.report.text.limits import mistakes_first
-
         found = self.result
         brief = findings_brief(
             found.search,
@@ -139,7 +525,6 @@ class Diagnosis(Findings):
             found.sequence,
             notes=self.recordings.notes,
             alerts=self.recordings.alerts,
-            following=self.following,
         )
         brief = mistakes_first(brief, self.recordings.mistakes)
         if all(run.positioned for run in self.recordings):
@@ -149,8 +534,6 @@ class Diagnosis(Findings):
 
     def details(self) -> str:
         """Return the candidates, the findings, the gain of each addition, and undecided alternatives."""
-        from odomcorrupt.report.text.diagnosis import candidates_table, found_text, shares_text
-
         found = self.result
         said = found_text(found.search, found.advice, evaluated=self._evaluated)
         parts = [candidates_table(found.search.rounds[0]), said]
@@ -160,7 +543,7 @@ class Diagnosis(Findings):
 
     def _figure(self) -> Figure:
         """Return a figure of the candidates with their evidence."""
-        from odomcorrupt.report.plots.diagnosis import draw_candidates
+        from odomcorrupt.report.plots.comparison import draw_candidates
 
         return draw_candidates(self.result.search)
 
@@ -175,16 +558,11 @@ def diagnose(
 ) -> Diagnosis:
     """Name the physical effects that a model lacks, with the held-out gain of each.
 
-    Parameters
-    ----------
-    recordings : Recordings or paths
-        Runs of one robot.
-    model : Model or path of a model file, optional
-        Known part of the model; None for noise alone.
-    decisions : odomcorrupt.study.select.decisions.Decisions, optional
-        Thresholds of inclusion, replacement and removal of effects; None for the defaults, `DECISIONS` of that module.
-    watch : callable
-        Called with the name of each stage and the completed share of the work.
+    recordings : runs of one robot
+    model : model or model file, the known part of the model; None for noise alone
+    decisions : thresholds of inclusion, replacement and removal of effects; None for the
+        defaults, `odomcorrupt.study.select.decisions.DECISIONS`
+    watch : called with the name of each stage and the completed share of the work
 
     Returns
     -------
@@ -201,9 +579,6 @@ def diagnose(
     runs = refuse_turns_alone(as_recordings(recordings))
     if known is not None:
         runs = runs.on_track(known.track_m).of_drive_type(known.setup.drive_type).in_frame(known.setup.origin)
-    from odomcorrupt.study.pipeline import diagnose_model
-    from odomcorrupt.study.select.decisions import DECISIONS
-
     name = Path(fspath(model)).name if isinstance(model, str | PathLike) else "the model" if known else ""
     return Diagnosis(runs, diagnose_model(runs, known, name=name, decisions=decisions or DECISIONS, watch=watch))
 
@@ -217,8 +592,6 @@ class Learned(Findings):
     @property
     def model(self) -> Model:
         """The learned model, in usable form."""
-        from odomcorrupt.report.text.comparison import reproduction_sentence
-
         model = self.result.proof.model
         said = reproduction_sentence(self.result.reproduction)
         if said:
@@ -242,9 +615,6 @@ class Learned(Findings):
 
     def summary(self) -> Summary:
         """Return the findings, their size and probability, and the held-out errors without and with them."""
-        from odomcorrupt.report.text.brief import findings_brief
-        from odomcorrupt.report.text.limits import mistakes_first
-
         found = self.result
         brief = findings_brief(
             found.search,
@@ -255,15 +625,11 @@ class Learned(Findings):
             written=found.proof.model,
             notes=(*found.dropped, *found.proof.changes, *replace(self.recordings, runs=tuple(found.recordings)).notes),
             alerts=(*found.alerts, *self.recordings.alerts),
-            following=self.following,
         )
         return mistakes_first(brief, self.recordings.mistakes)
 
     def details(self) -> str:
         """Return the findings, undecided alternatives, the fit, and the full comparison."""
-        from odomcorrupt.report.text.comparison import comparison_text, reproduction_sentence
-        from odomcorrupt.report.text.diagnosis import fit_text, found_text
-
         found = self.result
         said = found_text(found.search, found.advice, evaluated=self._evaluated, fit=self._fit)
         fitted = [fit_text(found.robot, clocks=False), *found.proof.changes]
@@ -272,8 +638,6 @@ class Learned(Findings):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the findings and the comparison in the form of docs/json.md."""
-        from odomcorrupt.report.json.diagnosis import reproduction_json
-
         return Findings.to_dict(self) | {
             "reproduction": reproduction_json(self.result.reproduction),
             "comparison": self.comparison.to_dict(),
@@ -294,16 +658,11 @@ def learn(
 ) -> Learned:
     """Learn a robot's effects: fit, search for a missing effect, add it, and repeat until none is missing.
 
-    Parameters
-    ----------
-    recordings : Recordings or paths
-        Runs of one robot.
-    validate : Recordings or paths, optional
-        Recordings to evaluate the result on, read like the first ones; if none, the result is cross-validated.
-    decisions : odomcorrupt.study.select.decisions.Decisions, optional
-        Thresholds of inclusion, replacement and removal of effects; None for the defaults, `DECISIONS` of that module.
-    watch : callable
-        Called with the name of each stage and the completed share of the work.
+    recordings : runs of one robot
+    validate : recordings to evaluate the result on, read like the first ones; if none, the result is cross-validated
+    decisions : thresholds of inclusion, replacement and removal of effects; None for the
+        defaults, `odomcorrupt.study.select.decisions.DECISIONS`
+    watch : called with the name of each stage and the completed share of the work
 
     Returns
     -------
@@ -326,7 +685,4 @@ def learn(
     runs = require_travel(as_recordings(recordings))
     held_out = validate if isinstance(validate, Recordings) or validate else ()
     others = as_recordings(held_out, like=runs).in_frame(runs.geodetic_origin) if held_out else ()
-    from odomcorrupt.study.pipeline import learn_robot
-    from odomcorrupt.study.select.decisions import DECISIONS
-
     return Learned(runs, learn_robot(runs, others, decisions=decisions or DECISIONS, watch=watch))

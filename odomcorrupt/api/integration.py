@@ -12,7 +12,7 @@ import numpy as np
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError, TopicError
 from odomcorrupt.rng import draw_seed
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary
 from odomcorrupt.trajectories import find_truth, noisy_twists, path_error, read_drive, read_poses, rewrite_path
 from odomcorrupt.trajectories import integrate as integrate_twists
 
@@ -36,7 +36,6 @@ class Integration(Result):
     truth_topic : topic of the truth; None if there is none
     truth_error : error of `xyt` against the truth; None without a truth, or if it shares no time with the odometry
     own_error : error of `xyt` against the poses of the bag's own odometry
-    following : words of the suggested next command
     """
 
     source: str
@@ -50,7 +49,6 @@ class Integration(Result):
     truth_topic: str | None
     truth_error: PathError | None
     own_error: PathError | None
-    following: tuple[object, ...] = ()
 
     def summary(self) -> Summary:
         """Return the odometry's length, the rule, the errors, and the effect of the noise."""
@@ -60,7 +58,7 @@ class Integration(Result):
         lines += [Line("note", note, "warning") for note in drive.notes]
         for label, sentences in (("error", self._errors), ("noise", self._spread)):
             lines += [Line("" if i else label, sentence) for i, sentence in enumerate(sentences)]
-        return Summary((*lines, command_line(self.following)))
+        return Summary(tuple(lines))
 
     def details(self) -> str:
         """Return the summary in sentences."""
@@ -80,12 +78,8 @@ class Integration(Result):
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Rewritten:
         """Write the bag with the poses of run 0 in its odometry and the TF edges that go with it; all else stays.
 
-        Parameters
-        ----------
-        path : path
-            Bag of any kind; not a pipe.
-        overwrite : bool
-            Whether an existing bag is replaced.
+        path : bag of any kind; not a pipe
+        overwrite : whether an existing bag is replaced
 
         Returns
         -------
@@ -184,25 +178,15 @@ def integrate(
 ) -> Integration:
     """Integrate the velocities of a bag's odometry to poses, and compare these with the truth and the bag's own poses.
 
-    Parameters
-    ----------
-    bag : path
-        Bag of any kind; not a pipe.
-    rule : {"euler", "midpoint", "exact"}
-        Over an interval of constant twist: a straight line along its initial heading or its middle heading, or the
-        circular arc.
-    hold : {"next", "previous"}
-        Whether a twist holds until the next stamp, or from the previous one.
-    twist_noise : (float, float), optional
-        Standard deviations of white noise on every twist, m/s and rad/s.
-    runs : int
-        Number of runs with noise.
-    seed : int, optional
-        Seed of the noise; by default a random one, stated in the result. Run k is independent of the number of runs.
-    odom_topic : str, optional
-        Odometry topic whose twists are integrated; by default the only one.
-    truth : str, optional
-        Topic of poses to compare with; by default one named like a truth, if there is one.
+    bag : bag of any kind; not a pipe
+    rule : "euler", "midpoint" or "exact"; over an interval of constant twist: a straight line along its initial heading
+        or its middle heading, or the circular arc
+    hold : "next" or "previous"; whether a twist holds until the next stamp, or from the previous one
+    twist_noise : (float, float) standard deviations of white noise on every twist, m/s and rad/s
+    runs : number of runs with noise
+    seed : seed of the noise; by default a random one, stated in the result. Run k is independent of the number of runs
+    odom_topic : odometry topic whose twists are integrated; by default the only one
+    truth : topic of poses to compare with; by default one named like a truth, if there is one
 
     Returns
     -------
@@ -250,5 +234,4 @@ def integrate(
         truth_topic=topic,
         truth_error=None if true is None else path_error(drive.stamps_ns, xyt, true),
         own_error=path_error(drive.stamps_ns, xyt, drive.trajectory),
-        following=("odomcorrupt", "integrate", path, "--plot", "errors.png"),
-    )
+    ).then("odomcorrupt", "integrate", path, "--plot", "errors.png")

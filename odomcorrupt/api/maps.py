@@ -13,6 +13,7 @@ import numpy as np
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.summary import model_brief
 from odomcorrupt.errors import MapError, OdomCorruptError
 from odomcorrupt.extras import part_of_study
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -27,7 +28,7 @@ from odomcorrupt.mapping.scan_map import (
     scan_maps,
     slow_rays,
 )
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.plain import finite
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.rng import draw_seed
 from odomcorrupt.trajectories import read_drive, read_poses
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.mapping import LaserMaps
-    from odomcorrupt.mapping.frames import Mount
     from odomcorrupt.mapping.scan_map import ScanMap
     from odomcorrupt.study.work import Watch
     from odomcorrupt.summary import Summary
@@ -57,7 +57,6 @@ class Maps(Result):
         the odometry, and noisy odometry
     notes : what was read and left out, in sentences
     matched : trajectory of the laser, and the sweeps placed along it; None if odometry placed them
-    following : words of the suggested next command
     """
 
     source: str
@@ -67,7 +66,6 @@ class Maps(Result):
     maps: tuple[ScanMap, ...]
     notes: tuple[str, ...]
     matched: LaserMaps | None = None
-    following: tuple[object, ...] = ()
 
     @property
     def method(self) -> Method:
@@ -84,11 +82,9 @@ class Maps(Result):
         if self.matched is not None:
             from odomcorrupt.laser.mapping import laser_brief
 
-            return laser_brief(self.matched, self.following)
-        from odomcorrupt.corruption.summary import model_brief
-
+            return laser_brief(self.matched)
         model = model_brief(self.model.motion_model, self.model.origin.partition(":")[0])
-        return maps_brief(self.maps, self.notes, (model, f"{self.seed}, run {self.run}"), self.following)
+        return maps_brief(self.maps, self.notes, (model, f"{self.seed}, run {self.run}"))
 
     def details(self) -> str:
         """Return noise, notes and a table of the wall thickness along the drive; by the laser, no noise and table."""
@@ -116,13 +112,9 @@ class Maps(Result):
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> tuple[Path, ...]:
         """Write the maps for nav2's map_server, and the trajectory of the laser; return the files.
 
-        Parameters
-        ----------
-        path : path
-            Name ending in .yaml. By odometry, map.yaml stands for map_clean.yaml and map_noisy.yaml with their .pgm.
-            By the laser, map.yaml and map.pgm are the map along its trajectory, which is in map.tum.
-        overwrite : bool
-            Whether existing files are replaced.
+        path : name ending in .yaml. By odometry, map.yaml stands for map_clean.yaml and map_noisy.yaml with their .pgm.
+            By the laser, map.yaml and map.pgm are the map along its trajectory, which is in map.tum
+        overwrite : whether existing files are replaced
 
         Returns
         -------
@@ -213,33 +205,20 @@ def draw_maps(
 ) -> Maps:
     """Draw the maps that a laser makes through a bag's odometry and through the same odometry with noise on it.
 
-    Parameters
-    ----------
-    bag : path
-        Bag of any kind with odometry and laser scans; not a pipe.
-    model : Model, Noise, path of a model file or name of a preset
-        Noise and effects of the noisy odometry.
-    method : {"odometry", "laser"}
-        Place scans by odometry, or by matching them, which corrects the odometry; needs the extra `study`.
-    seed : int, optional
-        Seed of all random draws; by default a random one, stated in the result.
-    run : int
-        Number of the run under this seed: the noise is that of `corrupt` with the same seed and run.
-    scan : str, optional
-        Topic of laser scans; by default the only one.
-    odom_topic : str, optional
-        Odometry topic; by default the only one.
-    truth : str, optional
-        Topic of poses through which a third map is drawn. By odometry only.
-    laser_pose : (3,), optional
-        Pose of the laser on the robot, metres and radians, in place of the one in TF. By odometry only: matching scans
-        estimates it.
-    max_yaw_rate : float, optional
-        Leave out rays received while turning faster, rad/s. By odometry only.
-    resolution : float
-        Side of a cell, metres.
-    watch : callable
-        Called with the name of each stage and the completed share of the work.
+    bag : bag of any kind with odometry and laser scans; not a pipe
+    model : model, noise, model file or preset; noise and effects of the noisy odometry
+    method : "odometry" or "laser"; place scans by odometry, or by matching them, which corrects the odometry; needs the
+        extra `study`
+    seed : seed of all random draws; by default a random one, stated in the result
+    run : number of the run under this seed: the noise is that of `corrupt` with the same seed and run
+    scan : topic of laser scans; by default the only one
+    odom_topic : odometry topic; by default the only one
+    truth : topic of poses through which a third map is drawn. By odometry only
+    laser_pose : (3,) pose of the laser on the robot, metres and radians, in place of the one in TF. By odometry only:
+        matching scans estimates it
+    max_yaw_rate : leave out rays received while turning faster, rad/s. By odometry only
+    resolution : side of a cell, metres
+    watch : called with the name of each stage and the completed share of the work
 
     Returns
     -------
@@ -266,6 +245,12 @@ def draw_maps(
         raise MapError(f"--resolution {resolution}: the side of a cell must be more than zero metres")
     if max_yaw_rate is not None and not max_yaw_rate >= 0.0:
         raise MapError(f"--max-yaw-rate {max_yaw_rate}: it must be zero rad/s or more")
+    mount = None
+    if laser_pose is not None:
+        pose = np.asarray(laser_pose, dtype=np.float64)
+        if pose.shape != (3,) or not np.isfinite(pose).all():
+            raise MapError(f"--laser-pose {laser_pose}: give x, y and heading of the laser on the robot")
+        mount = mount_at(pose)
     path, chosen = Path(fspath(bag)), as_model(model)
     drawn_seed = draw_seed() if seed is None else seed
 
@@ -275,14 +260,13 @@ def draw_maps(
 
     if method == "laser":
         drawn = _laser_maps(path, odom_topic, scan, watch, error_of, resolution)
-        following = ("odomcorrupt", "map", path, "--method", "laser", "-o", "map.yaml")
         return Maps(
             source=fspath(bag), model=chosen, seed=drawn_seed, run=run, maps=drawn.maps, notes=drawn.notes,
-            matched=drawn, following=following,
-        )  # fmt: skip
+            matched=drawn,
+        ).then("odomcorrupt", "map", path, "--method", "laser", "-o", "map.yaml")  # fmt: skip
     watch("drawing maps", 0.0)
     drive = read_drive(path, odom_topic)
-    rays = read_rays(path, scan, drive.child_frame_id, None if laser_pose is None else _mount(laser_pose))
+    rays = read_rays(path, scan, drive.child_frame_id, mount)
     slow = slow_rays(rays, drive, max_yaw_rate)
     noisy = Trajectory(drive.stamps_ns, drive.xyt + error_of(drive.trajectory))
     paths = {"clean odometry": drive.trajectory, "noisy odometry": noisy}
@@ -290,10 +274,9 @@ def draw_maps(
         paths[f"truth ({truth})"] = read_poses(path, truth)
     maps = scan_maps(slow.rays, slow.travelled_m, paths, resolution)
     notes = (*drive.notes, f"{len(slow.rays)} rays of {rays.scans} scans from {rays.frame_id}", *slow.notes)
-    return Maps(
-        source=fspath(bag), model=chosen, seed=drawn_seed, run=run, maps=maps, notes=notes,
-        following=("odomcorrupt", "preview", path),
-    )  # fmt: skip
+    return Maps(source=fspath(bag), model=chosen, seed=drawn_seed, run=run, maps=maps, notes=notes).then(
+        "odomcorrupt", "preview", path
+    )
 
 
 @part_of_study
@@ -310,10 +293,3 @@ def _laser_maps(
 
     matched = laser_run(path, str(path), odom_topic, scan, watch)
     return laser_maps(matched, error_of(matched.odometry), resolution)
-
-
-def _mount(laser_pose: Sequence[float]) -> Mount:
-    pose = np.asarray(laser_pose, dtype=np.float64)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise MapError(f"--laser-pose {laser_pose}: give x, y and heading of the laser on the robot")
-    return mount_at(pose)

@@ -7,20 +7,30 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from odomcorrupt.api.result import Result
+from odomcorrupt.corruption.inverse import SystematicEffects
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.summary import model_words
+from odomcorrupt.effects.effect import Effect, parameters
 from odomcorrupt.errors import ModelError
+from odomcorrupt.model import motion_model
+from odomcorrupt.model.effect_notation import parse_effect
+from odomcorrupt.model.model_file import format_model, read_model
+from odomcorrupt.model.motion_model import MotionModel, Step, parse_alpha
+from odomcorrupt.model.noise_laws import law_named
+from odomcorrupt.model.presets import PRESETS, preset_named
 from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.sampling.convert import conversion_brief, conversion_json, conversion_text, convert
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.model import motion_model
-    from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.model.noise_laws import Law
-    from odomcorrupt.summary import Summary
 
     EffectsLike = str | Effect | Sequence[str | Effect]
 
@@ -33,17 +43,11 @@ class Noise:
     or one radian, under `linear` (MRPT) that of one step over its motion, under `quadratic` (nav2's amcl) the variance
     over the squared motion.
 
-    Parameters
-    ----------
-    alpha : sequence of float or str
-        rot_rot, rot_trans, trans_trans, trans_rot (alpha1 to alpha4), and further ones if the law has more; metres and
-        radians. Strings may be angles: "5deg" (after one radian) or "10deg/m" (after one metre).
-    law : str
-        diffusion, linear, quadratic, velocity or omni.
-    step : str, optional
-        Step of path to which a stepwise law is applied, as in "0.25m,0.2rad"; by default once per message.
-    twist_noise : (float, float), optional
-        White noise on every twist, m/s and rad/s.
+    alpha : rot_rot, rot_trans, trans_trans, trans_rot (alpha1 to alpha4), and further ones if the law has more; metres
+        and radians. Strings may be angles: "5deg" (after one radian) or "10deg/m" (after one metre)
+    law : diffusion, linear, quadratic, velocity or omni
+    step : step of path to which a stepwise law is applied, as in "0.25m,0.2rad"; by default once per message
+    twist_noise : (float, float) white noise on every twist, m/s and rad/s
 
     Raises
     ------
@@ -73,9 +77,6 @@ class Noise:
         ModelError
             If there is no such law, or a number is invalid in it.
         """
-        from odomcorrupt.model import motion_model
-        from odomcorrupt.model.noise_laws import law_named
-
         law = law_named(self.law)
         names = law.alphas + ("",) * len(self.alpha)
         values = [_coefficient(value, name, law) for value, name in zip(self.alpha, names, strict=False)]
@@ -89,8 +90,6 @@ class Noise:
 
 def _coefficient(value: float | str, name: str, law: Law) -> float:
     """Return a coefficient; angles are valid for coefficients of rotation only, per the metre or radian they state."""
-    from odomcorrupt.model.motion_model import parse_alpha
-
     if not isinstance(value, str):
         return float(value)
     number = parse_alpha(value)
@@ -118,20 +117,14 @@ class Conversion(Result):
 
     def summary(self) -> Summary:
         """Return the coefficients of the other law, the drift of both, and how to use them."""
-        from odomcorrupt.sampling.convert import conversion_brief
-
         return conversion_brief(self.before, self.after)
 
     def details(self) -> str:
         """Return both laws in words, their drift, and the options that select the other law."""
-        from odomcorrupt.sampling.convert import conversion_text
-
         return conversion_text(self.before, self.after)
 
     def to_dict(self) -> dict[str, Any]:
         """Return both laws, and the growth of the variances per metre and per radian."""
-        from odomcorrupt.sampling.convert import conversion_json
-
         return conversion_json(self.before, self.after)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -144,14 +137,9 @@ class Conversion(Result):
 def convert_alpha(noise: Noise, law: str, *, step: str | None = None) -> Conversion:
     """Return the alphas of another law with which the odometry drifts the same, straight on and in turns.
 
-    Parameters
-    ----------
-    noise : Noise
-        Alphas, their law and, if it is applied once per step, its step.
-    law : str
-        Law to convert to.
-    step : str, optional
-        Step of the other law, as in "0.25m,0.2rad", if it is applied once per step; by default that of `noise`.
+    noise : alphas, their law and, if it is applied once per step, its step
+    law : law to convert to
+    step : step of the other law, as in "0.25m,0.2rad", if it is applied once per step; by default that of `noise`
 
     Returns
     -------
@@ -170,10 +158,6 @@ def convert_alpha(noise: Noise, law: str, *, step: str | None = None) -> Convers
     >>> round(oc.convert_alpha(amcl, "diffusion").after.coefficients.trans_trans, 4)
     0.2236
     """
-    from odomcorrupt.model.motion_model import Step
-    from odomcorrupt.model.noise_laws import law_named
-    from odomcorrupt.sampling.convert import convert
-
     before, other = noise.as_motion_noise(), law_named(law)
     wanted = noise.step if step is None else step
     per_step = Step.parse(wanted) if other.per_step and wanted is not None else None
@@ -208,8 +192,6 @@ class Model:
     """Source of the numbers, in words; "" if given by the user."""
 
     def __init__(self, noise: Noise | None = None, *, effects: EffectsLike = (), track_m: float | None = None) -> None:
-        from odomcorrupt.model import motion_model
-
         self.motion_model = motion_model.MotionModel((noise or Noise()).as_motion_noise(), track_m=track_m)
         self.origin = ""
         if effects:
@@ -218,18 +200,10 @@ class Model:
 
     @classmethod
     def of(cls, motion_model: MotionModel, origin: str = "") -> Model:
-        """Wrap a library motion model for this interface.
+        """Return the model of this interface for a motion model of the library.
 
-        Parameters
-        ----------
-        motion_model : odomcorrupt.model.motion_model.MotionModel
-            Noise law and effects.
-        origin : str
-            Source of the numbers in words, for summaries.
-
-        Returns
-        -------
-        Model
+        motion_model : noise law and effects
+        origin : source of the numbers in words, for summaries
         """
         model = cls.__new__(cls)
         model.motion_model, model.origin = motion_model, origin
@@ -239,32 +213,20 @@ class Model:
     def load(cls, path: str | PathLike[str]) -> Model:
         """Return the model in a file, as written by `fit`, `learn` and `presets`.
 
-        Parameters
-        ----------
-        path : path
-            Model file, TOML.
-
-        Returns
-        -------
-        Model
+        path : model file, TOML
 
         Raises
         ------
         ModelError
             If the file is not a valid model; the message states the fault.
         """
-        from odomcorrupt.model.model_file import read_model
-
         return cls.of(read_model(Path(fspath(path))), f"of {fspath(path)}")
 
     @classmethod
     def preset(cls, name: str = "typical") -> Model:
         """Return a ready-made robot, or noise, by the name of its preset.
 
-        Parameters
-        ----------
-        name : str
-            Preset, as `typical` or `turtlebot3-burger`; `list_presets` has them all.
+        name : preset, as `typical` or `turtlebot3-burger`; `list_presets` has them all
 
         Returns
         -------
@@ -276,25 +238,14 @@ class Model:
         ModelError
             If there is no such preset.
         """
-        from odomcorrupt.model.presets import preset_named
-
         preset = preset_named(name)
         return cls.of(preset.model, f"preset {preset.name}: {preset.source}")
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the model as human-readable TOML; return the path.
 
-        Parameters
-        ----------
-        path : path
-            File to write.
-        overwrite : bool
-            Whether an existing file is replaced.
-
-        Returns
-        -------
-        pathlib.Path
-            The file.
+        path : file to write
+        overwrite : whether an existing file is replaced
 
         Raises
         ------
@@ -308,17 +259,12 @@ class Model:
 
     def toml(self) -> str:
         """Return the text of the model file, as `save` writes it."""
-        from odomcorrupt.model.model_file import format_model
-
         return format_model(self.motion_model)
 
     def with_effects(self, effects: EffectsLike) -> Model:
         """Return this model with effects added.
 
-        Parameters
-        ----------
-        effects : str, Effect, or sequence of these
-            Each as text, as in "unequal_wheels:curvature=0.005", or as an effect of the library.
+        effects : each as text, as in "unequal_wheels:curvature=0.005", or as an effect of the library
 
         Returns
         -------
@@ -332,9 +278,6 @@ class Model:
         """
         if not effects:
             return self
-        from odomcorrupt.effects.effect import Effect
-        from odomcorrupt.model.effect_notation import parse_effect
-
         found, assumed = [], []
         for given in (effects,) if isinstance(effects, str | Effect) else effects:
             if isinstance(given, str):
@@ -354,8 +297,6 @@ class Model:
     @property
     def parameters(self) -> dict[str, float]:
         """All parameters by name: non-zero coefficients, then "effect.parameter"."""
-        from odomcorrupt.effects.effect import parameters
-
         noise = self.motion_model.noise
         numbers = {name: getattr(noise.coefficients, name) for name in noise.coefficients.__slots__}
         own = {f"{e.name}.{p.name}": getattr(e, p.name) for e in self.effects for p in parameters(e)}
@@ -371,16 +312,10 @@ class Model:
     ) -> NDArray[Any]:
         """Return noisy odometry of a path, identical to the corruption of a bag with these stamps.
 
-        Parameters
-        ----------
-        t_s : (n,)
-            Times, seconds, ascending.
-        xy_yaw : (n, 3)
-            Clean poses: x and y in metres, heading in radians (wrapped or not).
-        seed : int
-            Seed of all random draws: the same seed and run give the same path as `corrupt` and the command line.
-        runs, first_run : int
-            Number of runs, and the number of the first one.
+        t_s : (n,) times, seconds, ascending
+        xy_yaw : (n, 3) clean poses: x and y in metres, heading in radians (wrapped or not)
+        seed : seed of all random draws: the same seed and run give the same path as `corrupt` and the command line
+        runs, first_run : number of runs, and the number of the first one
 
         Returns
         -------
@@ -400,11 +335,6 @@ class Model:
         >>> model.corrupt_path(t, np.column_stack((0.3 * t, 0 * t, 0 * t)), seed=3, runs=50).shape
         (50, 100, 3)
         """
-        import numpy as np
-
-        from odomcorrupt.corruption.inverse import SystematicEffects
-        from odomcorrupt.corruption.path import NoisyPath
-
         times, poses = np.asarray(t_s, dtype=np.float64), np.asarray(xy_yaw, dtype=np.float64)
         if times.ndim != 1 or poses.shape != (len(times), 3):
             raise ModelError(f"a path: times {times.shape} and poses {poses.shape}; give shapes (n,) and (n, 3)")
@@ -427,14 +357,10 @@ class Model:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        from odomcorrupt.corruption.summary import model_words
-
         words = model_words(self.motion_model, self.origin)
         return f"<Model: {words[0].lower()}{words[1:]}>"
 
     def _repr_html_(self) -> str:
-        from odomcorrupt.summary import Line, Summary
-
         errors = self.standard_errors
         numbers = [
             Line(name, f"{value:.4g}" + (f" +- {errors[name]:.2g}" if name in errors else ""))
@@ -462,16 +388,12 @@ def as_model(given: ModelLike | MotionModel | None) -> Model:
     if given is None:
         return Model.preset()
     if isinstance(given, str | PathLike):
-        from odomcorrupt.model.presets import PRESETS
-
         name = fspath(given)
         if name in PRESETS:
             return Model.preset(name)
         if not name.endswith(".toml") and not Path(name).exists():
             raise ModelError(f"{name}: no model file and no preset; presets are {', '.join(PRESETS)}")
         return Model.load(name)
-    from odomcorrupt.model.motion_model import MotionModel
-
     if not isinstance(given, MotionModel):
         raise ModelError(f"model: {given!r}; give a Model, a Noise, a model file, or the name of a preset")
     return Model.of(given)

@@ -17,7 +17,7 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.summary import model_brief
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.mapping.conditioned import free_paths
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.plain import finite
 from odomcorrupt.rng import draw_seed, stream
 from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
 from odomcorrupt.sampling.samples import (
@@ -37,7 +37,7 @@ from odomcorrupt.sampling.samples import (
     sample_moments,
     sample_particles,
 )
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary
 from odomcorrupt.trajectories import read_drive
 
 if TYPE_CHECKING:
@@ -69,7 +69,6 @@ class Samples(Result):
     seed, origin : seed of the random draws, and source of the noise in words
     space : free space that constrains the samples, None without a map
     notes : effect of a map on the draws, in sentences
-    following : words of the suggested next command
     """
 
     move: Move
@@ -80,7 +79,6 @@ class Samples(Result):
     origin: str
     space: FreeSpace | None = None
     notes: tuple[str, ...] = ()
-    following: tuple[object, ...] = ()
 
     def summary(self) -> Summary:
         """Return mean and spread of the samples beside those of the linearised model."""
@@ -94,7 +92,7 @@ class Samples(Result):
         lines.append(Line("motion", f"{_pose(self.move.start_xyt)} to {_pose(self.move.end_xyt)}"))
         lines.append(Line("noise", self.noise.words))
         lines += [Line("note", note, "warning") for note in (*self._squared, *self.notes)]
-        return Summary((*lines, command_line(self.following)))
+        return Summary(tuple(lines))
 
     @property
     def _squared(self) -> list[str]:
@@ -199,18 +197,12 @@ def sample(
 ) -> Samples:
     """Draw samples of the end pose of one motion.
 
-    Parameters
-    ----------
-    start_xyt, end_xyt : (3,)
-        Odometry before and after the motion, metres and radians.
-    model : Model, Noise, path of a model file or name of a preset, optional
-        Noise; by default the preset `typical`. Effects act along a whole drive and are refused.
-    count : int
-        Number of samples.
-    seed : int, optional
-        Seed of the random draws; by default a random one, stated in the result.
-    within : MapCondition or path of a map's .yaml, optional
-        Free space in which samples must end.
+    start_xyt, end_xyt : (3,) odometry before and after the motion, metres and radians
+    model : model, noise, model file or preset; by default the preset `typical`. Effects act along a whole drive
+        and are refused
+    count : number of samples
+    seed : seed of the random draws; by default a random one, stated in the result
+    within : map condition or a map's .yaml; free space in which samples must end
 
     Returns
     -------
@@ -266,7 +258,6 @@ class Density(Result):
     reading : "pose", "product" or "hypothetical"
     grid : density over x and y, marginalised over the heading
     within, free_part : map condition, and the fraction of the unconstrained density that is in free space
-    following : words of the suggested next command
     """
 
     poses: NDArray[Any]
@@ -278,7 +269,6 @@ class Density(Result):
     law: str
     free_part: float = 1.0
     within: MapCondition | None = None
-    following: tuple[object, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -301,7 +291,7 @@ class Density(Result):
         """Return the density at each pose, and its integral over all poses."""
         *values, integral = self._sentences()
         lines = [Line("DENSITY", integral, "good"), *(Line("", sentence) for sentence in values)]
-        return Summary((*lines, Line("noise", self.law), command_line(self.following)))
+        return Summary((*lines, Line("noise", self.law)))
 
     def details(self) -> str:
         """Return the summary, with the noise in full."""
@@ -326,16 +316,8 @@ class Density(Result):
     def draw_beside(self, count: int, seed: int) -> Figure:
         """Return a figure of the density beside samples of the same motion.
 
-        Parameters
-        ----------
-        count : int
-            Number of samples.
-        seed : int
-            Seed of the random draws.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
+        count : number of samples
+        seed : seed of the random draws
         """
         from odomcorrupt.report.plots.samples import draw_density
 
@@ -360,19 +342,13 @@ def density(
 ) -> Density:
     """Return the density of the end pose of one motion: p(x_t | u_t, x_t-1), or p(x_t | u_t, x_t-1, m) with a map.
 
-    Parameters
-    ----------
-    start_xyt, end_xyt : (3,)
-        Odometry before and after the motion, metres and radians.
-    poses : (n, 3)
-        Poses at which to evaluate it.
-    model : Model, Noise, path of a model file or name of a preset, optional
-        Noise; by default the preset `typical`.
-    reading : {"pose", "product", "hypothetical"}
-        "pose": density over poses. "product": the lecture's product of the densities of rot1, trans and rot2.
-        "hypothetical": that product with the variances of the motion to each pose, as in table 5.5 of the book.
-    within : MapCondition, optional
-        Map: the density is zero outside its free space, and normalised over it.
+    start_xyt, end_xyt : (3,) odometry before and after the motion, metres and radians
+    poses : (n, 3) poses at which to evaluate it
+    model : model, noise, model file or preset; by default the preset `typical`
+    reading : "pose": density over poses. "product": the lecture's product of the
+        densities of rot1, trans and rot2. "hypothetical": that product with the variances of the motion to each pose,
+        as in table 5.5 of the book
+    within : map; the density is zero outside its free space, and normalised over it
 
     Returns
     -------
@@ -420,7 +396,6 @@ class Particles(Result):
     result : complete numerical result: distances, clean poses (k, 3) and noisy ones (runs, k, 3), metres and radians
     model, odometry : model of the noise, and the odometry in words
     space, notes : free space that constrains the poses, None without a map, and the map's effect in sentences
-    following : words of the suggested next command
     """
 
     result: ParticleSet
@@ -428,12 +403,11 @@ class Particles(Result):
     odometry: str
     space: FreeSpace | None = None
     notes: tuple[str, ...] = ()
-    following: tuple[object, ...] = ()
 
     def summary(self) -> Summary:
         """Return the spread at the end and on the way, and the model."""
         words = model_brief(self.model.motion_model, self.model.origin.partition(":")[0])
-        return brief(self.result, words, self.odometry, self.following)
+        return brief(self.result, words, self.odometry)
 
     def details(self) -> str:
         """Return the noise, and the spread at each distance."""
@@ -479,22 +453,13 @@ def sample_along(
 ) -> Particles:
     """Return poses of many noisy runs of a bag's drive, at distances along it and at its end.
 
-    Parameters
-    ----------
-    bag : path
-        Bag of any kind; not a pipe.
-    model : Model, Noise, path of a model file or name of a preset
-        By default the preset `typical`.
-    runs : int
-        Number of runs; run k is the one that `corrupt` draws with this seed and `run=k`.
-    seed : int, optional
-        Seed of the random draws; by default a random one, stated in the result.
-    every_m : float, optional
-        Distance between the places, metres; by default a round one, about a sixth of the drive.
-    odom_topic : str, optional
-        Odometry topic; by default the only one.
-    within : MapCondition or path of a map's .yaml, optional
-        As in `corrupt`.
+    bag : bag of any kind; not a pipe
+    model : model, noise, model file or preset; by default the preset `typical`
+    runs : number of runs; run k is the one that `corrupt` draws with this seed and `run=k`
+    seed : seed of the random draws; by default a random one, stated in the result
+    every_m : distance between the places, metres; by default a round one, about a sixth of the drive
+    odom_topic : odometry topic; by default the only one
+    within : map condition or a map's .yaml; as in `corrupt`
 
     Returns
     -------

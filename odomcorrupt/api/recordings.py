@@ -73,14 +73,7 @@ class Recordings(Sequence["Recording"]):
     def on_track(self, track_m: float | None) -> Recordings:
         """Return the same recordings with a known track; recordings that state their own keep it.
 
-        Parameters
-        ----------
-        track_m : float or None
-            Nominal distance between the wheels, metres; None changes nothing.
-
-        Returns
-        -------
-        Recordings
+        track_m : nominal distance between the wheels, metres; None changes nothing
         """
         if track_m is None or self.track_m is not None:
             return self
@@ -89,10 +82,7 @@ class Recordings(Sequence["Recording"]):
     def of_drive_type(self, drive_type: str) -> Recordings:
         """Return the same recordings with a known drive type; recordings that state their own keep it.
 
-        Parameters
-        ----------
-        drive_type : str
-            As of `read_recordings`; "" and "auto" change nothing.
+        drive_type : as of `read_recordings`; "" and "auto" change nothing
 
         Returns
         -------
@@ -116,14 +106,7 @@ class Recordings(Sequence["Recording"]):
     def in_frame(self, origin: Origin | None) -> Recordings:
         """Return the same recordings with satellite fixes converted to the frame of another origin.
 
-        Parameters
-        ----------
-        origin : odomcorrupt.study.io.fixes.Origin or None
-            Origin of an east-north frame; None leaves them in the frame of their first fix.
-
-        Returns
-        -------
-        Recordings
+        origin : origin of an east-north frame; None leaves them in the frame of their first fix
         """
         from odomcorrupt.study.io.fixes import in_frame
 
@@ -132,14 +115,7 @@ class Recordings(Sequence["Recording"]):
     def read_alike(self, paths: PathLikes) -> Recordings:
         """Return the recordings in other files, read with the topics, clock shift and track of the first of these.
 
-        Parameters
-        ----------
-        paths : path or sequence of paths
-            Bags or tables.
-
-        Returns
-        -------
-        Recordings
+        paths : bags or tables
 
         Raises
         ------
@@ -175,40 +151,25 @@ def read_recordings(
 ) -> Recordings:
     """Return recordings of odometry and truth, cleaned and checked for plausibility.
 
-    Parameters
-    ----------
-    paths : path or several
-        Bags, or TUM or CSV files with the odometry; a folder of them, a pattern such as "runs/*.mcap", or a list file
-        (``*.list``), which has a path a line.
-    odom, truth : str, optional
-        Topics, or TF edges such as "/tf:map.base_link"; by default the only possible topic.
-    truth_bag : path or several, optional
-        Bag, TUM or CSV file with the truth, if the recordings contain none: one for all, or one for each.
-    truth_shift_s : float
-        Added to the stamps of the truth, seconds, if its clock differs widely.
-    track_m : float, optional
-        Nominal distance between the wheels, metres; effects of single wheels need it.
-    names : sequence of str
-        Names of the recordings, by default those of their files.
-    scan : str, optional
-        Laser topic from which to compute the truth; by default the only one of a bag without truth. "none" disables
-        it.
-    laser_scale_accuracy : float
-        Standard deviation of the laser's own scale error; it limits the accuracy of every scale.
-    drive_type : str
-        Wheel layout: differential, skid, car, tricycle or omni; by default inferred from the motion.
-    imu : str, optional
-        Topic of a gyro; by default the only Imu of a bag. Beside a truth or a laser it shows the source of the
-        odometry's heading; without either it is the truth of headings, for `diagnose` alone.
-    gyro_scale_accuracy : float
-        Standard deviation of the gyro's own scale error; it limits the accuracy of turns if the gyro is the truth.
-    joints : (str, str), optional
-        Left and right wheel in JointState, whose angles replace the odometry. By default, joints with names of
-        wheels determine the nominal track only.
-    relative : path or several, optional
-        CSV file of relative motions (t0,t1,dx,dy,dyaw) to be used as the truth: one for all, or one for each.
-    progress : callable, optional
-        Called with the next step of reading, and the completed share of it.
+    paths : bags, or TUM or CSV files with the odometry; a folder of them, a pattern such as "runs/*.mcap", or a list
+        file (``*.list``), which has a path a line
+    odom, truth : topics, or TF edges such as "/tf:map.base_link"; by default the only possible topic
+    truth_bag : bag, TUM or CSV file with the truth, if the recordings contain none: one for all, or one for each
+    truth_shift_s : added to the stamps of the truth, seconds, if its clock differs widely
+    track_m : nominal distance between the wheels, metres; effects of single wheels need it
+    names : names of the recordings, by default those of their files
+    scan : laser topic from which to compute the truth; by default the only one of a bag without truth. "none" disables
+        it
+    laser_scale_accuracy : standard deviation of the laser's own scale error; it limits the accuracy of every scale
+    drive_type : wheel layout: differential, skid, car, tricycle or omni; by default inferred from the motion
+    imu : topic of a gyro; by default the only Imu of a bag. Beside a truth or a laser it shows the source of the
+        odometry's heading; without either it is the truth of headings, for `diagnose` alone
+    gyro_scale_accuracy : standard deviation of the gyro's own scale error; it limits the accuracy of turns if the gyro
+        is the truth
+    joints : (str, str) left and right wheel in JointState, whose angles replace the odometry. By default, joints with
+        names of wheels determine the nominal track only
+    relative : CSV file of relative motions (t0,t1,dx,dy,dyaw) to be used as the truth: one for all, or one for each
+    progress : called with the next step of reading, and the completed share of it
 
     Returns
     -------

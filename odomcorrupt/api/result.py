@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.extras import require
+from odomcorrupt.result_files import refuse_existing, write_bytes
+from odomcorrupt.summary import command_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,10 +21,14 @@ if TYPE_CHECKING:
     from odomcorrupt.summary import Summary
 
 
+@dataclass(frozen=True, slots=True, repr=False, kw_only=True)
 class Result(ABC):
-    """A result: `print` shows at most eight lines, the verdict first; `details()` is the full text."""
+    """A result: `print` shows at most eight lines, the verdict first; `details()` is the full text.
 
-    __slots__ = ()
+    following : suggested next command, which `print` shows last; "" for none
+    """
+
+    following: str = ""
 
     @abstractmethod
     def summary(self) -> Summary:
@@ -38,17 +46,23 @@ class Result(ABC):
     def rows(self) -> list[dict[str, Any]]:
         """Return the rows of `to_pandas`, with units in the column names."""
 
+    def then(self, *words: object) -> Self:
+        """Return this result with another suggested next command.
+
+        words : words of the command; none for no command
+        """
+        return replace(self, following=shlex.join(map(str, words)))
+
+    @property
+    def brief(self) -> Summary:
+        """The summary with the suggested next command."""
+        summary = self.summary()
+        return summary._replace(lines=(*summary.lines, command_line(self.following)))
+
     def draw(self, picture: str) -> Figure:
         """Return a figure of this result.
 
-        Parameters
-        ----------
-        picture : str
-            Name of the figure, if there are several; "" for the default one.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
+        picture : name of the figure, if there are several; "" for the default one
 
         Raises
         ------
@@ -72,18 +86,9 @@ class Result(ABC):
     def plot(self, path: str | PathLike[str] | None = None, *, picture: str = "", overwrite: bool = True) -> Figure:
         """Return a matplotlib figure, and write it if a path is given.
 
-        Parameters
-        ----------
-        path : path, optional
-            File to write, .png, .svg or .pdf.
-        picture : str
-            Name of the figure, if there are several.
-        overwrite : bool
-            Whether an existing file is replaced.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
+        path : file to write, .png, .svg or .pdf
+        picture : name of the figure, if there are several
+        overwrite : whether an existing file is replaced
 
         Raises
         ------
@@ -94,7 +99,6 @@ class Result(ABC):
         figure = self.draw(picture)
         if path is not None:
             from odomcorrupt.report.plots.figure import rendered
-            from odomcorrupt.result_files import refuse_existing, write_bytes
 
             target = Path(fspath(path))
             kind = target.suffix.lower().removeprefix(".")
@@ -105,10 +109,10 @@ class Result(ABC):
         return figure
 
     def __str__(self) -> str:
-        return self.summary().text()
+        return self.brief.text()
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.summary().headline}>"
 
     def _repr_html_(self) -> str:
-        return self.summary().html()
+        return self.brief.html()

@@ -8,6 +8,17 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.extras import part_of_study
+from odomcorrupt.report.score import (
+    gate_lines,
+    score_brief,
+    score_csv,
+    score_json,
+    score_junit,
+    score_markdown,
+    score_text,
+)
+from odomcorrupt.scoring.gate import check
+from odomcorrupt.scoring.run import score as score_runs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,12 +37,10 @@ class Score(Result):
     """Errors of a localisation in each run of a batch, against the drift of its odometry.
 
     result : complete numerical result: statistics over the runs, break-down point, errors along the path
-    following : words of the suggested next command
     verdicts : verdicts of the rules of `check`
     """
 
     result: ScoreReport
-    following: tuple[object, ...] = ()
     verdicts: tuple[Verdict, ...] = ()
 
     @property
@@ -42,12 +51,8 @@ class Score(Result):
     def check(self, rules: Sequence[str], baseline: Mapping[str, Any] | None = None) -> Score:
         """Return the same score with the verdicts of a gate.
 
-        Parameters
-        ----------
-        rules : sequence of str
-            Such as "ate_p90 +20%" (relative to the baseline), "lost +1", "lost +5%" or "ate_median > 0.3".
-        baseline : mapping, optional
-            `to_dict()` of an earlier score, or the content of a file of `odomcorrupt score --save`.
+        rules : such as "ate_p90 +20%" (relative to the baseline), "lost +1", "lost +5%" or "ate_median > 0.3"
+        baseline : `to_dict()` of an earlier score, or the content of a file of `odomcorrupt score --save`
 
         Returns
         -------
@@ -60,44 +65,30 @@ class Score(Result):
         ScoreError
             If a rule is invalid, a rise has no baseline, or the two have too few runs with equal seeds.
         """
-        from odomcorrupt.scoring.gate import check
-
         return replace(self, verdicts=tuple(check(self.to_dict(), rules, baseline)))
 
     def summary(self) -> Summary:
         """Return the gate's result, the number of failed runs, the errors and the break-down point."""
-        from odomcorrupt.report.text.score import score_brief
-
-        return score_brief(self.result, self.verdicts, following=self.following)
+        return score_brief(self.result, self.verdicts)
 
     def details(self) -> str:
         """Return sentences, the tables of points and over runs, a line for each run, and the gate's verdicts."""
-        from odomcorrupt.report.text.score import gate_lines, score_text
-
         return "\n".join([score_text(self.result), *gate_lines(self.verdicts)])
 
     def markdown(self) -> str:
         """Return the gate's result, what failed, and the tables of points and over runs, for a summary page of CI."""
-        from odomcorrupt.report.text.score import score_markdown
-
         return score_markdown(self.result, self.verdicts)
 
     def junit(self) -> str:
         """Return the gate as JUnit XML, a test case for each rule."""
-        from odomcorrupt.report.text.score import score_junit
-
         return score_junit(self.result, self.verdicts)
 
     def points_csv(self) -> str:
         """Return drift, number of runs, failed runs, median and p90 of the ATE for each point of a sweep, as CSV."""
-        from odomcorrupt.report.text.score import score_csv
-
         return score_csv(self.result)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the score as docs/json.md describes it: metres, radians, seconds."""
-        from odomcorrupt.report.json.score import score_json
-
         return score_json(self.result, self.verdicts)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -107,10 +98,9 @@ class Score(Result):
 
     def report(self) -> str:
         """Return the score as a self-contained HTML page with tables and figures, usable offline."""
-        from odomcorrupt import __version__
         from odomcorrupt.report.html.score import score_html
 
-        return score_html(self.result, self.verdicts, version=__version__)
+        return score_html(self.result, self.verdicts)
 
     def _figure(self) -> Figure:
         """Return a figure of the errors against the drift and along the path."""
@@ -132,25 +122,16 @@ def score(
 ) -> Score:
     """Return the errors of a localisation that was run on each bag of a batch.
 
-    Parameters
-    ----------
-    runs : path or several
-        Directory of a batch, or of a sweep with several batches, combined in one score.
-    estimate : str, optional
-        Topic, or edge of TF such as "/tf:map.base_link", in the bags with the estimates; None for text files.
-    truth : str, optional
-        Topic or edge of TF of the truth: in the batch's input, else in the run or in the bag with the estimate. None:
-        the odometry before corruption (`clean.tum` of the batch), i.e. the truth of a simulation.
-    truth_bag : path, optional
-        Bag, TUM or CSV file with the truth, if it is a separate one.
-    outputs : path, optional
-        Directory with the estimates: files or bags that begin like the runs (`run_000012.tum`); by default beside the
-        runs. For a sweep, it contains a directory for each point.
-    align : {"rigid", "origin", "none", "same"}
-        Alignment of estimate and truth: best fit of positions, equal first poses, none (both in one frame), or none
-        although the frames have different names.
-    limits : odomcorrupt.scoring.errors.Limits, optional
-        Limits of loss, jumps and coverage.
+    runs : directory of a batch, or of a sweep with several batches, combined in one score
+    estimate : topic, or edge of TF such as "/tf:map.base_link", in the bags with the estimates; None for text files
+    truth : topic or edge of TF of the truth: in the batch's input, else in the run or in the bag with the estimate.
+        None: the odometry before corruption (`clean.tum` of the batch), i.e. the truth of a simulation
+    truth_bag : bag, TUM or CSV file with the truth, if it is a separate one
+    outputs : directory with the estimates: files or bags that begin like the runs (`run_000012.tum`); by default beside
+        the runs. For a sweep, it contains a directory for each point
+    align : "rigid", "origin", "none" or "same"; alignment of estimate and truth: best fit of positions, equal first
+        poses, none (both in one frame), or none although the frames have different names
+    limits : limits of loss, jumps and coverage
 
     Returns
     -------
@@ -170,8 +151,6 @@ def score(
     >>> oc.score("scored", "/odom", align="origin").result.runs[0].status
     'lost'
     """
-    from odomcorrupt.scoring.run import score as score_runs
-
     return Score(
         score_runs(
             as_paths(runs), estimate, truth=truth, truth_bag=truth_bag, outputs=outputs, align=align, limits=limits

@@ -11,8 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import EffectError, OdomCorruptError
 from odomcorrupt.extras import part_of_study
+from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.rng import draw_seed
+from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
+from odomcorrupt.simulation.routes import read_commands
+from odomcorrupt.simulation.run import Scenario, fingerprint, format_answer, write_mcap
+from odomcorrupt.simulation.run import simulate as simulate_run
 from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -95,7 +100,6 @@ class Simulation(Result):
 
     def _figure(self) -> Figure:
         """Return a figure of the true path and that of the odometry."""
-        from odomcorrupt.geometry.se2 import between, compose
         from odomcorrupt.report.plots.paths import draw_corruption
 
         run = self.recording
@@ -125,34 +129,20 @@ def simulate(
 ) -> Simulation:
     """Record a simulated robot with a hidden or a chosen fault, from its wheels, ground, sensors and clocks.
 
-    Parameters
-    ----------
-    target : path, optional
-        MCAP to write, with its answer beside it. None writes nothing.
-    effects : sequence of str
-        Names of faults; none: hidden ones are drawn; ("none",): a robot without faults.
-    parameters : mapping, optional
-        Parameters of faults by name, instead of drawn ones.
-    size : float
-        Factor on the magnitude of a drawn fault.
-    seed, robot : int, optional
-        Seeds of the drive with its noise, by default drawn, and of the robot with its fault, by default `seed`.
-    route : str
-        office, loops, shuttle, slalom, yard or umbmark.
-    drive : path, optional
-        Bag with /cmd_vel to follow instead, as written by `diagnose --drive`.
-    truth : {"mocap", "rtk"}
-        Source of the truth.
-    heading : {"wheels", "gyro"}, optional
-        Source of the heading; by default the one that the fault requires.
-    drive_type : {"differential", "skid"}
-        Wheel layout.
-    duration_s : float, optional
-        Seconds; by default 600, or the length of `drive`.
-    answer : path, optional
-        File for the answer.
-    overwrite : bool
-        Whether existing files are replaced.
+    target : MCAP to write, with its answer beside it. None writes nothing
+    effects : names of faults; none: hidden ones are drawn; ("none",): a robot without faults
+    parameters : parameters of faults by name, instead of drawn ones
+    size : factor on the magnitude of a drawn fault
+    seed, robot : seeds of the drive with its noise, by default drawn, and of the robot with its fault, by default
+        `seed`
+    route : office, loops, shuttle, slalom, yard or umbmark
+    drive : bag with /cmd_vel to follow instead, as written by `diagnose --drive`
+    truth : "mocap" or "rtk"; source of the truth
+    heading : "wheels" or "gyro"; source of the heading; by default the one that the fault requires
+    drive_type : "differential" or "skid"; wheel layout
+    duration_s : seconds; by default 600, or the length of `drive`
+    answer : file for the answer
+    overwrite : whether existing files are replaced
 
     Returns
     -------
@@ -171,11 +161,6 @@ def simulate(
     >>> run.answer["cause"]
     'wheelbase'
     """
-    from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
-    from odomcorrupt.simulation.routes import read_commands
-    from odomcorrupt.simulation.run import Scenario, fingerprint, format_answer, write_mcap
-    from odomcorrupt.simulation.run import simulate as simulate_run
-
     path = None if target is None else Path(fspath(target))
     secret = None if path is None else path.with_suffix(".answer.toml")
     secret = secret if answer is None else Path(fspath(answer))

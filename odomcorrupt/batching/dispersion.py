@@ -16,10 +16,9 @@ from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import BatchError, EffectError
 from odomcorrupt.model.model_file import parse_model, read_model
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from odomcorrupt.batching.sinks import TumPath
@@ -177,8 +176,8 @@ def _path(
     return samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]
 
 
-def spread_brief(report: SpreadReport, following: Sequence[object] = ()) -> Summary:
-    """Return whether the dispersion at the end is as predicted, its values along the drive, and the next command."""
+def spread_brief(report: SpreadReport) -> Summary:
+    """Return whether the dispersion at the end is as predicted, and its values along the drive."""
     last = report.rows[-1]
     ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
     # standard error of the logarithm of the root of a sum of variances, estimated from this many normal errors
@@ -196,7 +195,7 @@ def spread_brief(report: SpreadReport, following: Sequence[object] = ()) -> Summ
     lines.append(Line("mean", mean))
     if report.random_effects:
         lines.append(Line("note", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
-    return Summary((*lines, command_line(following)))
+    return Summary(tuple(lines))
 
 
 def spread_text(report: SpreadReport) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import added, one_of, setting
+from odomcorrupt.commands._options import added, setting, valued
 from odomcorrupt.commands._standard import overwrite_option
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ frame_options = added(
 """Adds the options that select odometry and frames."""
 
 keeping_options = added(
-    one_of("--twist", among=["model", "keep"], text="Twists: recomputed with the poses, or unchanged."),
-    one_of("--covariance", among=["model", "keep"], text="Covariances: recomputed, or unchanged."),
+    valued("--twist", among=["model", "keep"], text="Twists: recomputed with the poses, or unchanged."),
+    valued("--covariance", among=["model", "keep"], text="Covariances: recomputed, or unchanged."),
 )
 """Adds the options that leave twists or covariances unchanged."""
 
@@ -48,7 +48,7 @@ moving_options = added(
     click.option(
         "--keep-localisation", is_flag=True, help="Invert the change in map -> odom, so that map -> base is unchanged."
     ),
-    one_of(
+    valued(
         "--tf", among=["odometry", "correction", "subtraction"],
         text="Move the odometry, or leave it and publish the drift as a transform: a rigid transform (correction), or "
         "noisy minus clean poses, which is not rigid (subtraction; Gazebo article, docs/laws.md).",

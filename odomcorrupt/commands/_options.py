@@ -62,10 +62,25 @@ def added(*options: Decorator) -> Decorator:
     return add
 
 
-def one_of(*words: str, among: Sequence[str], text: str, default: str | None = None) -> Decorator:
-    """Return an option with a choice of words, by default the first; its help is `text` and the default."""
-    chosen = default or among[0]
-    return click.option(*words, type=click.Choice(among), default=chosen, help=f"{text} [default: {chosen}]")
+def valued(
+    *words: str,
+    text: str,
+    kind: Any = None,
+    among: Sequence[str] = (),
+    default: float | str | None = None,
+    metavar: str | None = None,
+    cls: type[click.Option] = click.Option,
+) -> Decorator:
+    """Return an option with a default, which its help states after `text`; of a choice of words it is the first one.
+
+    kind, among : type of the value, or the words to choose from
+    """
+    chosen = among[0] if default is None else default
+    said = f"{chosen:g}" if isinstance(chosen, float) else chosen
+    return click.option(
+        *words, cls=cls, type=click.Choice(among) if among else kind, default=chosen, metavar=metavar,
+        help=f"{text} [default: {said}]",
+    )  # fmt: skip
 
 
 PICTURES = ("png", "svg", "pdf")
@@ -97,6 +112,15 @@ class OutputFile(click.Path):
             require("matplotlib")
         refuse_existing(path, overwrite=overwrite)
 
+
+seed_option = setting(
+    "--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]"
+)
+run_options = added(
+    seed_option,
+    valued("--run", kind=click.IntRange(0), default=0, metavar="N", text="Number of the run under this seed."),
+)
+"""Add the options of the draws: their seed, and the run under it."""
 
 OUTPUT, PICTURE, PAGE = OutputFile(), OutputFile(*PICTURES), OutputFile(drawn=True)
 

@@ -14,6 +14,7 @@ from click.core import ParameterSource
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._options import OUTPUT, PAGE, TRACK, Decorator, Number, Share, added, setting
 from odomcorrupt.commands._progress import Stages
+from odomcorrupt.commands._standard import written
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
 from odomcorrupt.result_files import write_text
@@ -42,21 +43,13 @@ class Reading(NamedTuple):
         return Stages(quiet=console.quiet)
 
     def read(
-        self, paths: Sequence[Path], console: Console, stages: Stages, *, track: float | None = None
-    ) -> Recordings:
-        """Return the recordings; `track` is that of a model, used if the command line gives none."""
-        return self.read_with_held_out(paths, (), console, stages, track=track)[0]
+        self, paths: Sequence[Path], console: Console, stages: Stages, *, track: float | None = None,
+        held_out: Sequence[Path] = (),
+    ) -> tuple[Recordings, Recordings | None]:  # fmt: skip
+        """Return recordings, and held-out ones (None without any); several truth bags cover both in order.
 
-    def read_with_held_out(
-        self,
-        paths: Sequence[Path],
-        held_out: Sequence[Path],
-        console: Console,
-        stages: Stages,
-        *,
-        track: float | None = None,
-    ) -> tuple[Recordings, Recordings | None]:
-        """Return recordings, and held-out ones (None without any); several truth bags cover both in order."""
+        track : that of a model, used if the command line gives none
+        """
         from odomcorrupt.api.recordings import describe, read_recordings
 
         count = len(paths) + len(held_out)
@@ -206,13 +199,10 @@ advice_options = added(
 
 def advice_files(result: Findings, drive: Path | None, report: Path | None) -> Files:
     """Return the writers of the drive (/cmd_vel) and the report; no drive is written if nothing is open."""
-    files: dict[Path, Callable[[], object]] = {}
-    if drive is not None:
-        files[drive] = lambda: (
-            f"wrote {drive}: {said}"
-            if (said := result.save_next_drive(drive, overwrite=True))
-            else f"{drive} is not written: there is no open question that another drive would answer"
-        )
-    if report is not None:
-        files[report] = lambda: write_text(report, result.report())
-    return files
+
+    def save(path: Path) -> str:
+        said = result.save_next_drive(path, overwrite=True)
+        nothing = f"{path} is not written: there is no open question that another drive would answer"
+        return f"wrote {path}: {said}" if said else nothing
+
+    return {**written(drive, save), **written(report, lambda path: write_text(path, result.report()))}

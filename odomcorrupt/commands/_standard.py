@@ -19,7 +19,7 @@ from click.core import ParameterSource
 from odomcorrupt import commands
 from odomcorrupt.commands._options import Decorator, OutputFile, Setting, added
 from odomcorrupt.input_files import TOML_BYTES, parse_toml, read_input
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.plain import finite
 from odomcorrupt.summary import Summary, wrapped
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Console(NamedTuple):
         bag : the bag that was written: text goes to stderr, because stdout may carry a bag; JSON to stdout, except
             if the bag is "-"
         """
-        brief = "" if self.as_json or self.quiet else result.summary()
+        brief = "" if self.as_json or self.quiet else result.brief
         details = result.details() if self.verbose and not self.as_json else ""
         self.print(brief, details, result.to_dict() if self.as_json else None, files=files, bag=bag)
 

@@ -10,9 +10,8 @@ from typing import Any
 import click
 
 from odomcorrupt.commands._bag import bag_words, container_options, moving_options, threads_option
-from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import FILE, one_of, setting, usage_errors
+from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
+from odomcorrupt.commands._options import FILE, setting, usage_errors, valued
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 from odomcorrupt.errors import BatchError, BatchOptionError
 
@@ -40,11 +39,11 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @click.option("--runs", type=click.IntRange(1), required=True, metavar="N", help="Make runs 0 to N - 1.")
 @model_options
 @setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: the batch's, or drawn]")
-@one_of(
+@valued(
     "--output", among=["full", "overlay", "trajectories"],
     text="Whole bags, only the changed topics, or only paths (TUM, npz).",
 )  # fmt: skip
-@one_of(
+@valued(
     "--layout", among=["same", "split"],
     text="Chunks as in the input, or changed messages in chunks of their own: faster.",
 )  # fmt: skip
@@ -66,7 +65,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     help="As alpha-scale=0.5,1,2, or a range as wheel_scale.e=0..0.02 with --points (repeatable).",
 )  # fmt: skip
 @click.option("--points", type=click.IntRange(0), default=0, metavar="N", help="Cover all ranges by N Sobol points.")
-@click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Processes. [default: 1]")
+@valued("--jobs", kind=click.IntRange(1), default=1, metavar="N", text="Processes.")
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")
 @threads_option

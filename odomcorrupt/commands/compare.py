@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,7 +49,7 @@ def command(
     Recordings that a model was fitted on, under any name, cross-validate it: the model is refitted without each of
     them, or each half of the only one, and evaluated on it.
     """
-    from odomcorrupt.api.comparison import compare, named_models
+    from odomcorrupt.api.findings import compare, named_models
 
     paths, names = split_arguments(arguments)
     if not names:
@@ -62,15 +60,16 @@ def command(
     models = named_models(list(dict.fromkeys(names)))
     track = next((m.motion_model.track_m for m in models.values() if m.motion_model.track_m is not None), None)
     with reading.stages(console) as stages:
-        runs = reading.read(paths, console, stages, track=track)
+        runs, _ = reading.read(paths, console, stages, track=track)
         stages("comparison", 0.0)
         result = compare(runs, models)
-    words = shlex.join([*map(str, paths), *reading.words, names[-1]])
     files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     if report is not None:
         files[report] = lambda: write_text(report, result.report())
-    use = f"odomcorrupt sim.bag noisy.bag --model {shlex.quote(names[-1])}"
-    console.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.fails else use), files=files)
+    following = ["sim.bag", "noisy.bag", "--model", names[-1]]
+    if result.fails:
+        following = ["diagnose", *map(str, paths), *reading.words, names[-1]]
+    console.show(result.then("odomcorrupt", *following), files=files)
     return REJECTED if fail_if_rejected and result.fails else 0
 
 

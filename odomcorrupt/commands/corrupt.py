@@ -17,9 +17,8 @@ from odomcorrupt.commands._bag import (
     source_of,
     threads_option,
 )
-from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import setting
+from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
+from odomcorrupt.commands._options import run_options
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 
@@ -47,10 +46,7 @@ def keep_freed_memory() -> None:
 @further_inputs
 @output_option()
 @model_options
-@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
-@click.option(
-    "--run", type=click.IntRange(0), default=0, metavar="N", help="Number of the run under this seed. [default: 0]"
-)
+@run_options
 @click.option(
     "--also", multiple=True, metavar="TOPIC",
     help="Odometry of another robot in the bag, corrupted with a drift of its own (repeatable).",

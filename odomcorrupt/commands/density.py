@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from odomcorrupt.commands._map import choose_condition, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_move, move_options
-from odomcorrupt.commands._options import PICTURE, POSE, one_of, save_picture, setting, usage_errors
+from odomcorrupt.commands._model import AlphaCommand, choose_condition, choose_move, map_options, move_options
+from odomcorrupt.commands._options import PICTURE, POSE, save_picture, setting, usage_errors, valued
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
 
@@ -22,7 +20,7 @@ if TYPE_CHECKING:
 )
 @click.option("--plot", "-o", "--output", "output", type=PICTURE, help="Picture: .png, .svg or .pdf.")
 @move_options
-@one_of(
+@valued(
     "--reading", among=["pose", "product", "hypothetical"],
     text="A density over poses; the lecture's p1 p2 p3; or the same as the book prints it, with the variances of the "
     "motion to each pose.",
@@ -63,5 +61,4 @@ def command(
     following = ["density", *typed_words("--output", "--overwrite"), "--plot", "density.png"]
     if output is not None:
         following = ["sample", *typed_words("--output", "--overwrite", "--at", "--reading")]
-    shown = replace(found, following=("odomcorrupt", *following))
-    console.show(shown, files=written(output, draw))
+    console.show(found.then("odomcorrupt", *following), files=written(output, draw))

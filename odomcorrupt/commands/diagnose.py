@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
@@ -41,23 +39,23 @@ def command(
     # an unreadable model is reported before minutes of work
     model = Model.load(names[0]) if names else None
     with reading.stages(console) as stages:
-        runs = reading.read(paths, console, stages, track=model.motion_model.track_m if model else None)
+        runs, _ = reading.read(paths, console, stages, track=model.motion_model.track_m if model else None)
         result = diagnose(runs, names[0] if names else None, watch=stages)
     words = [*map(str, paths), *reading.words]
-    result = replace(result, following=_following(result, words, names))
+    result = result.then(*_following(result, words, names))
     console.show(result, files=advice_files(result, drive, report))
 
 
-def _following(result: Diagnosis, words: list[str], models: list[str]) -> str:
+def _following(result: Diagnosis, words: list[str], models: list[str]) -> list[str]:
     """Return the command that adds the missing effects, or evaluates a model that lacks none."""
     if not all(run.positioned for run in result.recordings):
         # a model needs travel
-        return ""
+        return []
     if result.result.search.laws or not (result.missing or models):
         # only `learn` writes a dependence, and the effects found hold only beside it
-        return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
+        return ["odomcorrupt", "learn", *words, "-o", "robot.toml"]
     if not result.missing:
-        return f"odomcorrupt compare {shlex.join([*words, *models])}"
+        return ["odomcorrupt", "compare", *words, *models]
     start = ["--start", models[0]] if models else []
     added = [word for effect in result.missing for word in ("--add", effect)]
-    return f"odomcorrupt fit {shlex.join([*words, *start, *added])} -o robot.toml"
+    return ["odomcorrupt", "fit", *words, *start, *added, "-o", "robot.toml"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Decorator, Number, setting, usage_errors
+from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Number, setting, usage_errors, valued
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError
 
@@ -19,10 +19,6 @@ if TYPE_CHECKING:
 _EVERY = "nothing would let amcl update at every scan"
 
 
-def _number(flag: str, kind: Number, default: float, metavar: str, text: str) -> Decorator:
-    return click.option(flag, type=kind, default=default, show_default=True, metavar=metavar, help=text)
-
-
 @click.command("export", short_help="Print a model as parameters of ros2_control, nav2 or robot_localization.")
 @click.argument("model", type=FILE)
 @click.option(
@@ -32,22 +28,42 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
 @setting(
     "--track", "track_m", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]"
 )
-@_number("--update-min-d", Number("metres", 0.0, 1e3, above=True, else_=_EVERY), 0.25, "M", "amcl's update distance.")
-@_number("--update-min-a", Number("radians", 0.0, 1e3, above=True, else_=_EVERY), 0.2, "RAD", "amcl's update angle.")
-@click.option(
-    "--turn", type=click.Choice(["rolling", "spot"]), default="rolling", show_default=True,
-    help="Turn on which amcl's noise is matched to the model's: along an arc, or on the spot.",
-)  # fmt: skip
-@_number("--speed", Number("m/s", 0.0, 1e3), 0.5, "M/S", "Speed at which the noise is evaluated.")
-@_number("--turn-rate", Number("rad/s", 0.0, 1e3), 0.5, "RAD/S", "Turn rate at which the noise is evaluated.")
-@_number("--rate", Number("messages per second", 0.0, 1e6, above=True), 50.0, "HZ", "Rate of odometry messages.")
-@click.option(
-    "--controller",
-    default="diff_drive_controller",
-    show_default=True,
-    metavar="NAME",
-    help="Name of the node in the YAML.",
+@valued(
+    "--update-min-d",
+    kind=Number("metres", 0.0, 1e3, above=True, else_=_EVERY),
+    default=0.25,
+    metavar="M",
+    text="amcl's update distance.",
 )
+@valued(
+    "--update-min-a",
+    kind=Number("radians", 0.0, 1e3, above=True, else_=_EVERY),
+    default=0.2,
+    metavar="RAD",
+    text="amcl's update angle.",
+)
+@valued(
+    "--turn", among=["rolling", "spot"],
+    text="Turn on which amcl's noise is matched to the model's: along an arc, or on the spot.",
+)  # fmt: skip
+@valued(
+    "--speed", kind=Number("m/s", 0.0, 1e3), default=0.5, metavar="M/S", text="Speed at which the noise is evaluated."
+)
+@valued(
+    "--turn-rate",
+    kind=Number("rad/s", 0.0, 1e3),
+    default=0.5,
+    metavar="RAD/S",
+    text="Turn rate at which the noise is evaluated.",
+)
+@valued(
+    "--rate",
+    kind=Number("messages per second", 0.0, 1e6, above=True),
+    default=50.0,
+    metavar="HZ",
+    text="Rate of odometry messages.",
+)
+@valued("--controller", kind=str, default="diff_drive_controller", metavar="NAME", text="Name of the node in the YAML.")
 @click.option("-o", "--output", type=OUTPUT, help="Write the YAML to a file.")
 @overwrite_option()
 @standard_options
@@ -75,5 +91,7 @@ def command(model: Path, *, target: Target | None, output: Path | None, console:
         "ros2_control": ["ros2", "run", "controller_manager", "spawner", given["controller"], "--param-file", output],
         "robot_localization": ["ros2", "run", "robot_localization", "ekf_node", "--ros-args", "--params-file", output],
     }
-    shown = replace(result, name=model.name, following=tuple(load[target]))
-    console.show(shown, files={output: lambda: result.save(output, overwrite=True)})
+    console.show(
+        replace(result, name=model.name).then(*load[target]),
+        files={output: lambda: result.save(output, overwrite=True)},
+    )

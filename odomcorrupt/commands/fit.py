@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
@@ -60,7 +58,7 @@ def command(
     Of the set-up, a lever arm and a mounting yaw of the truth are fitted if the data show them. Several recordings
     are runs of one robot, each with its own clock.
     """
-    from odomcorrupt.api.fit import fit, require_effects
+    from odomcorrupt.api.findings import fit, require_effects
     from odomcorrupt.api.model import Model
 
     paths, models = split_arguments(recordings)
@@ -74,14 +72,16 @@ def command(
     begin = None if start is None else Model.load(start)
     require_effects(begin, add)
     with reading.stages(console) as stages:
-        runs = reading.read(paths, console, stages, track=begin.motion_model.track_m if begin else None)
+        runs, _ = reading.read(paths, console, stages, track=begin.motion_model.track_m if begin else None)
         stages("fit", 0.0)
         result = fit(runs, add, start=begin, law=law)
-    words = [*map(str, paths), *reading.words]
-    shown = replace(result, following=f"odomcorrupt compare {shlex.join([*words, str(output)])}")
-    if output is None:
-        shown = replace(result, following=shlex.join(["odomcorrupt", "fit", *typed_words(), "-o", "robot.toml"]))
-    console.show(shown, files=written(output, lambda path: result.model.save(path, overwrite=True)))
+    following = ["fit", *typed_words(), "-o", "robot.toml"]
+    if output is not None:
+        following = ["compare", *map(str, paths), *reading.words, str(output)]
+    console.show(
+        result.then("odomcorrupt", *following),
+        files=written(output, lambda path: result.model.save(path, overwrite=True)),
+    )
 
 
 def _square_test(
@@ -93,7 +93,7 @@ def _square_test(
     console: Console,
 ) -> None:
     """Fit a square test's effects to the ends of drives."""
-    from odomcorrupt.api.fit import fit_returns
+    from odomcorrupt.api.findings import fit_returns
 
     given = reading.given
     for name in ("truth", "truth_bags", "imu", "relative"):

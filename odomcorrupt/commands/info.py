@@ -18,7 +18,7 @@ from odomcorrupt.commands._standard import Console, standard_options
 @standard_options
 def command(input_: str, further: tuple[str, ...], *, console: Console, **given: Any) -> int:
     """Show a bag's topics, frames and edges, its motion, anomalies, and topics that still contain the true motion."""
-    from odomcorrupt.api.info import info
+    from odomcorrupt.api.preview import info
 
     input_ = one_input((input_, *further))
     source_of(input_)  # a terminal is refused

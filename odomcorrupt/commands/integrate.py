@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
-from odomcorrupt.commands._options import PICTURE, one_of, setting, usage_errors
+from odomcorrupt.commands._options import PICTURE, setting, usage_errors, valued
 from odomcorrupt.commands._standard import (
     Console,
     chosen_output,
@@ -29,13 +28,13 @@ _BAG = click.Path(path_type=Path)
 @click.argument("input_", metavar="INPUT", type=_BAG)
 @click.argument("output", metavar="[OUTPUT]", type=_BAG, required=False)
 @output_option()
-@one_of(
+@valued(
     "--integrate", "rule", among=["euler", "midpoint", "exact"], default="exact",
     text="Integration rule: initial heading of an interval, middle heading, or arc.",
 )  # fmt: skip
-@one_of("--hold", among=["next", "previous"], text="A twist holds until the next stamp, or from the previous one.")
+@valued("--hold", among=["next", "previous"], text="A twist holds until the next stamp, or from the previous one.")
 @setting("--twist-noise", nargs=2, type=float, metavar="V OMEGA", help="White noise on every twist: m/s and rad/s.")
-@click.option("--runs", type=click.IntRange(1, 100_000), default=1, help="How many noisy runs to draw. [default: 1]")
+@valued("--runs", kind=click.IntRange(1, 100_000), default=1, text="How many noisy runs to draw.")
 @setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of the noise. [default: drawn, and printed]")
 @setting(*ODOM_TOPIC, metavar="TOPIC", help="Odometry whose twists are taken.")
 @setting("--truth", metavar="TOPIC", help="Poses to compare with. [default: a topic named like a truth]")
@@ -68,9 +67,9 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
     with usage_errors(ModelError):
         result = integrate(input_, **given)
     if output is not None:
-        result = replace(result, following=("odomcorrupt", "info", output))
+        result = result.then("odomcorrupt", "info", output)
     elif plot is None:
-        result = replace(result, following=("odomcorrupt", "integrate", *typed_words(), "--plot", "errors.png"))
+        result = result.then("odomcorrupt", "integrate", *typed_words(), "--plot", "errors.png")
 
     def save(path: Path) -> str:
         done = result.save(path, overwrite=overwrite)

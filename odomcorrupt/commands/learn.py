@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,13 +55,13 @@ def command(
     if models:
         raise click.UsageError(f"{models[0]} is a model; `fit --start` and `diagnose` take models")
     with reading.stages(console) as stages:
-        runs, held_out = reading.read_with_held_out(paths, validate, console, stages)
+        runs, held_out = reading.read(paths, console, stages, held_out=validate)
         result = learn(runs, validate=held_out or (), watch=stages)
     evaluated_on = [*map(str, validate or paths), *reading.words]
     usable = not result.comparison.fails and result.result.reproduction.holds
     worse = output is not None and result.comparison.worse
     following = _following(None if worse else output, [*map(str, paths), *reading.words], evaluated_on, usable=usable)
-    result = replace(result, following=following)
+    result = result.then(*following)
     saved = written(None if worse else output, lambda path: result.model.save(path, overwrite=True))
     console.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})
     if worse:
@@ -73,10 +71,10 @@ def command(
         )
 
 
-def _following(model: Path | None, words: Sequence[str], evaluated_on: Sequence[str], *, usable: bool) -> str:
+def _following(model: Path | None, words: Sequence[str], evaluated_on: Sequence[str], *, usable: bool) -> list[str]:
     """Return the next command: evaluate the model, corrupt with it, or write one first."""
     if model is None:
-        return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
+        return ["odomcorrupt", "learn", *words, "-o", "robot.toml"]
     if not usable:
-        return f"odomcorrupt compare {shlex.join([*evaluated_on, str(model)])} -v"
-    return f"odomcorrupt sim.bag noisy.bag --model {shlex.quote(str(model))}"
+        return ["odomcorrupt", "compare", *evaluated_on, str(model), "-v"]
+    return ["odomcorrupt", "sim.bag", "noisy.bag", "--model", str(model)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import FILE, PAGE, PICTURE, POSE, Number, one_of, setting, usage_errors
+from odomcorrupt.commands._options import FILE, PAGE, PICTURE, POSE, Number, run_options, setting, usage_errors, valued
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import MapError
@@ -22,18 +21,11 @@ _ASKED = ("seed", "run", "scan", "odom_topic", "truth", "laser_pose", "max_yaw_r
 @click.command("map", cls=AlphaCommand, short_help="Draw laser maps with clean and with noisy odometry.")
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option(
-    "-o",
-    "--output",
-    "--plot",
-    "output",
-    type=FILE,
+    "-o", "--output", "--plot", "output", type=FILE,
     help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml.",
-)
+)  # fmt: skip
 @model_options
-@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
-@click.option(
-    "--run", type=click.IntRange(0), default=0, metavar="N", help="Number of the run under this seed. [default: 0]"
-)
+@run_options
 @setting("--scan", metavar="TOPIC", help="Laser scans. [default: the only such topic]")
 @setting(*ODOM_TOPIC, metavar="TOPIC", help="Odometry that places the scans.")
 @setting("--truth", metavar="TOPIC", help="Draw the map through these poses as well.")
@@ -42,11 +34,10 @@ _ASKED = ("seed", "run", "scan", "odom_topic", "truth", "laser_pose", "max_yaw_r
     "--max-yaw-rate", type=Number("rad/s", 0.0, 1e3), metavar="W",
     help="Leave out rays shot while turning faster, rad/s; not with --method laser.",
 )  # fmt: skip
-@click.option(
-    "--resolution", type=Number("metres", 0.0, 1e3, above=True), default=0.05,
-    help="Cell size of the maps, metres. [default: 0.05]",
-)  # fmt: skip
-@one_of(
+@valued(
+    "--resolution", kind=Number("metres", 0.0, 1e3, above=True), default=0.05, text="Cell size of the maps, metres."
+)
+@valued(
     "--method", among=["odometry", "laser"],
     text="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png.",
 )  # fmt: skip
@@ -73,9 +64,9 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
         result = draw_maps(bag, model, method=method, watch=stages, **{name: given[name] for name in _ASKED})
     if method == "odometry" and maps is None:
         words = typed_words("--output", "--overwrite")
-        result = replace(result, following=("odomcorrupt", "map", *words, "-o", "map.png"))
+        result = result.then("odomcorrupt", "map", *words, "-o", "map.png")
     if method == "laser" and maps is not None:
-        result = replace(result, following=("odomcorrupt", "learn", bag, "--truth-file", maps.with_suffix(".tum")))
+        result = result.then("odomcorrupt", "learn", bag, "--truth-file", maps.with_suffix(".tum"))
 
     def save(path: Path) -> str:
         files = result.save(path, overwrite=overwrite)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from odomcorrupt.commands import corrupt
 from odomcorrupt.commands._bag import bag_options, bag_words, report_losses, source_of
-from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import PICTURE, setting
+from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
+from odomcorrupt.commands._options import PICTURE, seed_option, valued
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 
@@ -23,11 +21,9 @@ if TYPE_CHECKING:
 @click.command("preview", cls=AlphaCommand, short_help="Forecast what a motion model will do to a bag.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @model_options
-@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
-@click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="The first of the runs. [default: 0]")
-@click.option(
-    "--runs", type=click.IntRange(2, 100_000), default=100, metavar="N", help="How many to draw. [default: 100]"
-)
+@seed_option
+@valued("--run", kind=click.IntRange(0), default=0, metavar="N", text="The first of the runs.")
+@valued("--runs", kind=click.IntRange(2, 100_000), default=100, metavar="N", text="How many to draw.")
 @bag_options
 @map_options
 @click.option("--plot", "-o", "--output", type=PICTURE, help="Picture: .png, .svg or .pdf.")
@@ -53,7 +49,7 @@ def command(input_: str, plot: Path | None, *, console: Console, **given: Any) -
     following = ["odomcorrupt", "preview", *typed_words("--plot", "--overwrite"), *seed, "--plot", "fan.png"]
     if plot is not None:
         following = ["odomcorrupt", *typed_words("--plot", "--overwrite", "--runs"), "noisy.mcap", *seed]
-    console.show(replace(result, following=tuple(following)), files=written(plot, result.plot))
+    console.show(result.then(*following), files=written(plot, result.plot))
     return report_losses(result.losses)
 
 

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
-from odomcorrupt.commands._map import choose_condition, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
-from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, setting, usage_errors
+from odomcorrupt.commands._model import (
+    AlphaCommand,
+    choose_condition,
+    choose_model,
+    choose_move,
+    map_options,
+    move_options,
+)
+from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, seed_option, setting, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
 from odomcorrupt.result_files import write_text
@@ -36,7 +41,7 @@ _RESULT = OutputFile(*PICTURES, "csv", "json")
     help="Along a bag: distance between clouds, metres.",
 )
 @setting(*ODOM_TOPIC, metavar="TOPIC", help="Along a bag: odometry topic.")
-@setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of all draws. [default: drawn, and printed]")
+@seed_option
 @overwrite_option()
 @unpack_option
 @standard_options
@@ -88,5 +93,5 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
             del values["schema"]
             write_text(path, json.dumps(values, indent=1) + "\n")
 
-    shown = replace(drawn, following=("odomcorrupt", *following))
+    shown = drawn.then("odomcorrupt", *following)
     console.show(shown, files=written(output, write))

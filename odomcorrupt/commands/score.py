@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import functools
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, PICTURES, Number, OutputFile, kind_of, one_of, setting
+from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, PICTURES, Number, OutputFile, kind_of, setting, valued
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words
 from odomcorrupt.input_files import read_input
@@ -34,33 +33,24 @@ _BASELINE_BYTES = 1 << 28
 )  # fmt: skip
 @setting("--truth", metavar="TOPIC", help="Topic or edge of TF. [default: the odometry before it was corrupted]")
 @click.option("--truth-bag", type=click.Path(exists=True, path_type=Path), help="Bag, TUM or CSV with the truth.")
-@one_of(
+@valued(
     "--align",
     among=["rigid", "origin", "none", "same"],
     text="Align estimate and truth: best fit of positions, equal first poses, none (both in one frame), or none "
     "although their frames have different names (same).",
 )
-@click.option(
-    "--lost",
-    "lost_m",
-    type=Number("metres", 0.0, 1e6),
-    default=1.0,
-    help="Position error beyond which a run is lost, metres. [default: 1]",
-)
-@click.option(
-    "--lost-for",
-    "lost_s",
-    type=Number("seconds", 0.0, 1e6),
-    default=10.0,
-    help="Time that such an error must last, seconds (or until the end). [default: 10]",
-)
-@click.option(
-    "--jump",
-    "jump_m",
-    type=Number("metres", 0.0, 1e6),
-    default=0.5,
-    help="Change of the error within a second that is a jump, metres. [default: 0.5]",
-)
+@valued(
+    "--lost", "lost_m", kind=Number("metres", 0.0, 1e6), default=1.0,
+    text="Position error beyond which a run is lost, metres.",
+)  # fmt: skip
+@valued(
+    "--lost-for", "lost_s", kind=Number("seconds", 0.0, 1e6), default=10.0,
+    text="Time that such an error must last, seconds (or until the end).",
+)  # fmt: skip
+@valued(
+    "--jump", "jump_m", kind=Number("metres", 0.0, 1e6), default=0.5,
+    text="Change of the error within a second that is a jump, metres.",
+)  # fmt: skip
 @click.option("--count-missing", is_flag=True, hidden=True, expose_value=False)
 @click.option(
     "--baseline",
@@ -87,7 +77,7 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
     Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
     """
     from odomcorrupt.api.score import score
-    from odomcorrupt.report.text.score import gate_lines
+    from odomcorrupt.report.score import gate_lines
     from odomcorrupt.scoring.errors import Limits
     from odomcorrupt.scoring.gate import parse_rule
 
@@ -120,8 +110,8 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
         path: functools.partial(_write, path, text) for path, text in texts if path is not None
     }
     files |= {path: functools.partial(result.plot, path) for path in pictures if path is not None}
-    following = ("odomcorrupt", "score", *typed_words(), "--report", "page.html")
-    console.show(replace(result, following=() if given["report"] else following), files=files)
+    following = () if given["report"] else ("odomcorrupt", "score", *typed_words(), "--report", "page.html")
+    console.show(result.then(*following), files=files)
     return 1 if result.failed else 0
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, Number, setting, usage_errors
+from odomcorrupt.commands._options import FILE, Number, setting, usage_errors, valued
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
@@ -75,44 +75,27 @@ def _size(text: str) -> float:
     "--effect", "effects", multiple=True, metavar="hidden|none|NAME[:KEY=VALUE,...]",
     help="Fault of the robot (repeatable; an unknown name lists all). [default: hidden]",
 )  # fmt: skip
-@click.option(
-    "--size", default="medium", show_default=True, help="Size of a drawn fault: weak, medium, strong, number."
-)
+@valued("--size", kind=str, default="medium", text="Size of a drawn fault: weak, medium, strong, number.")
 @setting("--seed", type=click.IntRange(0), help="Seed of the drive and its noise. [default: drawn, and printed]")
 @click.option("--robot", type=click.IntRange(0), help="Seed of the robot and its fault. [default: the drive's]")
-@click.option(
-    "--route", type=click.Choice(["office", "loops", "shuttle", "slalom", "yard", "umbmark"]), default="office",
-    show_default=True, help="Route; with --drive, the route from which the place of a fault is drawn.",
+@valued(
+    "--route", among=["office", "loops", "shuttle", "slalom", "yard", "umbmark"],
+    text="Route; with --drive, the route from which the place of a fault is drawn.",
 )  # fmt: skip
 @click.option(
     "--drive", type=click.Path(exists=True, path_type=Path),
     help="Bag whose /cmd_vel the robot follows instead, as written by `diagnose --drive`.",
 )  # fmt: skip
+@valued("--truth", among=["mocap", "rtk"], text="Instrument that records the truth.")
 @click.option(
-    "--truth",
-    type=click.Choice(["mocap", "rtk"]),
-    default="mocap",
-    show_default=True,
-    help="Instrument that records the truth.",
-)
-@click.option(
-    "--heading",
-    type=click.Choice(["wheels", "gyro"]),
+    "--heading", type=click.Choice(["wheels", "gyro"]),
     help="Source of the odometry's heading. [default: as the fault requires]",
-)
+)  # fmt: skip
+@valued("--drive-type", among=["differential", "skid"], text="Wheel layout.")
 @click.option(
-    "--drive-type",
-    type=click.Choice(["differential", "skid"]),
-    default="differential",
-    show_default=True,
-    help="Wheel layout.",
-)
-@click.option(
-    "--duration",
-    "duration_s",
-    type=Number("seconds", 10.0, 1e6),
+    "--duration", "duration_s", type=Number("seconds", 10.0, 1e6),
     help="Duration of the drive, seconds. [default: 600, or that of --drive]",
-)
+)  # fmt: skip
 @click.option("--answer", type=FILE, help="File for the true faults. [default: OUTPUT.answer.toml]")
 @overwrite_option("existing files", passed=True)
 @standard_options

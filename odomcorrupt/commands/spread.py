@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -22,4 +21,4 @@ def command(directory: Path, plot: Path | None, *, console: Console) -> None:
 
     result = spread(directory)
     following = ("spread", directory, "--plot", "spread.png") if plot is None else ("score", "-h")
-    console.show(replace(result, following=("odomcorrupt", *following)), files=written(plot, result.plot))
+    console.show(result.then("odomcorrupt", *following), files=written(plot, result.plot))

@@ -213,11 +213,11 @@ class TopicTwist:
         turn[:, 0, 0] = turn[:, 1, 1] = np.cos(noisy_rad)
         turn[:, 1, 0] = np.sin(noisy_rad)
         turn[:, 0, 1], turn[:, 2, 2] = -turn[:, 1, 0], 1.0
-        # an error of the heading turns the velocity
-        aside = np.stack((-noisy[:, 1], noisy[:, 0], np.zeros(len(rows))), axis=1)
-        yaw = pose_covariance(at.sums[:, rows], np.zeros((2, len(rows))))[:, 2, 2]
         covariance[rows] = turn @ covariance[rows] @ turn.transpose(0, 2, 1)
-        covariance[rows] += yaw[:, None, None] * aside[:, :, None] * aside[:, None, :]
+        # an error of the heading turns the velocity, whose own error counts: beside a robot that seems to stand, too
+        square = covariance[rows, :2, :2] + noisy[:, :, None] * noisy[:, None, :]
+        yaw = pose_covariance(at.sums[:, rows], np.zeros((2, len(rows))))[:, 2, 2]
+        covariance[rows, :2, :2] += yaw[:, None, None] * square[:, ::-1, ::-1] * [[1.0, -1.0], [-1.0, 1.0]]
         return TwistChange(found.known, added, covariance, clean, axes)
 
 

@@ -15,10 +15,10 @@ from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message, size_words
 from odomcorrupt.corruption.transform import Transform
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -179,13 +179,12 @@ def _changes_at_half_rate(outlook: Forecast) -> bool:
     return abs(outlook.half_rate_position - 1.0) > SAME or abs(outlook.half_rate_heading - 1.0) > SAME
 
 
-def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, following: Sequence[object] = ()) -> Summary:
+def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int) -> Summary:
     """Return a short summary: drift at the end and on the way, model, dependence on the message rate.
 
     outlook, model : the forecast, and its model
     origin : source of the model's numbers, in words
     seed : seed of the runs
-    following : suggested next command, if any
     """
     end = outlook.rows[-1]
     said = f"{size_words(end.position_rms_m, end.heading_rms_rad)} RMS after {outlook.distance_m:.4g} m"
@@ -201,7 +200,7 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, followi
     lines.append(Line("model", model_brief(model, origin.partition(":")[0])))
     if not per_message(model.noise) and not model.noise.coefficients.noise_free:
         lines.append(Line("rate", "the noise does not depend on the message rate"))
-    return Summary((*lines, command_line(following)))
+    return Summary(tuple(lines))
 
 
 def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int) -> str:

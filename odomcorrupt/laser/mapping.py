@@ -11,11 +11,9 @@ from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.mapping.frames import Mount
 from odomcorrupt.mapping.scan_map import Rays, scan_maps
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.trajectory import LaserRun
     from odomcorrupt.mapping.scan_map import ScanMap
@@ -94,14 +92,14 @@ def laser_maps(whole: LaserRun, error_xyt: Array, resolution_m: float) -> LaserM
     return LaserMaps(paths["corrected by the laser"], maps, placed, parts, remarks)
 
 
-def laser_brief(drawn: LaserMaps, following: Sequence[object]) -> Summary:
+def laser_brief(drawn: LaserMaps) -> Summary:
     """Return the number of sweeps in the map, parts left out, the wall thickness of each map, and remarks."""
     lines = [Line("MATCHED", drawn.placed, "good")]
     lines += [Line("parts", drawn.parts, "warning")] if drawn.parts else []
     walls = (f"{100.0 * s.thickness_m[-1]:.2f} cm thick, {s.name}" for s in drawn.maps)
     lines += [Line("" if i else "walls", said) for i, said in enumerate(walls)]
     lines += [Line("note", note, "warning") for note in drawn.remarks]
-    return Summary((*lines, command_line(following)))
+    return Summary(tuple(lines))
 
 
 def laser_text(drawn: LaserMaps) -> str:

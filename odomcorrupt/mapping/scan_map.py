@@ -22,7 +22,7 @@ from odomcorrupt.geometry.se2 import increments, rotate
 from odomcorrupt.mapping.frames import FrameTree, Mount
 from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_scan
 from odomcorrupt.mapping.occupancy_grid import Canvas, canvas_for, draw_map
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -318,9 +318,7 @@ def scan_maps(
     return tuple(make_scan_map(name, paths[name].xyt, view, first, travelled_m, canvas) for name, view in views.items())
 
 
-def maps_brief(
-    maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
-) -> Summary:
+def maps_brief(maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, str]) -> Summary:
     """Return the increase in wall thickness, the distance of hits from the walls, and the noise."""
     clean, noisy = (100.0 * s.thickness_m[-1] for s in maps[:2])
     added = 100.0 * added_thickness(maps[0].thickness_m, maps[1].thickness_m)[-1]
@@ -331,7 +329,7 @@ def maps_brief(
     lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in maps[2:]]
     lines += [Line("seed", drawn[1]), Line("model", drawn[0])]
     lines += [Line("scans" if "rays" in note else "note", note) for note in notes]
-    return Summary((*lines, command_line(following)))
+    return Summary(tuple(lines))
 
 
 def maps_table(maps: Sequence[ScanMap]) -> str:

@@ -14,10 +14,10 @@ from odomcorrupt.errors import MapError, ModelError, RecordingError
 from odomcorrupt.geometry.se2 import BEARING_MIN_M, Increments, RotTransRot, increments, rot_trans_rot, rotate
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
-from odomcorrupt.summary import Line, Summary, command_line
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -340,19 +340,18 @@ def report_text(particles: ParticleSet) -> str:
     return "\n".join(lines)
 
 
-def brief(particles: ParticleSet, model: str, drive: str, following: Sequence[object]) -> Summary:
+def brief(particles: ParticleSet, model: str, drive: str) -> Summary:
     """Return a summary of the runs' spread at the end and on the way.
 
     particles : the particle set
     model, drive : descriptions of noise model and odometry
-    following : the command to type next
     """
     runs, places = len(particles.xyt), len(particles.distance_m)
     between = sorted({(places - 1) // 3, 2 * (places - 1) // 3} - {places - 1})
     said = [f"{_spread(particles, i)} (1 sigma) after {particles.distance_m[i]:.4g} m" for i in (places - 1, *between)]
     lines = [Line("SPREAD", said[0], "good"), *(Line("", one) for one in said[1:])]
     lines += [Line("model", model), Line("runs", f"{runs} of seed {particles.seed}, over {drive}")]
-    return Summary((*lines, command_line(following)))
+    return Summary(tuple(lines))
 
 
 def _spread(particles: ParticleSet, place: int) -> str:

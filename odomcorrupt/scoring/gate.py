@@ -239,7 +239,7 @@ def _swap_test(both: Array, statistic: Callable[[Array], Array], observed: float
 def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str, Any] | None = None) -> list[Verdict]:
     """Return a verdict for each rule, and one on crashes if there are any that no rule allows.
 
-    report, baseline : scores as JSON (from `report.json.score.score_json` or `odomcorrupt score --json`)
+    report, baseline : scores as JSON (from `report.score.score_json` or `odomcorrupt score --json`)
     rules : in the syntax of `parse_rule`
 
     Raises

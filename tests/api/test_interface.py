@@ -262,7 +262,7 @@ def test_parts_of_the_study_run_with_one_thread_of_linear_algebra_and_leave_the_
     assert all(hasattr(one, "__wrapped__") for one in (oc.fit, oc.compare, oc.diagnose, oc.learn, oc.read_recordings))
 
 
-STUDY = {"comparison", "findings", "fit", "recordings"}
+STUDY = {"findings", "recordings"}
 """Modules whose examples are run together, because they take longer."""
 MODULES = sorted({home.removeprefix("api.") for home in oc._HOMES if home.startswith("api.")} - STUDY)
 

@@ -8,18 +8,25 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from mcap.reader import NonSeekingReader, SeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapLibraryWriter
 from rosbags.rosbag1 import Reader as Ros1LibraryReader
+from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
 
+from odomcorrupt.bags.block import Message
+from odomcorrupt.bags.messages import gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
 
-ROOT = Path(__file__).parents[2]
-FIXTURES = ROOT / "fixtures"
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+OFFICE = FIXTURES / "office_ros2"
+OFFICE_DB = OFFICE / "office_ros2.db3"
 OFFICE_MCAP = FIXTURES / "office.mcap"
 OFFICE_BAG = FIXTURES / "office.bag"
+SHIFT = np.array([10.0, 20.0, 30.0])
 
 
 class Seen(NamedTuple):
@@ -82,6 +89,36 @@ def ros1_messages(path):
         ]
 
 
+def info_of(path):
+    """Return what the metadata.yaml of a ROS 2 bag says."""
+    return YAML(typ="safe").load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+
+
+def count_of(path):
+    """Return how many messages this package reads from a bag."""
+    with open_reader(path) as reader:
+        return sum(len(block.table) for block in reader.blocks())
+
+
+def rewritten(reader, writer, *, seconds=None, order=list, kept=lambda _: True):
+    """Write a bag again by the rosbags library: its first seconds, and of these the messages whose number is kept.
+
+    order : of the topics; the messages of topics that it leaves out are left out, too
+    """
+    with reader, writer:
+        made = {}
+        for one in order(reader.connections):
+            if isinstance(reader, Ros1LibraryReader):
+                facts = {"md5sum": one.digest, "callerid": one.ext.callerid, "latching": one.ext.latching}
+            else:
+                facts = {"rihs01": one.digest, "offered_qos_profiles": one.ext.offered_qos_profiles}
+            made[one.id] = writer.add_connection(one.topic, one.msgtype, msgdef=one.msgdef.data, **facts)
+        stop = None if seconds is None else reader.start_time + seconds * 10**9
+        for number, (one, log_ns, data) in enumerate(reader.messages(stop=stop)):
+            if one.id in made and kept(number):
+                writer.write(made[one.id], log_ns, data)
+
+
 def copy(source, target, change=None, *, stdin=None, **options):
     """Pass a bag's blocks from reader to writer."""
     with open_reader(source, stdin) as reader, open_writer(target, reader, **options) as writer:
@@ -90,6 +127,46 @@ def copy(source, target, change=None, *, stdin=None, **options):
                 change(reader, writer, block)
             writer.write(block)
     return target
+
+
+def shift(reader, _writer, block):
+    """Move the positions of all odometry."""
+    for channel in reader.channels.values():
+        if channel.msgtype == "nav_msgs/msg/Odometry":
+            for layout in locate(block, channel):
+                values = gather(block, layout, layout.items[0], "position")
+                scatter(block, layout, layout.items[0], "position", values + SHIFT)
+
+
+def positions(messages, ros=2):
+    """Return the positions (n, 3) of /odom among messages, whose first entry is the topic and whose last the bytes."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
+    decode = store.deserialize_ros1 if ros == 1 else store.deserialize_cdr
+    odometry = [decode(one[-1], "nav_msgs/msg/Odometry").pose.pose.position for one in messages if one[0] == "/odom"]
+    return np.array([[point.x, point.y, point.z] for point in odometry])
+
+
+def require_shifted(before, after, ros=2):
+    """Require that another decoder reads shifted positions, and all else as it was."""
+    np.testing.assert_array_equal(positions(after, ros), positions(before, ros) + SHIFT)
+    assert [one for one in after if one[0] != "/odom"] == [one for one in before if one[0] != "/odom"]
+
+
+def adding(like, twin, data):
+    """Return a change that adds a message to each block on a topic, on a twin of it, and on one of another type."""
+    made = {}
+
+    def add(reader, writer, block):
+        if not len(block.table):
+            return
+        if not made:
+            made["like"] = next(channel for channel in reader.channels.values() if channel.topic == like)
+            made["twin"] = writer.add_channel(twin, made["like"].msgtype, made["like"])
+            made["pose"] = writer.add_channel("/pose", "geometry_msgs/msg/PoseStamped", made["like"])
+        log_ns = int(block.table["log_ns"][0]) + 1
+        block.added += [Message(channel.id, log_ns, data) for channel in made.values()]
+
+    return add
 
 
 def copy_through_pipes(source, target, change=None):
@@ -121,27 +198,18 @@ def copy_through_pipes(source, target, change=None):
     return target
 
 
+NO_SUMMARY = {
+    **dict.fromkeys(("use_statistics", "use_summary_offsets", "repeat_channels", "repeat_schemas"), False),
+    "index_types": IndexType.NONE,
+}
 VARIANTS = {
     "zstd": {},
     "lz4": {"compression": CompressionType.LZ4},
     "none": {"compression": CompressionType.NONE},
     "unchunked": {"use_chunking": False},
     "without indexes": {"index_types": IndexType.NONE},
-    "without summary": {
-        "index_types": IndexType.NONE,
-        "use_statistics": False,
-        "use_summary_offsets": False,
-        "repeat_channels": False,
-        "repeat_schemas": False,
-    },
-    "unchunked, without summary": {
-        "use_chunking": False,
-        "index_types": IndexType.NONE,
-        "use_statistics": False,
-        "use_summary_offsets": False,
-        "repeat_channels": False,
-        "repeat_schemas": False,
-    },
+    "without summary": NO_SUMMARY,
+    "unchunked, without summary": {"use_chunking": False, **NO_SUMMARY},
     "without channels in the summary": {"repeat_channels": False, "repeat_schemas": False},
     "without checksums": {"enable_crcs": False},
 }
@@ -183,6 +251,11 @@ def mcap_record_places(data):
         places.append((opcode, at, at + 9 + length))
         at += 9 + length
     return places
+
+
+def mcap_record(opcode, *parts):
+    """Return a record of an MCAP."""
+    return struct.pack("<BQ", opcode, sum(map(len, parts))) + b"".join(parts)
 
 
 def damaged_copies_fail(source, tmp_path, offsets, suffix):

@@ -5,7 +5,7 @@ import shutil
 import time
 
 import pytest
-from oracles import FIXTURES, OFFICE_BAG, OFFICE_MCAP, copy
+from oracles import OFFICE, OFFICE_BAG, OFFICE_DB, OFFICE_MCAP, copy
 
 from odomcorrupt.bags.block import Definition
 from odomcorrupt.bags.open import open_reader
@@ -14,8 +14,7 @@ from odomcorrupt.bags.rosbag2.bounded_yaml import load_faithful, load_plain
 from odomcorrupt.bags.rosbag2.metadata import TopicInfo, generated
 from odomcorrupt.errors import BagError
 
-OFFICE = FIXTURES / "office_ros2"
-DB = "office_ros2.db3"
+DB = OFFICE_DB.name
 BOMB = "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9) if k else ', '.join(['x'] * 9)}]\n" for k in range(9))
 HOSTILE = {
     "deep list": ("a: " + "[" * 400 + "]" * 400, "nested more than"),

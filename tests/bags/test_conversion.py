@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from oracles import FIXTURES, mcap_messages, ros1_messages
+from oracles import FIXTURES, OFFICE, mcap_messages, rewritten, ros1_messages
 from rosbags.convert.converter import convert as rosbags_convert
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Ros1LibraryWriter
@@ -31,21 +31,8 @@ NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7")
 def short(tmp_path_factory):
     """Return two seconds of the office as a ROS 2 directory and as a ROS 1 bag, written by the rosbags library."""
     room = tmp_path_factory.mktemp("short")
-    with Ros2LibraryReader(FIXTURES / "office_ros2") as reader:
-        writer = Ros2LibraryWriter(room / "two", version=8, storage_plugin=StoragePlugin.SQLITE3)
-        with writer:
-            made = {
-                one.id: writer.add_connection(
-                    one.topic,
-                    one.msgtype,
-                    msgdef=one.msgdef.data,
-                    rihs01=one.digest,
-                    offered_qos_profiles=one.ext.offered_qos_profiles,
-                )
-                for one in reader.connections
-            }
-            for one, log_ns, data in reader.messages(stop=reader.start_time + 2 * 10**9):
-                writer.write(made[one.id], log_ns, data)
+    writer = Ros2LibraryWriter(room / "two", version=8, storage_plugin=StoragePlugin.SQLITE3)
+    rewritten(Ros2LibraryReader(OFFICE), writer, seconds=2)
     foreign(room / "two", room / "one.bag")
     return {1: room / "one.bag", 2: room / "two"}
 

@@ -14,7 +14,16 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from oracles import OFFICE_BAG, copy, mcap_messages, mcap_record_places, office_variant, pipe_of, ros1_messages
+from oracles import (
+    OFFICE_BAG,
+    copy,
+    mcap_messages,
+    mcap_record,
+    mcap_record_places,
+    office_variant,
+    pipe_of,
+    ros1_messages,
+)
 from test_recover import recover
 from test_ros1 import packed, rebuilt, records
 
@@ -42,16 +51,12 @@ def small(monkeypatch):
     monkeypatch.setattr("odomcorrupt.bags.chunk.LARGE_BYTES", 50_000)
 
 
-def record(opcode, *parts):
-    return struct.pack("<BQ", opcode, sum(map(len, parts))) + b"".join(parts)
-
-
 def mcap_of(codec, data, crc):
     """Return an MCAP of one chunk of these records."""
     name, small = b"" if codec == "none" else codec.encode(), PACK[codec](data)
     head = struct.pack("<QQQII", 0, 0, len(data), crc, len(name)) + name + struct.pack("<Q", len(small))
-    ends = record(15, bytes(4)) + record(2, bytes(20))
-    return b"\x89MCAP0\r\n" + record(1, bytes(8)) + record(6, head, small) + ends + b"\x89MCAP0\r\n"
+    ends = mcap_record(15, bytes(4)) + mcap_record(2, bytes(20))
+    return b"\x89MCAP0\r\n" + mcap_record(1, bytes(8)) + mcap_record(6, head, small) + ends + b"\x89MCAP0\r\n"
 
 
 def everything(kind, source):
@@ -176,7 +181,7 @@ def size_of_ros1(data, at):
 @pytest.mark.parametrize("sizes", [[10] * 50, [22, 900, 30, 5000, 22], [100], []])
 def test_blocks_are_whole_records_and_the_same_for_any_pieces(sizes, monkeypatch):
     monkeypatch.setattr("odomcorrupt.bags.chunk._BLOCK_BYTES", 400)
-    data = b"".join(record(0x80, bytes(size)) for size in sizes)
+    data = b"".join(mcap_record(0x80, bytes(size)) for size in sizes)
     found = set()
     for piece in (1, 7, 400, 10_000):
         pieces = iter([data[at : at + piece] for at in range(0, len(data), piece)])
@@ -193,7 +198,7 @@ def test_a_record_for_which_there_is_no_memory_is_a_line():
             raise MemoryError
         return np.empty(size, np.uint8)
 
-    data = record(0x80, bytes(1 << 23))
+    data = mcap_record(0x80, bytes(1 << 23))
     with pytest.raises(BagError, match="not enough memory for a record of 8388617 bytes"):
         list(record_blocks(iter([data]), len(data), record_bytes, place, "chunk"))
 
@@ -218,8 +223,8 @@ def with_zeros(kind):
             at += 9 + struct.unpack_from("<Q", data, at + 1)[0] if kind == "mcap" else size_of_ros1(data, at)
             ends.append(at)
         if kind == "mcap":
-            schemas = record(4, struct.pack("<HHI", 999, 0, 6), b"/zeros", struct.pack("<I4sI", 4, b"json", 0))
-            zeros = record(5, struct.pack("<HIQQ", 999, 1, 1, 1), bytes(MB))
+            schemas = mcap_record(4, struct.pack("<HHI", 999, 0, 6), b"/zeros", struct.pack("<I4sI", 4, b"json", 0))
+            zeros = mcap_record(5, struct.pack("<HIQQ", 999, 1, 1, 1), bytes(MB))
         else:
             number = struct.pack("<I", 999)
             fields = packed({"topic": b"/zeros", "type": b"a/B", "md5sum": b"*", "message_definition": b""}, b"")[4:-4]

@@ -7,11 +7,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-from mcap.reader import NonSeekingReader, make_reader
-from mcap_ros2.decoder import DecoderFactory
+from mcap.reader import make_reader
 from oracles import (
     OFFICE_MCAP,
     VARIANTS,
+    adding,
     copy,
     copy_through_pipes,
     damaged_copies_fail,
@@ -20,20 +20,15 @@ from oracles import (
     mcap_record_places,
     mcap_records,
     office_variant,
+    require_shifted,
+    shift,
 )
 
-from odomcorrupt.bags.block import Message
-from odomcorrupt.bags.messages import gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.errors import BagError
 from recordings import RECORDINGS
 
-SHIFT = np.array([10.0, 20.0, 30.0])
 CHUNK, MESSAGE_INDEX, FOOTER, DATA_END = 6, 7, 2, 15
-
-
-def channel_of(reader, topic):
-    return next(channel for channel in reader.channels.values() if channel.topic == topic)
 
 
 @pytest.fixture(scope="module", params=VARIANTS)
@@ -112,43 +107,14 @@ def test_compression_asked_for_is_used(variant, tmp_path, codec, level):
 
 
 def test_patched_numbers_are_what_another_decoder_reads(variant, tmp_path):
-    def shift(reader, _writer, block):
-        for layout in locate(block, channel_of(reader, "/odom")):
-            (item,) = layout.items
-            scatter(block, layout, item, "position", gather(block, layout, item, "position") + SHIFT)
-
-    def positions(path):
-        with path.open("rb") as stream:
-            reader = NonSeekingReader(stream, decoder_factories=[DecoderFactory()])
-            decoded = reader.iter_decoded_messages(topics=["/odom"])
-            points = [message.pose.pose.position for *_, message in decoded]
-        return np.array([[point.x, point.y, point.z] for point in points])
-
-    out = copy(variant, tmp_path / "out.mcap", shift)
-    np.testing.assert_array_equal(positions(out), positions(variant) + SHIFT)
-    untouched = [one for one in mcap_messages(variant) if one.topic != "/odom"]
-    assert [one for one in mcap_messages(out) if one.topic != "/odom"] == untouched
+    require_shifted(mcap_messages(variant), mcap_messages(copy(variant, tmp_path / "out.mcap", shift)))
 
 
 @pytest.mark.parametrize("through", [copy, copy_through_pipes])
 def test_added_messages_and_channels_are_there_with_their_qos(variant, tmp_path, through):
-    made = {}
-
-    def add(reader, writer, block):
-        if not len(block.table):
-            return
-        row = block.table[0]
-        if not made:
-            odom = channel_of(reader, "/odom")
-            made["truth"] = writer.add_channel("/odom_truth", odom.msgtype, odom)
-            made["pose"] = writer.add_channel("/pose", "geometry_msgs/msg/PoseStamped", odom)
-            made["odom"] = odom
-        for channel in made.values():
-            block.added.append(Message(channel.id, int(row["log_ns"]) + 1, b"\0\1\0\0" + bytes(12)))
-
-    out = through(variant, tmp_path / "out.mcap", add)
-    seen = mcap_messages(out)
-    added = [one for one in seen if one.data == b"\0\1\0\0" + bytes(12)]
+    data = b"\0\1\0\0" + bytes(12)
+    seen = mcap_messages(through(variant, tmp_path / "out.mcap", adding("/odom", "/odom_truth", data)))
+    added = [one for one in seen if one.data == data]
     odom = next(one for one in seen if one.topic == "/odom")
     assert {one.topic for one in added} == {"/odom_truth", "/pose", "/odom"}
     truth = next(one for one in added if one.topic == "/odom_truth")

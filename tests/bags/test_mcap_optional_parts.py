@@ -6,7 +6,7 @@ import struct
 import pytest
 from mcap.records import Attachment, Metadata
 from mcap.writer import CompressionType, IndexType, Writer
-from oracles import copy, mcap_messages, mcap_records
+from oracles import copy, mcap_messages, mcap_record, mcap_record_places, mcap_records
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import BagError
@@ -57,27 +57,14 @@ def test_every_combination_of_optional_parts_is_read(indexes, tmp_path):
         same(path, out)
 
 
-def records(data):
-    """Yield opcode and content of the records of a file without its magic."""
-    at = len(MAGIC)
-    while at < len(data) - len(MAGIC):
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        yield opcode, data[at + 9 : at + 9 + length]
-        at += 9 + length
-
-
-def packed(opcode, content):
-    return struct.pack("<BQ", opcode, len(content)) + content
-
-
 def rewritten(data, change):
     """Return a file whose records were changed one by one; without a summary, whose offsets would be wrong."""
     out = [MAGIC]
-    for opcode, content in records(data):
-        out += [packed(*one) for one in change(opcode, content)]
+    for opcode, begin, end in mcap_record_places(data):
+        out += [mcap_record(*one) for one in change(opcode, data[begin + 9 : end])]
         if opcode == DATA_END:
             break
-    return b"".join([*out, packed(FOOTER, bytes(20)), MAGIC])
+    return b"".join([*out, mcap_record(FOOTER, bytes(20)), MAGIC])
 
 
 EXTENDED = {

@@ -6,8 +6,8 @@ import zlib
 
 import pytest
 from mcap.writer import CompressionType
-from oracles import mcap_messages
-from test_mcap_optional_parts import ATTACHMENT, CHUNK, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, packed, records, write
+from oracles import mcap_messages, mcap_record, mcap_record_places
+from test_mcap_optional_parts import ATTACHMENT, CHUNK, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, write
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import BagError
@@ -29,14 +29,6 @@ def read(data, *, recover=False, path=None):
         return found, reader.losses
 
 
-def places(data):
-    """Yield opcode, begin and end of the records of a file."""
-    at = len(MAGIC)
-    for opcode, content in records(data):
-        yield opcode, at, at + 9 + len(content)
-        at += 9 + len(content)
-
-
 def flipped(data, at):
     return data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :]
 
@@ -50,8 +42,8 @@ def bag(request, tmp_path_factory):
 
 @pytest.mark.parametrize("piped", [False, True])
 def test_every_byte_of_data_outside_of_chunks_is_covered(bag, piped, tmp_path):
-    end = next(begin for opcode, begin, _ in places(bag) if opcode == DATA_END)
-    inside = [range(begin + 9, after) for opcode, begin, after in places(bag) if opcode == CHUNK]
+    end = next(begin for opcode, begin, _ in mcap_record_places(bag) if opcode == DATA_END)
+    inside = [range(begin + 9, after) for opcode, begin, after in mcap_record_places(bag) if opcode == CHUNK]
     outside = [at for at in range(len(MAGIC), end) if not any(at in span for span in inside)]
     assert len(outside) > 300
     for at in outside[:: 1 if piped else 7]:
@@ -74,8 +66,8 @@ def test_what_only_the_checksum_of_all_tells_is_reported_with_the_way_out(bag, p
 @pytest.mark.parametrize("piped", [False, True])
 def test_the_summary_has_a_checksum_of_its_own(bag, piped, tmp_path):
     path = None if piped else tmp_path / "in.mcap"
-    begin = next(after for opcode, _, after in places(bag) if opcode == DATA_END)
-    footer = next(begin for opcode, begin, _ in places(bag) if opcode == FOOTER)
+    begin = next(after for opcode, _, after in mcap_record_places(bag) if opcode == DATA_END)
+    footer = next(begin for opcode, begin, _ in mcap_record_places(bag) if opcode == FOOTER)
     for at in range(begin + 9, footer, 11):
         with pytest.raises(BagError):
             read(flipped(bag, at), path=path)
@@ -92,7 +84,7 @@ def test_messages_without_chunks_are_covered(tmp_path):
     write(path, use_chunking=False)
     data = path.read_bytes()
     assert len(read(data)[0]) == 9
-    _, _, end = [place for place in places(data) if place[0] == MESSAGE][-1]
+    _, _, end = [place for place in mcap_record_places(data) if place[0] == MESSAGE][-1]
     with pytest.raises(BagError, match=DATA):
         read(flipped(data, end - 1))
 
@@ -108,14 +100,14 @@ COVERAGES = {
 @pytest.mark.parametrize("piped", [False, True])
 def test_the_specification_is_read_in_each_of_its_ways(bag, name, piped, tmp_path):
     path = None if piped else tmp_path / "in.mcap"
-    parts = list(places(bag))
+    parts = list(mcap_record_places(bag))
     assert parts[0][0] == HEADER
     (_, _, begin), end = parts[0], next(begin for opcode, begin, _ in parts if opcode == DATA_END)
     crc = zlib.crc32(COVERAGES[name](bag[len(MAGIC) : begin], bag[begin:end]))
-    summed = bag[:end] + packed(DATA_END, struct.pack("<I", crc)) + bag[end + 13 :]
+    summed = bag[:end] + mcap_record(DATA_END, struct.pack("<I", crc)) + bag[end + 13 :]
     assert read(summed, path=path) == read(bag)
     with pytest.raises(BagError, match=DATA):
-        read(bag[:end] + packed(DATA_END, struct.pack("<I", crc ^ 1)) + bag[end + 13 :], path=path)
+        read(bag[:end] + mcap_record(DATA_END, struct.pack("<I", crc ^ 1)) + bag[end + 13 :], path=path)
 
 
 def test_files_without_checksums_are_read(tmp_path):
@@ -134,7 +126,7 @@ def test_an_attachment_has_a_checksum_of_its_own(piped, piece, tmp_path, monkeyp
     path = tmp_path / "in.mcap"
     write(path, data_crcs=False)
     data, path = path.read_bytes(), None if piped else path
-    begin, end = next((begin, end) for opcode, begin, end in places(data) if opcode == ATTACHMENT)
+    begin, end = next((begin, end) for opcode, begin, end in mcap_record_places(data) if opcode == ATTACHMENT)
     whole = read(data, path=path)
     assert read(data[: end - 4] + bytes(4) + data[end:], path=path) == whole
     for at in range(begin + 9, end):
@@ -148,6 +140,6 @@ def test_an_attachment_has_a_checksum_of_its_own(piped, piece, tmp_path, monkeyp
 
 
 def test_an_end_of_data_without_room_for_its_checksum_is_damage(bag):
-    end = next(begin for opcode, begin, _ in places(bag) if opcode == DATA_END)
+    end = next(begin for opcode, begin, _ in mcap_record_places(bag) if opcode == DATA_END)
     with pytest.raises(BagError, match="shorter than its checksum"):
-        read(bag[:end] + packed(DATA_END, b"\0\0") + packed(FOOTER, bytes(20)) + MAGIC)
+        read(bag[:end] + mcap_record(DATA_END, b"\0\0") + mcap_record(FOOTER, bytes(20)) + MAGIC)

@@ -30,6 +30,10 @@ def store(wire):
     return ROS1 if wire == "ros1" else ROS2
 
 
+def encoding(wire):
+    return "ros1" if wire == "ros1" else "cdr"
+
+
 def build(types, name, rng, **given):
     """Fill a message of any type with random numbers and strings."""
     cls = types.types[name]
@@ -143,6 +147,15 @@ def oracle(message, field):
     return list(found[0]) if np.ndim(found[0]) else found
 
 
+def odometry(wire, count, seed):
+    """Return a block of odometry of one robot, and its layout."""
+    rng, name = np.random.default_rng(seed), "nav_msgs/msg/Odometry"
+    messages = [build(store(wire), name, rng, frame_id="odom", child_frame_id="base") for _ in range(count)]
+    block = block_of([serialise(wire, m, name) for m in messages])
+    (layout,) = locate(block, Channel(0, "/odom", name, encoding(wire)))
+    return block, layout
+
+
 def stamp_ns(header):
     return header.stamp.sec * 10**9 + header.stamp.nanosec
 
@@ -153,7 +166,7 @@ def test_fields_are_what_another_decoder_reads(msgtype, wire):
     rng = np.random.default_rng(1)
     messages = [build(store(wire), msgtype, rng, count=n % 4) for n in range(40)]
     block = block_of([serialise(wire, m, msgtype) for m in messages])
-    layouts = locate(block, Channel(0, "/t", msgtype, "ros1" if wire == "ros1" else "cdr"))
+    layouts = locate(block, Channel(0, "/t", msgtype, encoding(wire)))
     assert sorted(row for layout in layouts for row in layout.rows) == list(range(40))
     for layout in layouts:
         for index, item in enumerate(layout.items):
@@ -167,12 +180,8 @@ def test_fields_are_what_another_decoder_reads(msgtype, wire):
 
 @pytest.mark.parametrize("wire", WIRES)
 def test_scattered_numbers_are_read_by_gather_and_nothing_else_changes(wire):
-    rng = np.random.default_rng(2)
-    name = "nav_msgs/msg/Odometry"
-    messages = [build(store(wire), name, rng, frame_id="odom", child_frame_id="base") for _ in range(50)]
-    block = block_of([serialise(wire, m, name) for m in messages])
+    block, layout = odometry(wire, 50, 2)
     before = block.data.copy()
-    (layout,) = locate(block, Channel(0, "/odom", name, "ros1" if wire == "ros1" else "cdr"))
     (item,) = layout.items
     stamps_ns = gather_stamps_ns(block, layout, item)
     scatter_stamps_ns(block, layout, item, stamps_ns + 5)
@@ -189,21 +198,17 @@ def test_scattered_numbers_are_read_by_gather_and_nothing_else_changes(wire):
 
 @pytest.mark.parametrize("wire", WIRES)
 def test_columns_are_scattered_into_the_messages_that_are_named_and_into_nothing_else(wire):
-    rng = np.random.default_rng(4)
-    name = "nav_msgs/msg/Odometry"
-    messages = [build(store(wire), name, rng, frame_id="odom", child_frame_id="base") for _ in range(9)]
-    block = block_of([serialise(wire, m, name) for m in messages])
-    (layout,) = locate(block, Channel(0, "/odom", name, "ros1" if wire == "ros1" else "cdr"))
+    block, layout = odometry(wire, 9, 4)
     (item,) = layout.items
     expected = gather(block, layout, item, "pose_covariance")
     which = np.arange(9) % 2 == 1
-    values = rng.normal(size=(5, 9))
+    values = np.random.default_rng(5).normal(size=(5, 9))
     expected[np.ix_(which, [0, 1, 5, 6, 35])] = values.T[which]
     scatter_columns(block, layout, item, "pose_covariance", [0, 1, 5, 6, 35], values, which)
     np.testing.assert_array_equal(gather(block, layout, item, "pose_covariance"), expected)
     scatter_columns(block, layout, item, "twist", [5], [np.full(9, 3.0)])
     assert (gather(block, layout, item, "twist")[:, 5] == 3.0).all()
-    whole = block_of([serialise(wire, m, name) for m in messages])
+    whole, _ = odometry(wire, 9, 4)
     scatter(whole, layout, item, "pose_covariance", expected)
     scatter(whole, layout, item, "twist", gather(block, layout, item, "twist"))
     np.testing.assert_array_equal(block.data, whole.data)
@@ -212,7 +217,6 @@ def test_columns_are_scattered_into_the_messages_that_are_named_and_into_nothing
 @pytest.mark.parametrize("wire", WIRES)
 def test_a_message_that_differs_in_any_structural_byte_has_a_layout_of_its_own(wire):
     name = "nav_msgs/msg/Odometry"
-    encoding = "ros1" if wire == "ros1" else "cdr"
     child = "base_footprint"
     for frame in ("o", "odom", "odometry"):
         for place in range(len(child)):
@@ -220,7 +224,7 @@ def test_a_message_that_differs_in_any_structural_byte_has_a_layout_of_its_own(w
             rng = np.random.default_rng(5)
             pair = [build(store(wire), name, rng, frame_id=frame, child_frame_id=c) for c in (child, other, child)]
             block = block_of([serialise(wire, m, name) for m in pair])
-            found = locate(block, Channel(0, "/odom", name, encoding))
+            found = locate(block, Channel(0, "/odom", name, encoding(wire)))
             assert [(one.rows.tolist(), one.items[0].child_frame_id) for one in found] == [
                 ([0, 2], child),
                 ([1], other),
@@ -244,7 +248,7 @@ def test_messages_of_equal_length_with_different_strings_have_layouts_of_their_o
 def test_a_message_cut_anywhere_is_an_error_or_complete(msgtype, wire):
     message = build(store(wire), msgtype, np.random.default_rng(4), frame_id="odom", child_frame_id="base")
     data = serialise(wire, message, msgtype)
-    channel = Channel(0, "/t", msgtype, "ros1" if wire == "ros1" else "cdr")
+    channel = Channel(0, "/t", msgtype, encoding(wire))
     (whole,) = locate(block_of([data]), channel)
     end = max(offset + 8 * count for item in whole.items for offset, count in item.fields.values())
     for length in range(end):

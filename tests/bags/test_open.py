@@ -5,15 +5,14 @@ import gzip
 import io
 import lzma
 import os
+import shutil
 import stat
-import subprocess
-import sys
 import threading
 
 import lz4.frame
 import pytest
 from mcap.writer import Writer as McapLibraryWriter
-from oracles import FIXTURES, OFFICE_BAG, OFFICE_MCAP, copy, mcap_messages
+from oracles import OFFICE, OFFICE_BAG, OFFICE_DB, OFFICE_MCAP, copy, mcap_messages
 from rosbags.rosbag1 import Writer as Ros1LibraryWriter
 
 from odomcorrupt.bags.open import open_reader, open_writer
@@ -66,11 +65,6 @@ def test_what_is_compressed_by_zstd_is_read_from_a_file_alone(tmp_path):
         open_reader(None, io.BytesIO((tmp_path / "in").read_bytes()))
 
 
-def test_a_missing_file_is_a_bag_error(tmp_path):
-    with pytest.raises(BagError, match=r"nothing\.mcap: cannot be opened"):
-        open_reader(tmp_path / "nothing.mcap")
-
-
 def test_an_existing_output_is_refused_before_anything_is_read(tmp_path):
     target = tmp_path / "out.mcap"
     target.write_bytes(b"precious")
@@ -81,28 +75,32 @@ def test_an_existing_output_is_refused_before_anything_is_read(tmp_path):
     assert mcap_messages(target) == mcap_messages(OFFICE_MCAP)
 
 
-def test_the_input_is_never_the_output(tmp_path):
-    source = tmp_path / "in.mcap"
-    source.write_bytes(OFFICE_MCAP.read_bytes())
-    (tmp_path / "link.mcap").symlink_to(source)
-    for name in ("in.mcap", "link.mcap"):
-        with open_reader(source) as reader, pytest.raises(BagError, match="is the input"):
-            open_writer(tmp_path / name, reader, overwrite=True)
-    assert source.read_bytes() == OFFICE_MCAP.read_bytes()
+@pytest.mark.parametrize("name", ["in.mcap", "link.mcap", OFFICE.name, f"{OFFICE.name}/{OFFICE_DB.name}"])
+def test_the_input_is_never_the_output(name, tmp_path):
+    (tmp_path / "in.mcap").write_bytes(OFFICE_MCAP.read_bytes())
+    (tmp_path / "link.mcap").symlink_to(tmp_path / "in.mcap")
+    shutil.copytree(OFFICE, tmp_path / OFFICE.name)
+    source = (tmp_path / name).resolve()
+    with open_reader(source) as reader, pytest.raises(BagError, match="is the input"):
+        open_writer(tmp_path / name, reader, overwrite=True)
+    assert (tmp_path / "in.mcap").read_bytes() == OFFICE_MCAP.read_bytes()
 
 
-def test_an_output_into_nowhere_is_refused(tmp_path):
+def test_an_input_and_an_output_that_are_nowhere_are_refused(tmp_path):
+    with pytest.raises(BagError, match=r"nothing\.mcap: cannot be opened"):
+        open_reader(tmp_path / "nothing.mcap")
     with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="does not exist"):
         open_writer(tmp_path / "no" / "out.mcap", reader)
 
 
-@pytest.mark.parametrize("source", [OFFICE_BAG, OFFICE_MCAP])
+@pytest.mark.parametrize("source", [OFFICE_BAG, OFFICE_MCAP, OFFICE, OFFICE_DB])
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError, SystemExit])
 def test_a_failure_leaves_nothing_and_what_was_there_before(source, failure, tmp_path):
     target = tmp_path / f"out{source.suffix}"
-    for before in (None, b"precious"):
-        if before:
-            target.write_bytes(before)
+    for there in (False, True):
+        if there:
+            copy(source, target)
+        before = {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")}
 
         def fail(_reader, _writer, _block):
             assert len(list(tmp_path.iterdir())) == 1 + target.exists()
@@ -110,29 +108,13 @@ def test_a_failure_leaves_nothing_and_what_was_there_before(source, failure, tmp
 
         with pytest.raises(failure):
             copy(source, target, fail, overwrite=True)
-        assert [one.name for one in tmp_path.iterdir()] == ([target.name] if before else [])
-        assert not before or target.read_bytes() == before
-
-
-def test_nothing_appears_under_the_name_before_the_end(tmp_path):
-    target = tmp_path / "out.mcap"
-    copy(OFFICE_MCAP, target, lambda *_: not target.exists() or pytest.fail("it appeared early"))
-    assert [one.name for one in tmp_path.iterdir()] == ["out.mcap"]
+        assert {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")} == before
 
 
 def test_the_output_has_the_permissions_of_any_new_file(tmp_path):
     (tmp_path / "plain").touch()
     copy(OFFICE_MCAP, tmp_path / "out.mcap")
     assert stat.S_IMODE((tmp_path / "out.mcap").stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)
-
-
-def test_a_link_to_an_output_stays_a_link(tmp_path):
-    (tmp_path / "elsewhere").mkdir()
-    link = tmp_path / "out.mcap"
-    link.symlink_to(tmp_path / "elsewhere" / "real.mcap")
-    copy(OFFICE_MCAP, link)
-    assert link.is_symlink()
-    assert mcap_messages(tmp_path / "elsewhere" / "real.mcap") == mcap_messages(OFFICE_MCAP)
 
 
 @pytest.mark.parametrize(("name", "codec"), [("out.mcap", "bz2"), ("out.bag", "zstd"), ("out.bag", "snappy")])
@@ -158,23 +140,6 @@ def test_a_reader_that_goes_away_is_an_error():
     os.close(read)
     with os.fdopen(write, "wb", buffering=0) as stdout, pytest.raises(BagError, match="closed by its reader"):
         copy(OFFICE_MCAP, None, stream=stdout)
-
-
-@pytest.mark.parametrize("flags", [[], ["-u"]])
-def test_real_stdin_and_stdout_carry_a_bag(flags, tmp_path):
-    program = (
-        "from odomcorrupt.bags.open import open_reader, open_writer\n"
-        "with open_reader(None) as reader, open_writer(None, reader) as writer:\n"
-        "    for block in reader.blocks(): writer.write(block)\n"
-    )
-    with OFFICE_MCAP.open("rb") as stdin:
-        feeder = subprocess.Popen(["cat"], stdin=stdin, stdout=subprocess.PIPE)
-    done = subprocess.run([sys.executable, *flags, "-c", program], stdin=feeder.stdout, capture_output=True, check=True)
-    feeder.stdout.close()
-    feeder.wait()
-    (tmp_path / "out.mcap").write_bytes(done.stdout)
-    assert mcap_messages(tmp_path / "out.mcap") == mcap_messages(OFFICE_MCAP)
-    assert done.stderr == b""
 
 
 def test_blocks_have_buffers_of_their_own():
@@ -212,11 +177,10 @@ def test_a_ros1_bag_on_a_pipe_becomes_the_same_bag_as_a_file(tmp_path):
     assert through_pipe.read_bytes() == through_file.read_bytes()
 
 
-def test_a_level_without_a_compression_is_refused(tmp_path):
-    with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="level 3: without compression"):
-        open_writer(tmp_path / "out.mcap", reader, compression="none", level=3)
-    with open_reader(FIXTURES / "office_ros2") as reader, pytest.raises(BagError, match="level 3: without compression"):
-        open_writer(tmp_path / "out", reader, level=3)
+@pytest.mark.parametrize(("source", "codec"), [(OFFICE_MCAP, "none"), (OFFICE_BAG, "none"), (OFFICE, None)])
+def test_a_level_without_a_compression_is_refused(source, codec, tmp_path):
+    with open_reader(source) as reader, pytest.raises(BagError, match="level 3: without compression"):
+        open_writer(tmp_path / f"out{source.suffix}", reader, compression=codec, level=3)
 
 
 def test_a_level_that_a_compression_does_not_have_is_refused_before_anything_is_written(tmp_path):

@@ -1,7 +1,5 @@
 """From the source of a bag to the pipeline."""
 
-from __future__ import annotations
-
 import io
 import sys
 import threading

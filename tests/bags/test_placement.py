@@ -7,17 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from oracles import FIXTURES, OFFICE_MCAP, copy
+from oracles import OFFICE, OFFICE_DB, OFFICE_MCAP, copy
 
 from odomcorrupt.bags import placement
 from odomcorrupt.bags.placement import beside, place, sweep
 from odomcorrupt.errors import BagError
 
-BAGS = {
-    "file": OFFICE_MCAP,
-    "sqlite": FIXTURES / "office_ros2" / "office_ros2.db3",
-    "directory": FIXTURES / "office_ros2",
-}
+BAGS = {"file": OFFICE_MCAP, "sqlite": OFFICE_DB, "directory": OFFICE}
 
 
 def target_of(kind, tmp_path):
@@ -166,8 +162,9 @@ def test_an_error_of_the_file_system_is_reported_and_nothing_is_left(tmp_path, m
 
 def test_a_link_is_written_through(tmp_path):
     (tmp_path / "real").mkdir()
-    (tmp_path / "real" / "out.mcap").write_text("older")
     (tmp_path / "out.mcap").symlink_to(Path("real") / "out.mcap")
-    copy(OFFICE_MCAP, tmp_path / "out.mcap", overwrite=True)
-    assert (tmp_path / "out.mcap").is_symlink()
-    assert (tmp_path / "real" / "out.mcap").read_bytes().startswith(b"\x89MCAP")
+    for _ in ("to nothing", "to what is replaced"):
+        copy(OFFICE_MCAP, tmp_path / "out.mcap", overwrite=True)
+        assert (tmp_path / "out.mcap").is_symlink()
+        assert (tmp_path / "real" / "out.mcap").read_bytes().startswith(b"\x89MCAP")
+        (tmp_path / "real" / "out.mcap").write_text("older")

@@ -7,7 +7,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from oracles import FIXTURES, OFFICE_BAG, OFFICE_MCAP, copy, mcap_messages, mcap_record_places, ros1_messages
+from oracles import OFFICE_BAG, OFFICE_DB, OFFICE_MCAP, copy, mcap_messages, mcap_record_places, ros1_messages
 from test_ros1 import packed, records
 
 from odomcorrupt.bags.open import open_reader, open_writer
@@ -107,9 +107,6 @@ def test_the_unindexed_recording_is_read(tmp_path):
     losses = recover(source, tmp_path / "out.bag")
     assert len(ros1_messages(tmp_path / "out.bag")) == 608
     assert losses == []
-
-
-OFFICE_DB = FIXTURES / "office_ros2" / "office_ros2.db3"
 
 
 def rows_of(path):

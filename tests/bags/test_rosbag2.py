@@ -4,26 +4,32 @@ import shutil
 import sqlite3
 from contextlib import closing
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles import FIXTURES, OFFICE_MCAP, copy, damaged_copies_fail, mcap_extras, mcap_messages
+from oracles import (
+    OFFICE,
+    OFFICE_DB,
+    OFFICE_MCAP,
+    adding,
+    copy,
+    damaged_copies_fail,
+    info_of,
+    mcap_extras,
+    mcap_messages,
+    require_shifted,
+    rewritten,
+    shift,
+)
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2LibraryWriter
-from rosbags.typesys import Stores, get_typestore
-from ruamel.yaml import YAML
 
-from odomcorrupt.bags.block import Message
-from odomcorrupt.bags.messages import READABLE, gather, locate, scatter
+from odomcorrupt.bags.messages import READABLE
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
 from odomcorrupt.errors import BagError
 from recordings import RECORDINGS
 
-OFFICE = FIXTURES / "office_ros2"
-OFFICE_DB = OFFICE / "office_ros2.db3"
-SHIFT = np.array([10.0, 20.0, 30.0])
 DIRECTORIES = [path.parent for path in sorted(RECORDINGS.rglob("metadata.yaml"))]
 
 
@@ -42,37 +48,22 @@ def ros2_messages(path):
         ]
 
 
-def info_of(path):
-    return YAML(typ="safe").load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-
-
 def split(target, storage, parts):
     """Write the office drive as a bag of several files whose topics are numbered differently."""
-    names = []
+    target.mkdir()
     for index in range(parts):
         one = target.parent / f"{target.name}_{index}"
-        with Reader(OFFICE) as reader, Ros2LibraryWriter(one, version=8, storage_plugin=storage) as writer:
-            known = sorted(reader.connections, key=lambda one: one.topic, reverse=index % 2 == 1)
-            if index:
-                known = [connection for connection in known if connection.topic != "/tf_static"]
-            made = {
-                connection.topic: writer.add_connection(
-                    connection.topic,
-                    connection.msgtype,
-                    msgdef=connection.msgdef.data,
-                    rihs01=connection.digest,
-                    offered_qos_profiles=connection.ext.offered_qos_profiles,
-                )
-                for connection in known
-            }
-            for number, (connection, time_ns, data) in enumerate(reader.messages()):
-                if number * parts // 2487 == index:
-                    writer.write(made[connection.topic], time_ns, data)
-        names.append(next(path for path in one.iterdir() if path.suffix != ".yaml"))
-    target.mkdir()
-    for name in names:
+        rewritten(
+            Reader(OFFICE),
+            Ros2LibraryWriter(one, version=8, storage_plugin=storage),
+            order=lambda known, index=index: sorted(
+                (one for one in known if index == 0 or one.topic != "/tf_static"),
+                key=lambda one: one.topic, reverse=index % 2 == 1,
+            ),
+            kept=lambda number, index=index: number * parts // 2487 == index,
+        )  # fmt: skip
+        (name,) = (path for path in one.iterdir() if path.suffix != ".yaml")
         shutil.move(name, target / name.name)
-        shutil.rmtree(name.parent)
     return target
 
 
@@ -133,25 +124,6 @@ def test_metadata_made_for_a_bag_without_says_what_the_library_counts(made, tmp_
         assert [file["path"] for file in info["files"]] == info["relative_file_paths"]
 
 
-def shift(reader, _writer, block):
-    for channel in reader.channels.values():
-        if channel.msgtype == "nav_msgs/msg/Odometry":
-            for layout in locate(block, channel):
-                values = gather(block, layout, layout.items[0], "position")
-                scatter(block, layout, layout.items[0], "position", values + SHIFT)
-
-
-def positions(path):
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with Reader(path) as reader:
-        odom = [one for one in reader.connections if one.topic == "/odom"]
-        points = [
-            store.deserialize_cdr(data, "nav_msgs/msg/Odometry").pose.pose.position
-            for _, _, data in reader.messages(odom)
-        ]
-    return np.array([[point.x, point.y, point.z] for point in points])
-
-
 @pytest.mark.parametrize("only_wanted", [False, True])
 def test_patched_numbers_are_what_another_decoder_reads(bag, tmp_path, only_wanted):
     out = tmp_path / "out"
@@ -160,10 +132,7 @@ def test_patched_numbers_are_what_another_decoder_reads(bag, tmp_path, only_want
         for block in reader.blocks(wanted if only_wanted and writer.keeps_rest else None):
             shift(reader, writer, block)
             writer.write(block)
-    np.testing.assert_array_equal(positions(out), positions(OFFICE) + SHIFT)
-    assert [one for one in ros2_messages(out) if one[0] != "/odom"] == [
-        one for one in ros2_messages(OFFICE) if one[0] != "/odom"
-    ]
+    require_shifted(ros2_messages(OFFICE), ros2_messages(out))
 
 
 def test_what_is_not_asked_of_a_database_is_reported_but_not_read():
@@ -179,22 +148,10 @@ def test_what_is_not_asked_of_a_database_is_reported_but_not_read():
 
 
 def test_added_messages_and_topics_are_there_and_counted(bag, tmp_path):
-    made = {}
-
-    def add(reader, writer, block):
-        if not len(block.table):
-            return
-        if not made:
-            odom = next(one for one in reader.channels.values() if one.topic == "/odom")
-            made["truth"] = writer.add_channel("/odom_truth", odom.msgtype, odom)
-            made["pose"] = writer.add_channel("/pose", "geometry_msgs/msg/PoseStamped", odom)
-            made["odom"] = odom
-        for channel in made.values():
-            block.added.append(Message(channel.id, int(block.table["log_ns"][0]) + 1, b"\0\1\0\0added"))
-
-    out = copy(bag, tmp_path / "out", add)
+    data = b"\0\1\0\0added"
+    out = copy(bag, tmp_path / "out", adding("/odom", "/odom_truth", data))
     seen = ros2_messages(out)
-    extra = [one for one in seen if one[4] == b"\0\1\0\0added"]
+    extra = [one for one in seen if one[4] == data]
     assert {one[0] for one in extra} == {"/odom_truth", "/pose", "/odom"}
     odom = next(one for one in seen if one[0] == "/odom")
     truth = next(one for one in extra if one[0] == "/odom_truth")
@@ -243,9 +200,8 @@ def test_a_file_becomes_a_file_when_its_name_says_so(tmp_path):
     for source in (OFFICE, OFFICE_DB):
         out = copy(source, tmp_path / f"{source.name}.out.db3", shift)
         assert out.is_file()
-        np.testing.assert_array_equal(
-            positions(copy(out, tmp_path / f"{source.stem} of {len(source.suffix)}")), positions(OFFICE) + SHIFT
-        )
+        again = copy(out, tmp_path / f"{source.stem} of {len(source.suffix)}")
+        require_shifted(ros2_messages(OFFICE), ros2_messages(again))
 
 
 def test_a_recording_with_a_live_log_is_read_whole(tmp_path):
@@ -298,41 +254,21 @@ def test_all_versions_of_the_tables_are_read(tmp_path):
         ("a: [", "cannot be read"),
         ("rosbag2_bagfile_information:\n  relative_file_paths: [gone.db3]\n", "gone.db3"),
         ("rosbag2_bagfile_information:\n  relative_file_paths: []\n", "no file"),
+        (None, "without a bag"),
     ],
 )
 def test_a_bad_metadata_file_is_an_error_that_names_it(tmp_path, text, words):
     (tmp_path / "in").mkdir()
-    (tmp_path / "in" / "metadata.yaml").write_text(text)
+    if text is not None:
+        (tmp_path / "in" / "metadata.yaml").write_text(text)
     with pytest.raises(BagError, match=words):
         open_reader(tmp_path / "in")
-
-
-def test_a_directory_without_a_bag_is_an_error(tmp_path):
-    with pytest.raises(BagError, match="without a bag"):
-        open_reader(tmp_path)
 
 
 def test_a_file_cut_anywhere_is_an_error_and_leaves_nothing(tmp_path):
     size = OFFICE_DB.stat().st_size
     offsets = [1, 15, 16, 99, 100, *np.linspace(101, size - 1, 40).astype(int).tolist(), 4096, 8192, size - 4096]
     assert damaged_copies_fail(OFFICE_DB, tmp_path, offsets, ".db3") == []
-
-
-@pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError])
-def test_a_failure_leaves_nothing_and_what_was_there_before(bag, tmp_path, failure):
-    out = tmp_path / "out"
-    for before in (False, True):
-        if before:
-            shutil.copytree(OFFICE, out)
-        known = {path.name for path in tmp_path.iterdir()}
-
-        def fail(_reader, _writer, _block):
-            raise failure
-
-        with pytest.raises(failure):
-            copy(bag, out, fail, overwrite=True)
-        assert {path.name for path in tmp_path.iterdir()} == known
-        assert not before or ros2_messages(out) == ros2_messages(OFFICE)
 
 
 def test_only_a_bag_is_ever_replaced_by_a_bag(tmp_path):
@@ -353,23 +289,14 @@ def test_only_a_bag_is_ever_replaced_by_a_bag(tmp_path):
         open_writer(tmp_path / "file", reader, overwrite=True)
 
 
-@pytest.mark.parametrize("name", [OFFICE.name, OFFICE_DB.name])
-def test_the_input_is_never_the_output(tmp_path, name):
-    bag = shutil.copytree(OFFICE, tmp_path / OFFICE.name)
-    source = bag if name == OFFICE.name else bag / name
-    with open_reader(source) as reader, pytest.raises(BagError, match="is the input"):
-        open_writer(source, reader, overwrite=True)
-
-
 def test_any_ros_2_bag_becomes_a_single_sqlite3_file(tmp_path):
     for number, source in enumerate((OFFICE_MCAP, split(tmp_path / "in", StoragePlugin.SQLITE3, 2), OFFICE)):
-        out = copy(source, tmp_path / f"{number}.db3")
-        with open_reader(source) as before, open_reader(out) as after:
-            counts = [
-                sorted((r.channels[c].topic, t) for b in r.blocks() for c, t, _, _ in b.table.tolist())
-                for r in (before, after)
-            ]
-        assert counts[0] == counts[1]
+        found = []
+        for path in (source, copy(source, tmp_path / f"{number}.db3")):
+            with open_reader(path) as reader:
+                rows = [row for block in reader.blocks() for row in block.table.tolist()]
+                found.append(sorted((reader.channels[channel].topic, log_ns) for channel, log_ns, _, _ in rows))
+        assert found[0] == found[1]
 
 
 def test_messages_of_ros_1_do_not_become_a_ros_2_bag_as_they_are(tmp_path):
@@ -391,7 +318,6 @@ def test_recordings_of_others_go_through(path, tmp_path):
 
 @pytest.mark.recordings
 def test_recordings_of_others_were_read():
-    assert all(isinstance(path, Path) for path in DIRECTORIES)
     assert DIRECTORIES
 
 

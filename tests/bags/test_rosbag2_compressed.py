@@ -4,7 +4,8 @@ from collections import Counter
 
 import pytest
 import zstandard
-from oracles import FIXTURES, copy, mcap_messages
+from bagged import messages_in
+from oracles import OFFICE, copy, info_of, mcap_messages, rewritten
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2LibraryWriter
 from ruamel.yaml import YAML
@@ -15,7 +16,6 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
 from odomcorrupt.errors import BagError
 
-OFFICE = FIXTURES / "office_ros2"
 MODES = {"file": CompressionMode.FILE, "message": CompressionMode.MESSAGE}
 STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7", "-q")
@@ -23,17 +23,10 @@ NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7", "-q")
 
 def compressed(path, mode, storage, seconds=2):
     """Write the beginning of the office, compressed by the rosbags library; mode None is as it is."""
-    with Reader(OFFICE) as reader:
-        writer = Ros2LibraryWriter(path, version=8, storage_plugin=STORAGES[storage])
-        if mode is not None:
-            writer.set_compression(MODES[mode], CompressionFormat.ZSTD)
-        with writer:
-            made = {
-                one.id: writer.add_connection(one.topic, one.msgtype, msgdef=one.msgdef.data, rihs01=one.digest)
-                for one in reader.connections
-            }
-            for one, log_ns, data in reader.messages(stop=reader.start_time + seconds * 10**9):
-                writer.write(made[one.id], log_ns, data)
+    writer = Ros2LibraryWriter(path, version=8, storage_plugin=STORAGES[storage])
+    if mode is not None:
+        writer.set_compression(MODES[mode], CompressionFormat.ZSTD)
+    rewritten(Reader(OFFICE), writer, seconds=seconds)
     return path
 
 
@@ -45,16 +38,7 @@ def rows(path):
 
 def ours(path, **options):
     """Return the same as this package reads them."""
-    with open_reader(path, **options) as reader:
-        return sorted(
-            (reader.channels[channel].topic, log_ns, block.data[at : at + size].tobytes())
-            for block in reader.blocks()
-            for channel, log_ns, at, size in block.table.tolist()
-        )
-
-
-def info_of(path):
-    return YAML(typ="safe").load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    return sorted(messages_in(path, **options))
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -153,14 +137,11 @@ def test_a_silent_model_gives_a_file_decompressed(tmp_path):
 @pytest.mark.parametrize("storage", STORAGES)
 def test_what_would_fill_the_disk_is_refused(mode, storage, tmp_path, monkeypatch):
     bag = compressed(tmp_path / "in", mode, storage, 1)
-    with Reader(bag) as reader:
-        connections = [(one.topic, one.msgtype, one.msgdef.data, one.digest) for one in reader.connections]
     bomb = tmp_path / "bomb"
     writer = Ros2LibraryWriter(bomb, version=8, storage_plugin=STORAGES[storage])
     writer.set_compression(MODES[mode], CompressionFormat.ZSTD)
     with writer:
-        topic, msgtype, text, digest = connections[0]
-        made = writer.add_connection(topic, msgtype, msgdef=text, rihs01=digest)
+        made = writer.add_connection("/zeros", "std_msgs/msg/String", msgdef="string data", rihs01="RIHS01_0")
         writer.write(made, 10**18, bytes(1 << 23))
     monkeypatch.setenv(VARIABLE, "1MB")
     monkeypatch.setattr(budget, "_TIMES", 10)
@@ -206,5 +187,5 @@ def test_no_copy_is_left_behind(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "room"))
     assert run([str(bag), str(tmp_path / "out"), *NOISE]) == 0
     with pytest.raises(BagError):
-        open_reader(FIXTURES / "office_ros2" / "metadata.yaml")
+        open_reader(OFFICE / "metadata.yaml")
     assert list((tmp_path / "room").iterdir()) == []

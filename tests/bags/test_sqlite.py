@@ -1,21 +1,18 @@
 """sqlite3 bags: schemas and tables."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sqlite3
 from contextlib import closing
 
 import pytest
-from oracles import FIXTURES, copy
+from oracles import OFFICE_DB, copy, count_of
 from test_recover import recover, rows_of
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.rosbag2 import database
 from odomcorrupt.errors import BagError
 
-OFFICE_DB = FIXTURES / "office_ros2" / "office_ros2.db3"
 ENDLESS = "WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c) SELECT n FROM c"
 DELETES = "CREATE TRIGGER t AFTER UPDATE ON messages BEGIN DELETE FROM messages WHERE topic_id = 3; END"
 SWALLOWS = "CREATE TRIGGER t BEFORE UPDATE ON messages BEGIN SELECT RAISE(IGNORE); END"
@@ -28,12 +25,13 @@ EXPLODES = f"CREATE TRIGGER t AFTER UPDATE ON messages BEGIN INSERT INTO topics 
 TRIGGERS = [DELETES, SWALLOWS, REPLACES, INSERTS, EXPLODES]
 
 
-def changed(tmp_path, *statements):
+def changed(tmp_path, *statements, values=()):
+    """Return a copy of the office's file in which statements were executed, all with these values."""
     path = tmp_path / "in.db3"
     shutil.copyfile(OFFICE_DB, path)
     with closing(sqlite3.connect(path)) as connection, connection:
         for statement in statements:
-            connection.execute(statement)
+            connection.execute(statement, values if "?" in statement else ())
     return path
 
 
@@ -109,10 +107,7 @@ BROKEN = b"float64 x\n" * 500 + b"\xff"
     ],
 )
 def test_a_name_that_is_damaged_is_reported_in_a_line_that_advises_nothing(change, recovering, tmp_path):
-    path = tmp_path / "in.db3"
-    shutil.copyfile(OFFICE_DB, path)
-    with closing(sqlite3.connect(path)) as connection:
-        connection.execute(change)
+    path = changed(tmp_path, change)
     with pytest.raises(BagError) as caught:
         open_reader(path, recover=recovering)
     said = str(caught.value)
@@ -124,31 +119,22 @@ def test_a_name_that_is_damaged_is_reported_in_a_line_that_advises_nothing(chang
 @pytest.mark.parametrize("directory", [False, True])
 @pytest.mark.parametrize("change", ["topic_id = -1", "data = 'text'", "timestamp = 'noon'"])
 def test_a_message_without_a_topic_data_or_time_is_lost_alone(change, directory, tmp_path):
-    source = tmp_path / ("in" if directory else "in.db3")
+    source = changed(tmp_path, f"UPDATE messages SET {change} WHERE rowid = 14")  # noqa: S608 - ours
     if directory:
-        shutil.copytree(OFFICE_DB.parent, source)
-    else:
-        shutil.copyfile(OFFICE_DB, source)
-    with closing(sqlite3.connect(source / OFFICE_DB.name if directory else source)) as connection, connection:
-        connection.execute(f"UPDATE messages SET {change} WHERE rowid = 14")  # noqa: S608 - ours
+        shutil.copytree(OFFICE_DB.parent, tmp_path / "in")
+        source.replace(tmp_path / "in" / OFFICE_DB.name)
+        source = tmp_path / "in"
     with pytest.raises(BagError, match="message 14 has no data, no time or no topic"):
         copy(source, tmp_path / f"no{source.suffix}")
     out = tmp_path / f"out{source.suffix}"
     (loss,) = recover(source, out)
     assert "message 14 has no data, no time or no topic; the bag is damaged" in loss
-    again = tmp_path / f"again{source.suffix}"
-    copy(out, again)
-    with open_reader(again) as reader, open_reader(OFFICE_DB) as whole:
-        saved, everything = (sum(len(block.table) for block in one.blocks()) for one in (reader, whole))
-    assert saved == everything - 1
+    assert count_of(copy(out, tmp_path / f"again{source.suffix}")) == count_of(OFFICE_DB) - 1
 
 
 @pytest.mark.parametrize("recovering", [False, True])
 def test_text_that_is_none_is_reported_in_a_line(recovering, tmp_path):
-    path = tmp_path / "in.db3"
-    shutil.copyfile(OFFICE_DB, path)
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("UPDATE topics SET type = CAST(? AS TEXT)", (BROKEN,))
+    path = changed(tmp_path, "UPDATE topics SET type = CAST(? AS TEXT)", values=(BROKEN,))
     with pytest.raises(BagError, match="sqlite3 reports Could not decode to UTF-8") as caught:
         open_reader(path, recover=recovering)
     assert "\n" not in str(caught.value)
@@ -156,10 +142,8 @@ def test_text_that_is_none_is_reported_in_a_line(recovering, tmp_path):
 
 
 def test_a_definition_in_another_encoding_comes_through(tmp_path):
-    path = tmp_path / "in.db3"
-    shutil.copyfile(OFFICE_DB, path)
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("UPDATE message_definitions SET encoded_message_definition = CAST(? AS TEXT)", (BROKEN,))
+    statement = "UPDATE message_definitions SET encoded_message_definition = CAST(? AS TEXT)"
+    path = changed(tmp_path, statement, values=(BROKEN,))
     copy(path, tmp_path / "out.db3")
     with closing(sqlite3.connect(tmp_path / "out.db3")) as connection:
         query = "SELECT CAST(encoded_message_definition AS BLOB) FROM message_definitions"
@@ -183,24 +167,18 @@ def _with_bad_page(path, table, which):
 def test_any_page_of_messages_costs_its_own_rows_alone(which, tmp_path):
     _with_bad_page(tmp_path / "in.db3", "messages", which)
     assert any("messages from" in loss for loss in recover(tmp_path / "in.db3", tmp_path / "out.db3"))
-    with open_reader(tmp_path / "out.db3") as reader, open_reader(OFFICE_DB) as whole:
-        saved, everything = (sum(len(block.table) for block in one.blocks()) for one in (reader, whole))
-    assert 0.9 * everything < saved < everything
+    assert 0.9 * count_of(OFFICE_DB) < count_of(tmp_path / "out.db3") < count_of(OFFICE_DB)
 
 
 def test_definitions_that_cannot_be_read_cost_no_message(tmp_path):
     _with_bad_page(tmp_path / "in.db3", "message_definitions", 0)
     (loss,) = recover(tmp_path / "in.db3", tmp_path / "out.db3")
     assert "some definitions of message types are lost" in loss
-    with open_reader(tmp_path / "out.db3") as reader, open_reader(OFFICE_DB) as whole:
-        saved, everything = (sum(len(block.table) for block in one.blocks()) for one in (reader, whole))
-    assert saved == everything
+    assert count_of(tmp_path / "out.db3") == count_of(OFFICE_DB)
 
 
 def test_messages_of_a_topic_that_is_gone_are_lost_in_one_line(tmp_path):
-    shutil.copyfile(OFFICE_DB, tmp_path / "in.db3")
-    with closing(sqlite3.connect(tmp_path / "in.db3")) as connection, connection:
-        connection.execute("DELETE FROM topics WHERE name = '/imu'")
+    changed(tmp_path, "DELETE FROM topics WHERE name = '/imu'")
     (loss,) = recover(tmp_path / "in.db3", tmp_path / "out.db3")
     assert re.fullmatch(
         r".*message \d+ has no data, no time or no topic; the bag is damaged; the same applies to \d+ more", loss
@@ -210,9 +188,7 @@ def test_messages_of_a_topic_that_is_gone_are_lost_in_one_line(tmp_path):
 
 @pytest.mark.parametrize("row", [-(1 << 63), -1, (1 << 63) - 1])
 def test_any_number_of_a_row_is_read(row, tmp_path):
-    shutil.copyfile(OFFICE_DB, tmp_path / "in.db3")
-    with closing(sqlite3.connect(tmp_path / "in.db3")) as connection, connection:
-        connection.execute("UPDATE messages SET id = ? WHERE id = 20", (row,))
+    changed(tmp_path, "UPDATE messages SET id = ? WHERE id = 20", values=(row,))
     copy(tmp_path / "in.db3", tmp_path / "out.db3")
     assert rows_of(tmp_path / "out.db3") == rows_of(tmp_path / "in.db3")
 
@@ -220,12 +196,12 @@ def test_any_number_of_a_row_is_read(row, tmp_path):
 @pytest.mark.parametrize("number", [-1, 1 << 32, 2])
 @pytest.mark.parametrize("recovering", [False, True])
 def test_ids_of_topics_that_no_recorder_gives_are_refused(number, recovering, tmp_path):
-    shutil.copyfile(OFFICE_DB, tmp_path / "in.db3")
-    with closing(sqlite3.connect(tmp_path / "in.db3")) as connection, connection:
-        connection.execute("CREATE TABLE other AS SELECT * FROM topics")  # without a primary key
-        connection.execute("DROP TABLE topics")
-        connection.execute("ALTER TABLE other RENAME TO topics")
-        connection.execute("UPDATE topics SET id = ? WHERE id = 1", (number,))
+    changed(
+        tmp_path,
+        "CREATE TABLE other AS SELECT * FROM topics",  # without a primary key
+        "DROP TABLE topics", "ALTER TABLE other RENAME TO topics", "UPDATE topics SET id = ? WHERE id = 1",
+        values=(number,),
+    )  # fmt: skip
     with pytest.raises(BagError, match=f"has the id {number}, which is negative, too large or already used"):
         open_reader(tmp_path / "in.db3", recover=recovering)
 
@@ -248,6 +224,4 @@ def test_a_file_of_more_than_two_gigabytes_is_read(tmp_path):
     with path.open("r+b") as stream:
         # a hole: sqlite3 reads as many pages as the header tells of
         stream.truncate((1 << 31) + (1 << 20))
-    with open_reader(path) as reader, open_reader(OFFICE_DB) as whole:
-        found, everything = (sum(len(block.table) for block in one.blocks()) for one in (reader, whole))
-    assert found == everything
+    assert count_of(path) == count_of(OFFICE_DB)

@@ -7,7 +7,7 @@ import threading
 import time
 
 import pytest
-from oracles import FIXTURES
+from oracles import OFFICE, OFFICE_DB
 
 from odomcorrupt.bags.rosbag2 import sqlite_writer
 from odomcorrupt.corruption.run import Container, corrupt_bag
@@ -16,8 +16,6 @@ from odomcorrupt.errors import BagError
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 
-OFFICE = FIXTURES / "office_ros2"
-OFFICE_DB = OFFICE / "office_ros2.db3"
 MODEL = MotionModel(Noise("diffusion", Coefficients(0.05, 0.02, 0.05, 0.01)))
 
 

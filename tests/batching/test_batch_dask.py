@@ -1,7 +1,5 @@
 """A real Dask cluster of two workers, of which one is killed half-way, makes the bytes of a local run."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os
@@ -15,7 +13,6 @@ import pytest
 import odomcorrupt
 from odomcorrupt.cli import run
 
-FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 RUNS = 48
 
 absent = pytest.mark.skipif(
@@ -62,34 +59,29 @@ def cluster(tmp_path):
 
 @absent
 @pytest.mark.slow
-def test_a_worker_killed_half_way_changes_no_byte(cluster, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("in.mcap").write_bytes((FIXTURES / "office.mcap").read_bytes())
+def test_a_worker_killed_half_way_changes_no_byte(cluster, here):
     typed = ["--runs", str(RUNS), "--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7"]
     address, workers = cluster
     ready = "import sys; from distributed import Client; Client(sys.argv[1]).wait_for_workers(2, timeout=60)"
     subprocess.run([sys.executable, "-c", ready, address], check=True, capture_output=True)
-    batch = start("odomcorrupt", "batch", "in.mcap", "far", *typed, "--dask", address, cwd=tmp_path)
-    wait_for(lambda: len(list(tmp_path.glob("far/run_*"))) >= RUNS // 4)
-    parts_before = {path.name for path in tmp_path.glob("far/.parts/*.jsonl")}
+    batch = start("odomcorrupt", "batch", "in.mcap", "far", *typed, "--dask", address, cwd=here)
+    wait_for(lambda: len(list(here.glob("far/run_*"))) >= RUNS // 4)
+    parts_before = {path.name for path in here.glob("far/.parts/*.jsonl")}
     workers[0].kill()
-    made = len(list(tmp_path.glob("far/run_*")))
+    made = len(list(here.glob("far/run_*")))
     assert batch.wait(timeout=120) == 0
     assert made < RUNS, "the worker was killed too late to matter"
     assert len(parts_before) == 2, "both workers had work"
     assert run(["batch", "in.mcap", "near", *typed]) == 0
     near, far = (
-        {path.name: path.read_bytes() for path in (tmp_path / name).iterdir() if path.is_file()}
-        for name in ("near", "far")
+        {path.name: path.read_bytes() for path in (here / name).iterdir() if path.is_file()} for name in ("near", "far")
     )
     assert set(near) == {*(f"run_{k:06d}.mcap" for k in range(RUNS)), "manifest.jsonl", "batch.json", "model.toml",
                          "clean.tum"}  # fmt: skip
     assert {name: data for name, data in far.items() if not name.startswith(".")} == near
 
 
-def test_without_dask_the_extra_is_named(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    Path("in.mcap").write_bytes((FIXTURES / "office.mcap").read_bytes())
+def test_without_dask_the_extra_is_named(here, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert run(["batch", "in.mcap", "runs", "--runs", "1", "--seed", "1", "--dask", "tcp://127.0.0.1:1"]) == 1
     assert 'pip install ".[dask]"' in capsys.readouterr().err

@@ -1,15 +1,7 @@
 """Options of a batch, and its progress."""
 
-from __future__ import annotations
-
-import json
-import os
-import pty
 import re
 import shlex
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,14 +9,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from test_batch_bytes import BAGS, bytes_of, messages_of
+from test_batch_bytes import BAGS, bytes_of, messages_of, records
 
 import odomcorrupt as oc
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.dispersion import spread_brief
 from odomcorrupt.batching.runner import Watched
 from odomcorrupt.cli import run
-from odomcorrupt.commands._progress import left_words
+from terminal import on_a_terminal
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 NOISE = ["--alpha", "5deg", "0.02", "0.05", "0.01", "--seed", "7"]
@@ -34,19 +26,6 @@ OPTIONS = {
     "correction": ["--tf", "correction", "--new-odom-frame", "odom0"],
     "all": ["--keep-truth", "/odom_true", "--tf", "correction", "--new-odom-frame", "odom0", "--recover"],
 }
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    """Return a directory that is the working one, with links to the fixtures."""
-    monkeypatch.chdir(tmp_path)
-    for name in BAGS:
-        (tmp_path / name).symlink_to(FIXTURES / name)
-    return tmp_path
-
-
-def records(directory):
-    return [json.loads(line) for line in (directory / "manifest.jsonl").read_text().splitlines()]
 
 
 @pytest.mark.parametrize("name", BAGS)
@@ -133,12 +112,6 @@ def test_what_adds_messages_is_refused_where_only_changes_are_written(flag, outp
     assert not (here / "runs").exists()
 
 
-def test_one_option_of_a_correction_without_the_other_is_refused(here, capsys):
-    assert run(["batch", "office.mcap", "runs", "--runs", "1", *NOISE, "--tf", "correction"]) == 2
-    assert "go together" in capsys.readouterr().err
-    assert not (here / "runs").exists()
-
-
 @pytest.mark.parametrize("output", ["full", "overlay"])
 def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_reported(output, here, capsys):
     whole = (FIXTURES / "office.mcap").read_bytes()
@@ -186,12 +159,6 @@ def test_models_and_inputs_that_are_swept_have_directories_whose_commands_make_t
     assert len(seen) == len(points)
 
 
-def test_more_runs_than_any_disk_holds_are_refused_at_once(here, capsys):
-    assert run(["batch", "office.mcap", "runs", "--runs", "900000000", "--seed", "1"]) == 1
-    assert "900000000 runs need about" in capsys.readouterr().err
-    assert not (here / "runs").exists()
-
-
 def test_a_sweep_says_the_drift_of_each_point_and_its_next_command_works(here, capsys):
     words = ["batch", "office.mcap", "runs", "--runs", "2", "--output", "trajectories", *NOISE]
     assert run([*words, "--sweep", "alpha-scale=0.5,2"]) == 0
@@ -237,11 +204,6 @@ def test_pass_tells_its_part_in_ascending_order(name, monkeypatch):
         assert 0.9 < parts[-1] <= 1.0
 
 
-def test_half_a_pass_counts_for_rate_and_time_left():
-    assert left_words(3.5, 10, 7.0) == "3 of 10 runs, 0.5 a second, 13 s left"
-    assert left_words(0.0, 10, 7.0) == "0 of 10 runs"
-
-
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_terminal_sees_runs_grow_within_a_pass(jobs, tmp_path):
     program = (
@@ -251,28 +213,11 @@ def test_terminal_sees_runs_grow_within_a_pass(jobs, tmp_path):
     script = tmp_path / "slow.py"
     # a worker that is spawned imports the script anew, and with it the shorter pause
     script.write_text(program.replace("import sys;", "if __name__ == '__main__':\n  import sys;"))
-    ours, theirs = pty.openpty()
     words = ["batch", str(FIXTURES / "office.mcap"), str(tmp_path / "runs"), "--runs", "8", "--seed", "1"]
-    child = subprocess.Popen(
-        [sys.executable, str(script), *words, "--jobs", jobs, "--alpha", "0.1", "0.1", "0.1", "0.1"],
-        stderr=theirs, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
-    os.close(theirs)
-    said = b""
-    ends = time.monotonic() + 60.0
-    while time.monotonic() < ends:
-        try:
-            piece = os.read(ours, 4096)
-        except OSError:
-            break
-        if not piece:
-            break
-        said += piece
-    os.close(ours)
-    assert child.wait(10) == 0
-    lines = re.findall(rb"(\d+) of 8 runs[^\r]*", said)
-    assert b"s of the bag" in said
-    assert b"8 runs made now" in said
+    said = on_a_terminal(80, str(script), *words, "--jobs", jobs, "--alpha", "0.1", "0.1", "0.1", "0.1")
+    lines = re.findall(r"(\d+) of 8 runs[^\r]*", said)
+    assert "s of the bag" in said
+    assert "8 runs made now" in said
     counts = [int(line) for line in lines]
     assert counts == sorted(counts)
     assert counts[-1] == 8

@@ -1,13 +1,12 @@
 """Robots and fleets of a batch."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
+from test_batch_bytes import records
 
 from odomcorrupt.batching.parameter_draws import draw_robot, fleet_model, spreads_of
 from odomcorrupt.batching.sweep import parse_range, sobol_points, variants
@@ -15,7 +14,6 @@ from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.model_file import parse_model, read_model
 
-FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 MODEL = """schema = 1
 [noise]
 rot_rot = 0.03
@@ -28,16 +26,9 @@ curvature = "0.004 +- 0.002"
 """
 
 
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("in.mcap").write_bytes((FIXTURES / "office.mcap").read_bytes())
+@pytest.fixture(autouse=True)
+def _robot(here):
     Path("robot.toml").write_text(MODEL)
-    return tmp_path
-
-
-def records(directory):
-    return [json.loads(line) for line in (directory / "manifest.jsonl").read_text().splitlines()]
 
 
 def test_drawn_robots_have_the_stated_mean_and_spread():
@@ -223,9 +214,6 @@ def test_of_several_odometry_topics_a_batch_takes_the_one_that_the_model_was_lea
     assert len(records(here / "runs")) == 2
 
 
-OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
-
-
 def robot(rot, e=None, error=0.0, law="diffusion"):
     text = (
         f'schema = 1\n[noise]\nlaw = "{law}"\nrot_rot = {rot}\nrot_trans = 0.02\ntrans_trans = 0.02\ntrans_rot = 0.0\n'
@@ -273,16 +261,16 @@ def test_what_is_no_fleet_is_refused(texts, said):
         fleet(*texts)
 
 
-def test_every_run_of_a_batch_is_another_robot_of_the_fleet(tmp_path, capsys):
+def test_every_run_of_a_batch_is_another_robot_of_the_fleet(here, capsys):
     files = []
     for i, rot in enumerate((0.01, 0.02, 0.04)):
-        files += ["--fleet", str(tmp_path / f"{i}.toml")]
-        (tmp_path / f"{i}.toml").write_text(robot(rot, 0.01 * i))
-    words = ["batch", str(OFFICE), str(tmp_path / "runs"), "--runs", "5", "--seed", "3", "--output", "trajectories"]
+        files += ["--fleet", f"{i}.toml"]
+        Path(f"{i}.toml").write_text(robot(rot, 0.01 * i))
+    words = ["batch", "in.mcap", "runs", "--runs", "5", "--seed", "3", "--output", "trajectories"]
     assert run([*words, *files]) == 0
-    lines = [json.loads(line) for line in (tmp_path / "runs" / "manifest.jsonl").read_text().splitlines()]
+    lines = records(here / "runs")
     assert len({line["drawn"]["wheelbase.e"] for line in lines}) == 5
-    own = read_model(tmp_path / "runs" / lines[2]["robot"])
+    own = read_model(here / "runs" / lines[2]["robot"])
     assert own.effects[0].e == pytest.approx(lines[2]["drawn"]["wheelbase.e"])
     assert run([*words, *files, "--preset", "article"]) == 2
     assert "--fleet and --preset" in capsys.readouterr().err

@@ -1,7 +1,5 @@
 """A gyro's bias that walks is read where the robot stands, and removed by `correct`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

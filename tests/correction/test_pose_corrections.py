@@ -1,7 +1,5 @@
 """Steps of a filter towards poses are found in its odometry alone, and free odometry is left as it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

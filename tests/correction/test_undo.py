@@ -1,7 +1,5 @@
 """Correction is the inverse of corruption: effect by effect, across jumps of the pose, and for clocks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,14 +1,15 @@
 """Bags that exist in memory alone: messages packed by hand, readers that are lists, and what a robot sends."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass, field
 
 import numpy as np
+from mcap.writer import Writer
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
 
 ODOM = Channel(1, "/odom", "nav_msgs/msg/Odometry", "cdr")
 TF = Channel(2, "/tf", "tf2_msgs/msg/TFMessage", "cdr")
@@ -125,6 +126,68 @@ def read(blocks, channel, name, edge=None):
     return np.array(stamps), np.array(values)
 
 
+def planar(blocks, channel=ODOM, edge=None):
+    """Return x, y, yaw (n, 3) of a channel's messages, in bag order; `edge` picks a transform."""
+    (_, position), (_, quat) = (read(blocks, channel, name, edge) for name in ("position", "orientation"))
+    return np.column_stack((position[:, :2], yaw_from_quaternion(quat)))
+
+
+@dataclass
+class Rows:
+    """Messages of one topic or edge: stamps (n,), poses (n, 3), and other columns, where the messages have them."""
+
+    stamps_ns: np.ndarray
+    xyt: np.ndarray
+    columns: dict
+
+    def __getattr__(self, name):
+        return self.columns[name]
+
+
+def rows_of(path, topic="/odom", edge=None):
+    """Read a topic of a bag, in the order of its stamps; `edge` (parent, child) picks transforms."""
+    stamps, columns = [], {}
+    with open_reader(path) as reader:
+        channels = [channel for channel in reader.channels.values() if channel.topic == topic]
+        found = ((b, layout) for b in reader.blocks() for channel in channels for layout in locate(b, channel))
+        for block, layout in found:
+            for item in layout.items:
+                if edge in (None, (item.frame_id, item.child_frame_id)):
+                    stamps.append(gather_stamps_ns(block, layout, item))
+                    for name in item.fields:
+                        columns.setdefault(name, []).append(gather(block, layout, item, name))
+    stamps = np.concatenate(stamps)
+    order = np.argsort(stamps, kind="stable")
+    columns = {name: np.concatenate(parts)[order] for name, parts in columns.items()}
+    yaw = yaw_from_quaternion(columns["orientation"])
+    return Rows(stamps[order], np.column_stack((columns["position"][:, :2], yaw)), columns)
+
+
+def messages_in(path, **options):
+    """Return topic, log time and bytes of every message of a bag, in its order."""
+    with open_reader(path, **options) as reader:
+        return [
+            (reader.channels[channel].topic, log_ns, block.data[at : at + size].tobytes())
+            for block in reader.blocks()
+            for channel, log_ns, at, size in block.table.tolist()
+        ]
+
+
+def write_mcap(path, messages):
+    """Write messages (channel, log_ns, bytes) to a file, in their order; return its path."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        ids = {}
+        for channel, log_ns, data in messages:
+            if channel.topic not in ids:
+                schema = writer.register_schema(channel.msgtype, "ros2msg", b"")
+                ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema)
+            writer.add_message(ids[channel.topic], int(log_ns), data, int(log_ns))
+        writer.finish()
+    return path
+
+
 def twists(t, poses):
     """Twists whose mid-point integration gives the poses back."""
     dt = np.diff(t) * 1e-9
@@ -133,6 +196,17 @@ def twists(t, poses):
     dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
     along, across = np.cos(middle) * dx + np.sin(middle) * dy, np.cos(middle) * dy - np.sin(middle) * dx
     return np.vstack((np.zeros((1, 3)), np.column_stack((along, across, turn)) / dt[:, None]))
+
+
+def driven(t, poses, *edges, **options):
+    """Odometry of a drive, and beside each message transforms: parent, child, and a pose or a function of its."""
+    out = []
+    for stamp, pose in zip(t, poses, strict=True):
+        out.append((ODOM, int(stamp), odometry(stamp, pose, **options)))
+        if edges:
+            tree = [(stamp, *frames, own(pose) if callable(own) else own) for *frames, own in edges]
+            out.append((TF, int(stamp), transforms(*tree)))
+    return out
 
 
 def robot(t, poses, latency_ns=3_000_000):

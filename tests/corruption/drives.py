@@ -1,12 +1,11 @@
 """Drives for the tests of this folder: clean poses in time, and a slow textbook that corrupts them."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 
 import numpy as np
 
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients
 
@@ -44,6 +43,14 @@ def office(rate_hz=50.0, seconds=40.0):
     x = 2.0 + np.concatenate(([0.0], np.cumsum(v[:-1] * np.cos(middle) / rate_hz)))
     y = -1.0 + np.concatenate(([0.0], np.cumsum(v[:-1] * np.sin(middle) / rate_hz)))
     return stamps(len(t), rate_hz), np.column_stack((x, y, theta))
+
+
+def error_in_any_cut(chosen, t, poses, size=41):
+    """Return the errors (n, 3) of a drive, which are the same when it comes in pieces."""
+    path, whole = NoisyPath(chosen, 4), NoisyPath(chosen, 4).feed(t, poses).error_xyt
+    pieces = [path.feed(t[i : i + size], poses[i : i + size]).error_xyt for i in range(0, len(t), size)]
+    assert np.array_equal(np.concatenate(pieces), whole)
+    return whole
 
 
 def fold(angle):

@@ -1,10 +1,8 @@
 """Truth kept beside, the correction as a transform, localisation kept, and TF that drives alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, messages_of, odometry, read, robot, transforms
+from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, driven, messages_of, planar, robot, transforms
 from drives import model, office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
@@ -12,7 +10,7 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.corruption.additions import pack_transform
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.errors import TopicError
-from odomcorrupt.geometry.se2 import compose, inverse, wrap, yaw_from_quaternion
+from odomcorrupt.geometry.se2 import compose, inverse, wrap
 
 DRIVE = office(20.0, 10.0)
 CHANNELS = {c.id: c for c in (ODOM, TF, IMU)}
@@ -48,12 +46,6 @@ def added(blocks, channel):
     return Block(np.frombuffer(b"".join(message.data for message in messages), np.uint8).copy(), table)
 
 
-def planar(blocks, channel, edge=None):
-    _, position = read(blocks, channel, "position", edge)
-    _, quat = read(blocks, channel, "orientation", edge)
-    return np.column_stack((position[:, :2], yaw_from_quaternion(quat)))
-
-
 def assert_same(ours, theirs, tolerance=1e-9):
     assert np.abs((ours - theirs)[..., :2]).max() < tolerance
     assert np.abs(wrap((ours - theirs)[..., 2])).max() < tolerance
@@ -82,14 +74,7 @@ def test_the_truth_needs_a_name_that_a_topic_can_have(name):
 
 
 def without_localisation(t, poses):
-    return [
-        message
-        for s, p in zip(t, poses, strict=True)
-        for message in (
-            (ODOM, int(s), odometry(s, p)),
-            (TF, int(s), transforms((s, "odom", "base_link", p))),
-        )
-    ]
+    return driven(t, poses, ("odom", "base_link", np.asarray))
 
 
 def test_the_correction_as_a_transform_leaves_every_message_and_leads_to_the_same_poses():
@@ -145,10 +130,7 @@ def test_localisation_can_be_moved_so_that_the_robot_stays_where_it_is_on_the_ma
     t, poses = DRIVE
     on_map = np.array([0.5, 0.2, 0.1])
     edge = ("odom", "map", inverse(on_map)) if turned else ("map", "odom", on_map)
-    messages = []
-    for s, p in zip(t, poses, strict=True):
-        tf = transforms((s, "odom", "base_link", p), (s, *edge))
-        messages += [(ODOM, int(s), odometry(s, p)), (TF, int(s), tf)]
+    messages = driven(t, poses, ("odom", "base_link", np.asarray), edge)
     out, transform, _ = run(messages, keep_localisation=True)
     localisation = planar(out, TF, edge[:2])
     map_to_odom = inverse(localisation) if turned else localisation
@@ -167,7 +149,7 @@ def test_a_bag_of_transforms_alone_drifts_like_its_odometry_would(turned, comple
         alone, channels={TF.id: TF}, complete=complete, odom_topic=topic, odom_frame="odom", base_frame="/base_link"
     )
     noisy = planar(out, TF, edge(poses[0])[:2])
-    expected = planar(run([(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)])[0], ODOM)
+    expected = planar(run(driven(t, poses))[0], ODOM)
     assert_same(inverse(noisy) if turned else noisy, expected)
     assert transform.odometry.name == "TF odom -> base_link"
 
@@ -186,7 +168,7 @@ def test_a_static_edge_is_reported():
     static = Channel(6, "/tf_static", TF.msgtype, "cdr")
     t, poses = DRIVE
     messages = [(static, int(t[0]), transforms((t[0], "odom", "base_link", poses[0])))]
-    messages += [(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)]
+    messages += driven(t, poses)
     _, transform, _ = run(messages, channels=CHANNELS | {6: static})
     assert transform.changes.static == {"odom -> base_link"}
 

@@ -1,12 +1,11 @@
 """What the default command takes and says: tracks, units of coefficients, robots that no law fits, truth tellers."""
 
-from __future__ import annotations
+from operator import itemgetter
 
 import numpy as np
 import pytest
-from bagged import ODOM, odometry, robot
+from bagged import ODOM, odometry, robot, write_mcap
 from drives import office
-from mcap.writer import Writer
 from test_run import FIXTURES
 
 from odomcorrupt.bags.messages import gather_stamps_ns, locate
@@ -72,7 +71,7 @@ def test_a_unit_that_a_coefficient_cannot_have_is_refused(corrupt, args, sentenc
         ("0.1rad 0.2rad/m 0 0", "rot_rot 0.1 rot_trans 0.2 trans_trans 0 trans_rot 0"),
     ],
 )
-def test_degrees_and_what_they_are_caused_by_may_be_written(corrupt, words, numbers):
+def test_degrees_and_what_they_are_caused_by_may_be_write_mcap(corrupt, words, numbers):
     code, said, _ = corrupt("--alpha", *words.split())
     assert code == 0
     assert numbers in said
@@ -98,21 +97,6 @@ def test_a_drive_faster_than_a_learned_model_covers_is_corrupted_and_reported(co
     assert "% faster than the model's highest valid speed: the relative error is kept constant." in said
 
 
-def written(path, messages):
-    """Write messages (channel, log time, bytes) to an MCAP."""
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
-        ids = {}
-        for channel, log_ns, data in sorted(messages, key=lambda one: one[1]):
-            if channel.topic not in ids:
-                schema = writer.register_schema(channel.msgtype, "ros2msg", b"")
-                ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema)
-            writer.add_message(ids[channel.topic], log_ns, data, log_ns)
-        writer.finish()
-    return path
-
-
 def edges_of(path):
     with open_reader(path) as reader:
         channel = next(c for c in reader.channels.values() if c.topic == "/tf")
@@ -126,7 +110,7 @@ def edges_of(path):
 
 
 def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_path, capsys):
-    source, target = written(tmp_path / "in.mcap", robot(*office(10.0, 10.0))), tmp_path / "out.mcap"
+    source, target = write_mcap(tmp_path / "in.mcap", robot(*office(10.0, 10.0))), tmp_path / "out.mcap"
     assert run([str(source), str(target), "--seed", "1", "-v"]) == 0
     assert "TF map -> odom stays, and is that of the true odometry" in capsys.readouterr().err
     moved = [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")]
@@ -146,7 +130,7 @@ def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_p
 def test_a_correction_is_published_once_for_each_stamp(tmp_path):
     t, poses = office(5.0, 10.0)
     twice = [(ODOM, int(s) + late, odometry(s, p)) for s, p in zip(t, poses, strict=True) for late in (0, 1000)]
-    source, target = written(tmp_path / "in.mcap", twice), tmp_path / "out.mcap"
+    source, target = write_mcap(tmp_path / "in.mcap", twice), tmp_path / "out.mcap"
     assert run([str(source), str(target), "--seed", "1", "--tf", "correction", "--new-odom-frame", "odom1"]) == 0
     assert edges_of(target) == [("odom1", "odom", int(s)) for s in t]
 
@@ -156,7 +140,7 @@ def test_two_publishers_are_refused_with_the_way_out(tmp_path, capsys):
     beside = compose(np.array([0.3, 0.1, 0.09]), poses)
     both = [(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)]
     both += [(ODOM, int(s) + 21_000_000, odometry(s + 21_000_000, p)) for s, p in zip(t, beside, strict=True)]
-    source, target = written(tmp_path / "in.mcap", both), tmp_path / "out.mcap"
+    source, target = write_mcap(tmp_path / "in.mcap", sorted(both, key=itemgetter(1))), tmp_path / "out.mcap"
     assert run([str(source), str(target), "--seed", "1"]) == 1
     said = capsys.readouterr().err
     assert "two publishers alternate" in said

@@ -1,7 +1,5 @@
 """The drift of a live robot: the numbers of a corrupted bag, one message at a time, and the nodes of the examples."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from pathlib import Path
@@ -9,46 +7,32 @@ from types import SimpleNamespace as Names
 
 import numpy as np
 import pytest
+from bagged import rows_of
 
 import odomcorrupt as oc
-from odomcorrupt.bags.messages import gather, locate
-from odomcorrupt.bags.open import open_reader
 
 ROOT = Path(__file__).parents[2]
 OFFICE = ROOT / "fixtures" / "office.mcap"
 PLANAR = np.array([0, 1, 5])
 
 
-def odometry(path):
-    """Return positions, orientations, twists and planar covariances of /odom, in order."""
-    columns = ("position", "orientation", "twist", "pose_covariance", "twist_covariance")
-    found = []
-    with open_reader(path) as reader:
-        (channel,) = (c for c in reader.channels.values() if c.topic == "/odom")
-        for block in reader.blocks():
-            for layout in locate(block, channel):
-                found.append([gather(block, layout, layout.items[0], name) for name in columns])
-    *others, pose, twist = (np.concatenate(column) for column in zip(*found, strict=True))
-    return *others, *(one.reshape(-1, 6, 6)[:, PLANAR[:, None], PLANAR] for one in (pose, twist))
+def planar(covariance):
+    return covariance.reshape(-1, 6, 6)[:, PLANAR[:, None], PLANAR]
 
 
 def test_steps_have_the_numbers_of_a_corrupted_bag(tmp_path):
     model = oc.Model(oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01)), effects=["wheelbase:e=2%", "slip_burst"])
     oc.corrupt(OFFICE, tmp_path / "noisy.mcap", model=model, seed=4, run=2)
-    stamps = oc.read_estimate(OFFICE, "/odom").trajectory.stamps_ns[:600]
-    position, quat, twist, *_ = (column[:600] for column in odometry(OFFICE))
-    noisy = [column[:600] for column in odometry(tmp_path / "noisy.mcap")]
-    drift = oc.Drift(model, 4, 2)
-    yaw = 2.0 * np.arctan2(quat[:, 2], quat[:, 3])
-    poses = np.column_stack((position[:, :2], yaw))
-    found = [drift.step(int(s), p, v) for s, p, v in zip(stamps, poses, twist[:, PLANAR], strict=True)]
+    clean, noisy, drift = rows_of(OFFICE), rows_of(tmp_path / "noisy.mcap"), oc.Drift(model, 4, 2)
+    steps = zip(clean.stamps_ns[:600], clean.xyt, clean.twist[:, PLANAR], strict=False)
+    found = [drift.step(int(stamp), pose, twist) for stamp, pose, twist in steps]
     pose, speed, pose_covariance, twist_covariance = (np.array(column) for column in zip(*found, strict=True))
-    assert np.abs(noisy[0] - position).max() > 0.05
-    np.testing.assert_allclose(pose[:, :2], noisy[0][:, :2], atol=1e-12)
-    np.testing.assert_allclose(np.sin(pose[:, 2] / 2.0), noisy[1][:, 2], atol=1e-12)
-    np.testing.assert_allclose(speed, noisy[2][:, PLANAR], atol=1e-11)
-    np.testing.assert_allclose(pose_covariance, noisy[3], atol=1e-12)
-    np.testing.assert_allclose(twist_covariance[1:], noisy[4][1:], atol=1e-12)
+    assert np.abs(noisy.position - clean.position)[:600].max() > 0.05
+    np.testing.assert_allclose(pose[:, :2], noisy.position[:600, :2], atol=1e-12)
+    np.testing.assert_allclose(np.sin(pose[:, 2] / 2.0), noisy.orientation[:600, 2], atol=1e-12)
+    np.testing.assert_allclose(speed, noisy.twist[:600, PLANAR], atol=1e-11)
+    np.testing.assert_allclose(pose_covariance, planar(noisy.pose_covariance[:600]), atol=1e-12)
+    np.testing.assert_allclose(twist_covariance[1:], planar(noisy.twist_covariance[1:600]), atol=1e-12)
 
 
 def test_a_step_back_in_time_and_numbers_that_are_none_are_refused():

@@ -357,6 +357,5 @@ def test_every_topic_states_the_same_noisy_motion(kind, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="variances of twists in odom axes are too small in 7 of 500 bags, up to 11 sigma")
 def test_every_topic_of_500_bags_states_the_same_noisy_motion(tmp_path):
     assert [said for kind in kinds(500) for said in violations(kind, tmp_path)] == []

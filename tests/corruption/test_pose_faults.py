@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bagged import ODOM, TF, odometry, quaternion, transforms
+from bagged import ODOM, TF, odometry, quaternion, transforms, write_mcap
 from drives import office
-from mcap.writer import Writer
 
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.pose_faults import PoseFaults, frame_faults
@@ -58,26 +57,13 @@ def odd(tmp_path):
     t, poses = office(20.0, 20.0)
     poses = poses.copy()
     poses[50, 0] = 1e15
-    path = tmp_path / "in.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
-        ids = {}
-        for topic, kind in (("/odom", ODOM.msgtype), ("/tf", TF.msgtype)):
-            ids[topic] = writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", b""))
-        for number, (stamp, pose) in enumerate(zip(t, poses, strict=True)):
-            data = odometry(stamp, pose)
-            for row, quat in ((60, np.zeros(4)), (70, quaternion(0.3, 0.0, np.pi / 2))):
-                if number == row:
-                    data = data.replace(quaternion(pose[2]).astype("<f8").tobytes(), quat.astype("<f8").tobytes())
-            writer.add_message(ids["/odom"], int(stamp), data, int(stamp))
-        for stamp in t[:3]:
-            edges = [(stamp, "odom", "base_link", np.zeros(3)), (stamp, "map", "base_link", np.zeros(3))]
-            edges += [(stamp, "base_link", "laser", np.zeros(3)), (stamp, "laser", "map", np.zeros(3))]
-            for edge in edges:
-                writer.add_message(ids["/tf"], int(stamp), transforms(edge), int(stamp))
-        writer.finish()
-    return path
+    drive = [(ODOM, stamp, odometry(stamp, pose)) for stamp, pose in zip(t, poses, strict=True)]
+    for row, quat in ((60, np.zeros(4)), (70, quaternion(0.3, 0.0, np.pi / 2))):
+        was, now = (one.astype("<f8").tobytes() for one in (quaternion(poses[row, 2]), quat))
+        drive[row] = (*drive[row][:2], drive[row][2].replace(was, now))
+    edges = (("odom", "base_link"), ("map", "base_link"), ("base_link", "laser"), ("laser", "map"))
+    tree = [(TF, stamp, transforms((stamp, *edge, np.zeros(3)))) for stamp in t[:3] for edge in edges]
+    return write_mcap(tmp_path / "in.mcap", drive + tree)
 
 
 SAID = (

@@ -1,7 +1,5 @@
 """Random effects in the covariance: what they draw is as wide as is stated, at every place and for any cut."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, read, robot

@@ -1,7 +1,5 @@
 """Odometry put in order, cut into stretches."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """However many threads there are: the same bytes, the same errors, and nothing left over."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

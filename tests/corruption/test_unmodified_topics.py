@@ -1,7 +1,5 @@
 """Which topics still tell the truth when the odometry is moved: by type, by frame, by name."""
 
-from __future__ import annotations
-
 import json
 import struct
 

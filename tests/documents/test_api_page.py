@@ -1,7 +1,5 @@
 """Every Python example of docs/api.md runs as it stands, in its order, beside the fixtures."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

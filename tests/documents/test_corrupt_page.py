@@ -1,7 +1,5 @@
 """README's and docs/corrupt.md's sessions of corruption run as they stand; options that the text names exist."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -29,20 +27,22 @@ PROSE = re.sub(r"```.*?```", "", PAGE, flags=re.DOTALL)
 CODE = re.findall(r"`([^`]+)`", PROSE)
 
 
+def with_our_command(tools):
+    """Return an environment in which `odomcorrupt` is this one, by a script in a new folder."""
+    tools.mkdir()
+    (tools / "odomcorrupt").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m odomcorrupt "$@"\n')
+    (tools / "odomcorrupt").chmod(0o755)
+    return os.environ | {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+
+
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     """Type the session beside a bag of that name; return what each line said, and the folder."""
     work = tmp_path_factory.mktemp("session")
-    tools = work / "tools"
-    tools.mkdir()
-    (tools / "odomcorrupt").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m odomcorrupt "$@"\n')
-    (tools / "odomcorrupt").chmod(0o755)
     (work / "in.bag").write_bytes((ROOT / "fixtures" / "office.bag").read_bytes())
-    paths = {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    environment = with_our_command(work / "tools")
     done = [
-        subprocess.run(
-            ["bash", "-c", line], cwd=work, env=os.environ | paths, capture_output=True, text=True, check=False
-        )
+        subprocess.run(["bash", "-c", line], cwd=work, env=environment, capture_output=True, text=True, check=False)
         for line in SESSION
     ]
     return dict(zip(SESSION, done, strict=True)), work

@@ -1,7 +1,5 @@
 """What the documents promise about files, lengths and links holds."""
 
-from __future__ import annotations
-
 import pydoc
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """docs/effects.md names the effects that it describes by group, and its table on the site has the whole library."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys

@@ -1,7 +1,5 @@
 """Every odomcorrupt command on a how-to page is understood: its options exist and their values make sense."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

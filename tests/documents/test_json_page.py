@@ -1,7 +1,5 @@
 """docs/json.md names every key that the commands print, and of info and preview no other one."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

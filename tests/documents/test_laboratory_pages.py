@@ -1,7 +1,5 @@
 """Pages of the laboratories are what their scripts write from stored results: no figure in them is typed by hand."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """docs/how-to/mistakes.md is the table of plain mistakes."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The example of docs/model-file.md is a model file, and its values are what the comments and the table say."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

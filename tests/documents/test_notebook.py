@@ -1,7 +1,5 @@
 """docs/notebook.ipynb runs as it stands, and prints the outputs that are stored in it."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,15 +1,12 @@
 """The commands of docs/pipelines.md do what is said beside them."""
 
-from __future__ import annotations
-
-import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from test_corrupt_page import with_our_command
 
 from odomcorrupt.cli import run
 
@@ -20,19 +17,13 @@ COMMANDS = re.findall(r"```sh\n(.*?)\n```", (ROOT / "docs" / "pipelines.md").rea
 @pytest.fixture
 def shell(tmp_path):
     """Run a command where the fixtures are and `odomcorrupt` is this one."""
-    tools = tmp_path / "tools"
-    tools.mkdir()
-    (tools / "odomcorrupt").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m odomcorrupt "$@"\n')
-    (tools / "odomcorrupt").chmod(0o755)
     work = tmp_path / "work"
     work.mkdir()
     (work / "fixtures").symlink_to(ROOT / "fixtures")
-    paths = {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    environment = with_our_command(tmp_path / "tools")
 
     def call(command):
-        done = subprocess.run(
-            ["bash", "-c", command], cwd=work, env=os.environ | paths, capture_output=True, check=False
-        )
+        done = subprocess.run(["bash", "-c", command], cwd=work, env=environment, capture_output=True, check=False)
         return done.returncode, done.stderr.decode(), work
 
     return call

@@ -1,7 +1,5 @@
 """The sentences of docs/real_robots.md are those of its script; its figures need recordings that are not here."""
 
-from __future__ import annotations
-
 import ast
 import sys
 from pathlib import Path

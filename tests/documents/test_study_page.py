@@ -1,7 +1,5 @@
 """Thresholds in docs/study.md are those of the code."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The tutorial does what it says: its commands run in order, and say the lines that the page shows."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

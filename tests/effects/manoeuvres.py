@@ -1,7 +1,5 @@
 """Hand-made manoeuvres, as an odometry reports them: what an effect says of each can be worked out on paper."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from odomcorrupt.effects import effect_from_values

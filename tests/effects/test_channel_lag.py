@@ -1,7 +1,5 @@
 """A filtered channel: what corruption makes of a step of speed, and how correction takes it back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

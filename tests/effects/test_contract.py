@@ -1,7 +1,5 @@
 """Every effect of the registry keeps the contract, its documents, its signs, and its twins."""
 
-from __future__ import annotations
-
 import copy
 import math
 import re
@@ -288,12 +286,6 @@ def test_the_class_keeps_the_contract():
 def test_every_word_of_the_language_is_documented():
     listed = PAGE[PAGE.index("Statements add to") : PAGE.index("Nothing else is accepted")]
     assert all(re.search(rf"\b{word}\b", listed) for word in (*VARIABLES, *FUNCTIONS))
-
-
-def test_shapes_and_aliases_are_documented():
-    for name, kind in registry().items():
-        if kind.aliased_with:
-            assert re.search(rf"`{name}` of `{kind.aliased_with}`", PAGE)
 
 
 @pytest.mark.parametrize("name", ["wheel_scale", "sideways_scale", "wheelbase", "gyro_scale", "steering_scale"])

@@ -1,7 +1,5 @@
 """Events: what is put into a bag at a stated time, is in its manifest, and is nothing that a diagnosis tests."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

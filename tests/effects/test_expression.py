@@ -1,7 +1,5 @@
 """Effects as expressions: what they mean, and everything that they refuse."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,9 +1,8 @@
 """Effects of acceleration, and of iron near a compass."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from drives import error_in_any_cut
 from manoeuvres import motion
 from scipy.integrate import solve_ivp
 
@@ -138,9 +137,7 @@ def test_laws_of_acceleration_do_not_depend_on_cuts(law):
     text, k = LAWS[law]
     model = MotionModel(SILENT, (user_effect("law", text, {"k": k}),), 0.4)
     stamps, poses = rough(50.0)
-    whole, parts = NoisyPath(model, 1).feed(stamps, poses).error_xyt, NoisyPath(model, 1)
-    cut = [parts.feed(stamps[i : i + 37], poses[i : i + 37]).error_xyt for i in range(0, len(stamps), 37)]
-    assert np.array_equal(np.concatenate(cut), whole)
+    error_in_any_cut(model, stamps, poses, 37)
 
 
 def test_a_law_of_acceleration_is_taken_out_alike_by_a_correction_and_by_the_study():

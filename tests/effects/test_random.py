@@ -1,7 +1,5 @@
 """Random effects: what a reader of their page expects to see in a bag."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from manoeuvres import CIRCLE, SPIN, STOP, STRAIGHT, motion

@@ -1,7 +1,5 @@
 """The registry of effects, and effects named on the command line."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import json

@@ -1,7 +1,5 @@
 """Play and lag of a steering linkage: in tight curves, at limits, and under noise of the path."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from manoeuvres import motion

@@ -1,7 +1,5 @@
 """What the command prints is YAML that ROS reads as numbers, with what is left out in its comments."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

@@ -1,7 +1,5 @@
 """Exported numbers do what the model does: wheels by wheel odometry, alphas and covariances by simulation."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

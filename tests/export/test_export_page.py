@@ -1,7 +1,5 @@
 """The formulas that docs/export.md prints are what the code computes."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a model will do to a drive, before it is done."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Increments, and motion as turn, drive, turn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

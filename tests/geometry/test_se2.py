@@ -1,7 +1,5 @@
 """SE(2) against 3 x 3 matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

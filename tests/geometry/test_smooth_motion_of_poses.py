@@ -1,7 +1,5 @@
 """Slopes of line fits: motion where there is motion, and none at rest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -8,8 +8,6 @@ promise are kept in --keep, and `--again FILE` tries one of them.
 
 # ruff: noqa: T201 - a script that prints
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

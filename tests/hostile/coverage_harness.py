@@ -1,27 +1,19 @@
 """What the coverage-guided fuzzer tries, and what it asks of it: see `coverage_fuzz.py`, which starts it."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json
 import resource
 import shutil
-import sqlite3
 import sys
 import time
 import traceback
 from collections import Counter
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import atheris
 import numpy as np
-from mcap.reader import NonSeekingReader
-from mcap.records import Attachment, Metadata
-from mcap.stream_reader import StreamReader
-from rosbags.rosbag1 import Reader as Ros1LibraryReader
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -42,7 +34,7 @@ with atheris.instrument_imports(include=INSTRUMENTED):
     from mutations import mutated
     from smallbags import make_small_bags
     from texts import TEXTS, TextTrial
-    from trials import MODEL, FoundError, guarded, judged, walked_count
+    from trials import EXTRA, MODEL, FoundError, judged, library_content, walked_count
 
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.batching.manifest import read_beginning, read_records
@@ -64,45 +56,9 @@ REPORT_S = 2.0
 
 
 def others(path: Path) -> Any:
-    """Return what an independent reader gets beside odometry and TF; None where it refuses the bag."""
-    try:
-        with guarded():
-            return _others(path)
-    except (Exception, FoundError):  # noqa: BLE001 - theirs may fail as they like
-        return None
-
-
-def _others(path: Path) -> Any:
-    if path.is_dir():
-        return [_others(part) for part in sorted(path.iterdir()) if part.suffix in (".db3", ".mcap")]
-    begin = path.read_bytes()[:8]
-    if begin.startswith(b"\x89MCAP"):
-        return _others_of_mcap(path)
-    if begin.startswith(b"#ROSBAG"):
-        with Ros1LibraryReader(path) as reader:
-            messages = [(one.topic, one.msgtype, time_ns, data) for one, time_ns, data in reader.messages()]
-        return sorted(message for message in messages if message[1] not in OURS)
-    with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as connection:
-        query = (
-            "SELECT messages.rowid, name, type, timestamp, data FROM messages LEFT JOIN topics "
-            "ON topics.id = topic_id ORDER BY messages.rowid"
-        )
-        return [row for row in connection.execute(query) if row[2] not in OURS]
-
-
-def _others_of_mcap(path: Path) -> Any:
-    with path.open("rb") as stream:
-        messages = [
-            (channel.topic, channel.message_encoding, sorted(channel.metadata.items()), schema and schema.data,
-             one.log_time, one.publish_time, one.sequence, one.data)
-            for schema, channel, one in NonSeekingReader(stream, validate_crcs=True).iter_messages(log_time_order=False)
-            if schema is None or schema.name not in OURS
-        ]  # fmt: skip
-    with path.open("rb") as stream:
-        records = list(StreamReader(stream, validate_crcs=True).records)
-    attached = [(one.name, one.media_type, one.log_time, one.data) for one in records if isinstance(one, Attachment)]
-    said = [(one.name, one.metadata) for one in records if isinstance(one, Metadata) and one.name != PROVENANCE]
-    return messages, attached, said
+    """Return what an independent reader gets beside odometry, TF and our own note; None where it refuses the bag."""
+    seen = library_content(path)
+    return None if seen is None else [one for one in seen if one[0] not in OURS and one[:2] != (EXTRA, PROVENANCE)]
 
 
 class Harness:
@@ -182,24 +138,12 @@ class Harness:
         if kind in self.bags or kind == YAML:
             self._try_bag(kind, data, place)
         elif kind in TEXTS:
-            self._try_text(kind, data)
+            self.counts["refused" if self._texts.use(kind, data, np.random.default_rng(0)) else "read"] += 1
         else:
             (place / kind).write_bytes(data)
             (place / "run_000000.mcap").write_bytes(b"abcd")
             got = judged(read_records, place) if kind == BOOK else judged(read_beginning, place)
             self.counts["refused" if isinstance(got, Exception) else "read"] += 1
-
-    def _try_text(self, kind: str, data: bytes) -> None:
-        rng = np.random.default_rng(len(data))
-        if kind == "model file":
-            got = judged(self._texts._model, data, rng)
-        elif kind.startswith("map"):
-            got = judged(self._texts._map, data, "map .pgm" if kind == "map .pgm" else "")
-            if kind == "map .yaml":
-                (self._texts.room / "map.yaml").write_bytes(data)
-        else:
-            got = judged(self._texts._trajectory, data, np.random.default_rng(0))
-        self.counts["refused" if isinstance(got, Exception) else "read"] += 1
 
     def _try_bag(self, kind: str, data: bytes, place: Path) -> None:
         small = self.bags["sqlite3 directory" if kind == YAML else kind].path

@@ -7,8 +7,6 @@ them at work and not at imports.
 
 # ruff: noqa: T201 - a script that prints
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

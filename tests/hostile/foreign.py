@@ -7,8 +7,6 @@ odometry pose; both must be what was written. Readers that are not there are nam
 
 # ruff: noqa: T201 - a script that prints, and runs what it is for
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -9,12 +9,15 @@ them; stops at the first promise that is broken, unless told to go on.
 from __future__ import annotations
 
 import argparse
+import itertools
+import resource
 import sys
 import tempfile
 import time
 import traceback
 from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +28,9 @@ from mutations import mutated
 from smallbags import Small, make_small_bags
 from texts import TEXTS, TextTrial
 from trials import ACTIONS, BagTrial, FoundError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class Fuzz:
@@ -42,9 +48,9 @@ class Fuzz:
         self.tried: Counter[str] = Counter()
 
     @property
-    def outcomes(self) -> Counter[str]:
-        """What came of the cases, by action."""
-        return self.bag_trial.outcomes + self.text_trial.outcomes
+    def counts(self) -> Counter[str]:
+        """How many cases of each kind were tried, and what came of them, by action."""
+        return self.tried + self.bag_trial.outcomes + self.text_trial.outcomes
 
     def case(self, kind: str, number: int) -> None:
         """Try one case."""
@@ -70,9 +76,9 @@ def _files(path: Path) -> list[Path]:
     return sorted(path.iterdir()) if path.is_dir() else [path]
 
 
-def main() -> int:
-    """Be the script."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def script(doc: str, make: Callable[[Path, int], Fuzz]) -> int:
+    """Be a script that tries cases of what `make` returns for a folder and a seed, and prints what came of them."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--begin", type=int, default=0, help="go on with this case of each kind")
     parser.add_argument("--hours", type=float, default=1e9, help="stop after so long")
@@ -82,30 +88,27 @@ def main() -> int:
     parser.add_argument("--go-on", action="store_true", help="tell of what is found and go on")
     parser.add_argument("--room", type=Path, help="where to work, best in memory [default: as for temporary files]")
     given = parser.parse_args()
-    begun, found = time.monotonic(), 0
+    begun, found = time.monotonic(), []
     with tempfile.TemporaryDirectory(dir=given.room) as room:
-        fuzz = Fuzz(Path(room), given.seed)
+        tempfile.tempdir = room
+        fuzz = make(Path(room), given.seed)
         kinds = [given.only] if given.only else fuzz.kinds
         numbers = [given.case] if given.case is not None else range(given.begin, given.cases // len(kinds) + 1)
-        for number in numbers:
-            if time.monotonic() - begun > given.hours * 3600:
+        for number, kind in itertools.product(numbers, kinds):
+            if time.monotonic() - begun > given.hours * 3600 or (found and not given.go_on):
                 print(f"go on with --begin {number}")
                 break
-            for kind in kinds:
-                try:
-                    fuzz.case(kind, number)
-                except FoundError as error:
-                    found += 1
-                    cause = "".join(traceback.format_exception(error.__cause__)[-3:]) if error.__cause__ else ""
-                    print(f"--seed {given.seed} --only '{kind}' --case {number}: {error}\n{cause}", flush=True)
-                    if not given.go_on:
-                        return 1
-        seconds = time.monotonic() - begun
-        print(f"{sum(fuzz.tried.values())} cases of seed {given.seed} in {seconds:.0f} s, {found} promises broken")
-        print("; ".join(f"{kind} {count}" for kind, count in fuzz.tried.items()))
-        print("; ".join(f"{what} {count}" for what, count in sorted(fuzz.outcomes.items())))
-    return int(found > 0)
+            try:
+                fuzz.case(kind, number)
+            except FoundError as error:
+                cause = "".join(traceback.format_exception(error.__cause__)[-3:]) if error.__cause__ else ""
+                found.append(f"--seed {given.seed} --only '{kind}' --case {number}: {error}")
+                print(f"{found[-1]}\n{cause}", flush=True)
+        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+        print(f"seed {given.seed}, {time.monotonic() - begun:.0f} s, {peak_mb} MB, {len(found)} promises broken")
+        print("\n".join(f"{what} {count}" for what, count in sorted(fuzz.counts.items())))
+    return int(bool(found))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(script(__doc__, Fuzz))

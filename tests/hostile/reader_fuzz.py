@@ -11,24 +11,15 @@ that they are made of. What is asked goes beyond the project's own error in one 
 A case is a kind and a number: `--only KIND --case N` tries one again.
 """
 
-# ruff: noqa: T201 - a script that prints
-
 from __future__ import annotations
 
-import argparse
 import bz2
 import io
-import json
 import re
-import resource
-import signal
 import sys
-import tempfile
-import time
-import traceback
-import warnings
 from collections import Counter
-from contextlib import contextmanager, suppress
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,8 +29,10 @@ import zstandard
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from fuzz import script
 from mutations import _ANYWHERE, mutated
 from smallbags import Small, make_small_bags
+from trials import FoundError, guarded
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.bags.budget import BufferPool
@@ -55,17 +48,11 @@ from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import OdomCorruptError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
 Rng = np.random.Generator
 
 CPU_S = 10.0
-MEMORY_BYTES = 1 << 29
-REPORT_S = 5.0
-
-
-class FoundError(BaseException):
-    """A promise that was broken; no library may swallow it."""
 
 
 class Inputs:
@@ -86,8 +73,8 @@ class Inputs:
     def _take(self, kind: str, data: bytes) -> None:
         by_channel: dict[int, list[bytes]] = {}
         with open_reader(None, io.BytesIO(data)) as reader:
-            parts = list(reader._parts(reader._source)) if kind.startswith("mcap") else []
-            self.contents["mcap"] += [(p.data.tobytes(), list(p.indexes)) for p in parts if isinstance(p, Chunk)]
+            parts = list(reader._parts(reader._source))
+            self.contents[kind[:4]] += [(p.data.tobytes(), list(p.indexes)) for p in parts if isinstance(p, Chunk)]
         with open_reader(None, io.BytesIO(data)) as reader:
             for block in reader.blocks():
                 for number, _, offset, length in block.table.tolist():
@@ -98,20 +85,12 @@ class Inputs:
             if kind.startswith("mcap"):
                 self.schemas += [one.pack()[9:] for one in reader.schemas.values()]
                 self.channels += [one.raw.pack()[9:] for one in reader.channels.values()]
-        if kind.startswith("ros1"):
-            self._take_ros1(data)
-
-    def _take_ros1(self, data: bytes) -> None:
-        with open_reader(None, io.BytesIO(data)) as reader:
-            for part in reader._parts(reader._source):
-                if isinstance(part, Chunk):
-                    self.contents["ros1"].append((part.data.tobytes(), list(part.indexes)))
 
 
 class ReaderFuzz:
     """Tries cases, each from a seed of its own.
 
-    counts : how many of each kind, and what came of them
+    kinds : of cases; counts : how many of each were tried, and what came of them
     """
 
     def __init__(self, room: Path, seed: int) -> None:
@@ -122,24 +101,22 @@ class ReaderFuzz:
         self._pieces = list(self.inputs.bags.values())
         self.trials: dict[str, Callable[[Rng], str]] = {
             **{f"bag {kind}": self._bag_of(data) for kind, data in self.inputs.bags.items()},
-            "chunk of mcap": self._mcap_contents,
-            "chunk of ros1": self._ros1_contents,
+            "chunk of mcap": partial(self._contents, "mcap"),
+            "chunk of ros1": partial(self._contents, "ros1"),
             "codec": self._codec,
             "message": self._message,
             "record": self._record,
             "summary": self._summary,
             "sqlite3": self._sqlite3,
         }
+        self.kinds = list(self.trials)
         self.counts: Counter[str] = Counter()
-        self.most_s = 0.0
 
     def case(self, kind: str, number: int) -> None:
         """Try one case."""
-        rng = np.random.default_rng([self.seed, list(self.trials).index(kind), number])
-        begun = time.process_time()
+        rng = np.random.default_rng([self.seed, self.kinds.index(kind), number])
         try:
-            with _timed(), warnings.catch_warnings():
-                warnings.simplefilter("error")
+            with guarded(CPU_S):
                 outcome = self.trials[kind](rng)
         except OdomCorruptError as error:
             if not str(error) or "\n" in str(error):
@@ -147,7 +124,6 @@ class ReaderFuzz:
             outcome = "refused"
         except Exception as error:
             raise FoundError(f"{type(error).__name__}: {error}") from error
-        self.most_s = max(self.most_s, time.process_time() - begun)
         self.counts[f"{kind}: {outcome}"] += 1
 
     def _other(self, rng: Rng) -> bytes:
@@ -183,20 +159,11 @@ class ReaderFuzz:
 
         return trial
 
-    def _mcap_contents(self, rng: Rng) -> str:
-        data, indexes = self._chunk(self.inputs.contents["mcap"], rng)
-        got = of_mcap.read_contents(np.frombuffer(data, dtype=np.uint8), indexes, "chunk")
-        walked = of_mcap.read_contents(np.frombuffer(data, dtype=np.uint8), [], "chunk")
-        if got.table.tolist() != walked.table.tolist() or got.others != walked.others:
-            raise FoundError("the index gives another table than the records")
-        _require_within(got.table, len(data))
-        return "read"
-
-    def _ros1_contents(self, rng: Rng) -> str:
-        data, indexes = self._chunk(self.inputs.contents["ros1"], rng)
-        got = of_ros1.read_contents(np.frombuffer(data, dtype=np.uint8), indexes, "chunk")
-        walked = of_ros1.read_contents(np.frombuffer(data, dtype=np.uint8), [], "chunk")
-        if got.table.tolist() != walked.table.tolist() or got.connections != walked.connections:
+    def _contents(self, kind: str, rng: Rng) -> str:
+        data, indexes = self._chunk(self.inputs.contents[kind], rng)
+        module, others = {"mcap": (of_mcap, "others"), "ros1": (of_ros1, "connections")}[kind]
+        got, walked = (module.read_contents(np.frombuffer(data, np.uint8), some, "chunk") for some in (indexes, []))
+        if got.table.tolist() != walked.table.tolist() or getattr(got, others) != getattr(walked, others):
             raise FoundError("the index gives another table than the records")
         _require_within(got.table, len(data))
         return "read"
@@ -321,74 +288,5 @@ def _undecodable(losses: list[str]) -> int:
     )
 
 
-@contextmanager
-def _timed() -> Iterator[None]:
-    def late(_number: int, _frame: object) -> None:
-        raise FoundError(f"took more than {CPU_S} s of CPU time")
-
-    before = signal.signal(signal.SIGPROF, late)
-    signal.setitimer(signal.ITIMER_PROF, CPU_S)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.signal(signal.SIGPROF, before)
-
-
-def _report(fuzz: ReaderFuzz, found: list[str], begun: float) -> dict[str, object]:
-    return {
-        "seed": fuzz.seed,
-        "cases": sum(fuzz.counts.values()) + len(found),
-        "seconds": round(time.monotonic() - begun),
-        "cpu_seconds": round(time.process_time()),
-        "longest_cpu_s": round(fuzz.most_s, 3),
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
-        "counts": dict(sorted(fuzz.counts.items())),
-        "found": found,
-    }
-
-
-def main() -> int:
-    """Be the script."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=10_000)
-    parser.add_argument("--seconds", type=float, default=1e9, help="stop after so long")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--begin", type=int, default=0, help="go on with this case of each kind")
-    parser.add_argument("--only", help="one kind")
-    parser.add_argument("--case", type=int, help="one case of it")
-    parser.add_argument("--room", type=Path, help="where to work, best in memory [default: as for temporary files]")
-    parser.add_argument("--report", type=Path, help="file that says every few seconds how far it is")
-    given = parser.parse_args()
-    found: list[str] = []
-    begun = time.monotonic()
-    with tempfile.TemporaryDirectory(dir=given.room) as room:
-        tempfile.tempdir = room
-        fuzz = ReaderFuzz(Path(room), given.seed)
-        used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, -1))
-        kinds = [given.only] if given.only else list(fuzz.trials)
-        first = given.begin if given.case is None else given.case
-        last = first + (1 if given.case is not None else -(-given.cases // len(kinds)))
-        said = begun
-        for number in range(first, last):
-            if time.monotonic() - begun > given.seconds:
-                break
-            for kind in kinds:
-                try:
-                    fuzz.case(kind, number)
-                except FoundError as error:
-                    cause = "".join(traceback.format_exception(error.__cause__)[-3:]) if error.__cause__ else ""
-                    found.append(f"--seed {given.seed} --only '{kind}' --case {number}: {error} {cause}")
-            if given.report and time.monotonic() - said > REPORT_S:
-                said = time.monotonic()
-                given.report.write_text(json.dumps(_report(fuzz, found, begun), indent=1))
-        text = json.dumps(_report(fuzz, found, begun), indent=1)
-        if given.report:
-            given.report.write_text(text)
-        print(text)
-    return int(bool(found))
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(script(__doc__, ReaderFuzz))

@@ -5,8 +5,6 @@ Wants 25 GB of disk for a bag of 10 GB and its output (`--gigabytes` for less); 
 
 # ruff: noqa: T201 - a script that prints, and runs what it is for
 
-from __future__ import annotations
-
 import argparse
 import shlex
 import subprocess
@@ -31,7 +29,7 @@ from odomcorrupt.bags.open import open_reader
 def bag(path: Path, odometry: int, *, payload: int = 0, topics: int = 0) -> None:
     """Write an MCAP: odometry at 50 Hz on a circle, each followed by so many bytes of an image; and other topics."""
     office = Office(2)
-    template = Template(2, b"", {})
+    template = Template()
     image = np.random.default_rng(1).bytes(payload)
     with path.open("wb") as stream:
         codec = CompressionType.NONE if payload else CompressionType.ZSTD
@@ -81,15 +79,19 @@ def measured(source: Path, target: Path, *, pipe: bool = False) -> tuple[int, fl
 
 
 def right(source: Path, target: Path) -> str:
-    """Compare tables: all messages there, in their order, with their log times and lengths."""
+    """Compare tables: all messages there, in their order, with their log times, lengths and topics."""
     sums = []
     for path in (source, target):
         count = check = 0
         with open_reader(path) as reader:
             for block in reader.blocks():
                 table = block.table
+                rank = np.zeros(1 + max(reader.channels), dtype=np.int64)
+                rank[sorted(reader.channels, key=lambda number: reader.channels[number].topic)] = range(
+                    len(reader.channels)
+                )
                 place = np.arange(count, count + len(table)) % 1009 + 1
-                row = table["log_ns"] % 1_000_003 + 7 * table["length"] + 13 * table["channel"].astype(np.int64)
+                row = table["log_ns"] % 1_000_003 + 7 * table["length"] + 13 * rank[table["channel"]]
                 check += int((place * row).sum())
                 count += len(table)
         sums.append((count, check))

@@ -1,7 +1,5 @@
 """Small bags of every format, by other people's writers: a few seconds of the office, for tests that need thousands."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections import Counter

@@ -1,7 +1,5 @@
 """Bags of a few kilobytes that would become gigabytes, or a million records: one line, in bounded memory and time."""
 
-from __future__ import annotations
-
 import bz2
 import io
 import os

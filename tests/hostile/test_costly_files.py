@@ -1,7 +1,5 @@
 """Models and maps that would cost minutes or gigabytes are refused before the work, in one short line."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
@@ -11,7 +9,6 @@ import pytest
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import ModelError
-from odomcorrupt.mapping.occupancy_grid import _inflated
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients
 
@@ -111,16 +108,3 @@ def test_a_path_of_millions_of_steps_is_an_error():
     poses = np.column_stack((1.5 * seconds, 0 * seconds, 0 * seconds)).astype(float)
     with pytest.raises(ModelError, match="has 6e\\+06 of them; give a longer one"):
         path.feed(seconds * 1_000_000_000, poses)
-
-
-@pytest.mark.parametrize("radius", [0.0, 0.7, 1.2, 2.9, 4.1, 40.0])
-def test_cells_around_walls_are_those_nearer_than_the_radius(radius):
-    random = np.random.default_rng(4)
-    for _ in range(30):
-        walls = random.random(random.integers(1, 14, 2)) < 0.15
-        place = np.indices(walls.shape)
-        near = np.zeros_like(walls)
-        for wall in np.argwhere(walls):
-            down, side = np.maximum(np.abs(place - wall[:, None, None]) - 0.5, 0.0)
-            near |= np.hypot(down, side) < radius if radius else (place == wall[:, None, None]).all(axis=0)
-        assert (_inflated(walls, radius) == near).all()

@@ -1,7 +1,5 @@
 """Half a minute of fuzzing guided by coverage; `coverage_fuzz.py` is the long run."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A few kills of the thousand that `crash.py` does."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

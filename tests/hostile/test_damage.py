@@ -1,9 +1,6 @@
 """Damage and bad luck, at the command line: one line, the right exit code, input untouched, nothing left behind."""
 
-from __future__ import annotations
-
 import contextlib
-import fcntl
 import io
 import os
 import resource
@@ -20,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
+from bagged import rows_of
 from mutations import mcap_records
-from smallbags import make_small_bags
 
 from odomcorrupt.bags.messages import gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
@@ -29,11 +26,6 @@ from odomcorrupt.cli import run
 
 OURS = [sys.executable, "-m", "odomcorrupt"]
 NOBODY = 65534
-
-
-@pytest.fixture(scope="module")
-def bags(tmp_path_factory):
-    return make_small_bags(tmp_path_factory.mktemp("bags"))
 
 
 def call(*words, preexec_fn=None):
@@ -68,20 +60,6 @@ def refused(source, target, *words, **options):
     assert not list(target.parent.iterdir())
     assert [one.name for one in source.parent.iterdir()] == [source.name]
     return said
-
-
-DAMAGE = {
-    "empty": (lambda _: b"", "is empty"),
-    "truncated": (lambda data: data[: len(data) // 2], "truncated"),
-    "no end": (lambda data: data[:-1], "truncated or was never closed"),
-    "magic": (lambda data: b"\x88" + data[1:], "which is not an MCAP, a ROS 1 bag or a ROS 2 bag"),
-    "header": (lambda data: data[:8] + b"\x07" + data[9:], "not a header"),
-}
-
-
-@pytest.mark.parametrize(("harm", "words"), DAMAGE.values(), ids=DAMAGE)
-def test_a_damaged_bag_is_refused_in_a_line(harm, words, bags, tmp_path):
-    assert words in refused(*laid(tmp_path, harm(bags["mcap zstd"].path.read_bytes())))
 
 
 def chunk_of(size, data, *, crc=0, name=b"zstd"):
@@ -127,67 +105,6 @@ def test_a_chunk_that_lies_is_refused_before_it_takes_memory(chunk, words, bags,
     assert words in refused(source, target, preexec_fn=bound)
 
 
-def changed(source, target, change):
-    """Copy a bag with its odometry's numbers changed."""
-    with open_reader(source) as reader, open_writer(target, reader) as writer:
-        for block in reader.blocks():
-            for channel in reader.channels.values():
-                if channel.topic == "/odom":
-                    for layout in locate(block, channel):
-                        change(block, layout, layout.items[0])
-            writer.write(block)
-    return target
-
-
-def odometry(path):
-    """Return positions and orientations of the odometry."""
-    found = []
-    with open_reader(path) as reader:
-        for block in reader.blocks():
-            for channel in reader.channels.values():
-                if channel.topic == "/odom":
-                    for layout in locate(block, channel):
-                        item = layout.items[0]
-                        found.append(
-                            np.hstack([gather(block, layout, item, name) for name in ("position", "orientation")])
-                        )
-    return np.concatenate(found)
-
-
-def test_a_pose_that_is_no_number_is_counted_and_the_others_stay_numbers(bags, tmp_path):
-    calls = []
-
-    def spoil(block, layout, item):
-        calls.append(layout)
-        if len(calls) % 3 == 2:
-            position = gather(block, layout, item, "position")
-            position[0] = [np.nan, np.inf, 1e300]
-            scatter(block, layout, item, "position", position)
-
-    source = changed(bags["mcap zstd"].path, tmp_path / "in.mcap", spoil)
-    code, said = call(source, tmp_path / "out.mcap", "--seed", "7")
-    assert code == 0, said
-    assert "Warning" not in said
-    assert "no numbers" in said or "not numbers" in said or "unusable" in said, said
-    before, after = odometry(source), odometry(tmp_path / "out.mcap")
-    sound = np.isfinite(before).all(axis=1)
-    assert 0 < np.count_nonzero(~sound) < len(sound) / 2
-    assert np.isfinite(after[sound]).all()
-
-
-def test_a_quaternion_of_another_length_turns_by_as_much(bags, tmp_path):
-    def stretch(block, layout, item):
-        scatter(block, layout, item, "orientation", 3.0 * gather(block, layout, item, "orientation"))
-
-    source = changed(bags["mcap zstd"].path, tmp_path / "in.mcap", stretch)
-    assert call(source, tmp_path / "three.mcap", "--seed", "7")[0] == 0
-    assert call(bags["mcap zstd"].path, tmp_path / "one.mcap", "--seed", "7")[0] == 0
-    three, one = odometry(tmp_path / "three.mcap"), odometry(tmp_path / "one.mcap")
-    unit = three[:, 3:] / np.linalg.norm(three[:, 3:], axis=1, keepdims=True)
-    np.testing.assert_allclose(three[:, :3], one[:, :3], atol=1e-12)
-    np.testing.assert_allclose(unit, one[:, 3:], atol=1e-12)
-
-
 def test_a_wrong_definition_is_carried_and_a_wrong_type_is_reported(bags, tmp_path):
     data = bags["mcap none"].path.read_bytes()
     garbled = data.replace(b"float64[36] covariance", b"float64[99] covariance")
@@ -195,6 +112,23 @@ def test_a_wrong_definition_is_carried_and_a_wrong_type_is_reported(bags, tmp_pa
     # the definition's checksum stands in its chunk's: none
     code, said = call(*laid(tmp_path, _without_checksums(garbled)), "--seed", "7")
     assert code == 0, said
+
+
+def test_a_quaternion_of_another_length_turns_by_as_much(bags, tmp_path):
+    source, stretched = bags["mcap zstd"].path, tmp_path / "in.mcap"
+    with open_reader(source) as reader, open_writer(stretched, reader) as writer:
+        (odom,) = (channel for channel in reader.channels.values() if channel.topic == "/odom")
+        for block in reader.blocks():
+            for layout in locate(block, odom):
+                values = gather(block, layout, layout.items[0], "orientation")
+                scatter(block, layout, layout.items[0], "orientation", 3.0 * values)
+            writer.write(block)
+    for path in (stretched, source):
+        assert call(path, tmp_path / f"out_{path.name}", "--seed", "7")[0] == 0
+    three, one = (rows_of(tmp_path / f"out_{path.name}") for path in (stretched, source))
+    np.testing.assert_allclose(three.position, one.position, atol=1e-12)
+    length = np.linalg.norm(three.orientation, axis=1, keepdims=True)
+    np.testing.assert_allclose(three.orientation / length, one.orientation, atol=1e-12)
 
 
 def _without_checksums(data):
@@ -221,16 +155,6 @@ def test_a_full_disk_is_said_and_leaves_nothing(kind, bags, tmp_path):
     assert (code, said.count("\n")) == (1, 1), said
     assert "cannot be written" in said or "sqlite3 reports" in said
     assert not list(tmp_path.iterdir())
-
-
-def test_a_full_stdout_is_said(bags):
-    with open("/dev/full", "wb") as full:  # noqa: PTH123 - a device
-        done = subprocess.run(
-            [*OURS, str(bags["mcap zstd"].path), "-", "--seed", "7"], stdout=full, stderr=subprocess.PIPE, check=False
-        )
-    assert done.returncode == 1
-    assert done.stderr.decode().splitlines()[0].startswith("odomcorrupt: stdout: cannot be written: No space left")
-    assert done.stderr.count(b"\n") == 1, done.stderr
 
 
 @pytest.fixture
@@ -260,30 +184,24 @@ def as_nobody(*words):
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said
 
 
-@pytest.mark.parametrize("kind", ["mcap zstd", "ros1 lz4", "sqlite3 file", "sqlite3 directory"])
-def test_what_may_not_be_written_is_said(kind, bags, room, tmp_path):
-    source = room / bags[kind].path.name
+@pytest.mark.parametrize(
+    ("forbidden", "kind"),
+    [*(("writing", kind) for kind in ("mcap zstd", "ros1 lz4", "sqlite3 file", "sqlite3 directory")),
+     *(("reading", kind) for kind in ("mcap zstd", "ros1 lz4", "sqlite3 file"))],
+)  # fmt: skip
+def test_what_may_not_be_read_or_written_is_said(forbidden, kind, bags, room, tmp_path):
+    source, folder = room / bags[kind].path.name, room / "folder"
     shutil.copytree(bags[kind].path, source) if bags[kind].path.is_dir() else shutil.copyfile(bags[kind].path, source)
     # all imports are done before the rights are gone
     assert run([str(source), str(tmp_path / source.name), "--seed", "7"]) == 0
-    (room / "shut").mkdir(mode=0o555)
-    code, said = as_nobody(source, room / "shut" / source.name, "--seed", "7")
+    folder.mkdir(mode=0o555)
+    if forbidden == "reading":
+        source.chmod(0)
+        folder.chmod(0o777)
+    code, said = as_nobody(source, folder / source.name, "--seed", "7")
     assert (code, said.count("\n")) == (1, 1), said
-    assert "Permission denied" in said or "unable to open" in said
-    assert not list((room / "shut").iterdir())
-
-
-@pytest.mark.parametrize("kind", ["mcap zstd", "ros1 lz4", "sqlite3 file"])
-def test_what_may_not_be_read_is_said(kind, bags, room, tmp_path):
-    source = room / bags[kind].path.name
-    shutil.copyfile(bags[kind].path, source)
-    assert run([str(source), str(tmp_path / source.name), "--seed", "7"]) == 0
-    source.chmod(0)
-    room.chmod(0o777)
-    code, said = as_nobody(source, room / f"out{source.suffix}", "--seed", "7")
-    assert (code, said.count("\n")) == (1, 1), said
-    assert "Permission denied" in said
-    assert [one.name for one in room.iterdir()] == [source.name]
+    assert "Permission denied" in said or (forbidden == "writing" and "unable to open" in said)
+    assert not list(folder.iterdir())
 
 
 def test_a_directory_that_vanishes_meanwhile_is_said(bags, tmp_path):
@@ -332,20 +250,6 @@ def test_a_signal_leaves_no_output_and_what_was_there(number, code, bags, tmp_pa
     assert b"Traceback" not in said
     if code is not None:
         assert [one.name for one in tmp_path.iterdir()] == ["out.mcap"]
-
-
-def test_a_reader_that_leaves_early_is_no_traceback(bags):
-    words = [*OURS, str(bags["mcap none"].path), "-", "--seed", "7"]
-    read, write = os.pipe()
-    # a pipe that holds the whole output may be closed too late to interrupt the program
-    fcntl.fcntl(write, fcntl.F_SETPIPE_SZ, 4096)
-    with subprocess.Popen(words, stdout=write, stderr=subprocess.PIPE) as process:
-        os.close(write)
-        os.read(read, 10)
-        os.close(read)
-        said = process.stderr.read().decode()
-    assert "Traceback" not in said
-    assert said.count("\n") <= 1
 
 
 PLACES = {"mcap zstd": (0.25, 0.35), "mcap unchunked": (0.4, 0.6), "ros1 none": (0.4, 0.5), "sqlite3 file": (0.6, 0.8)}

@@ -1,7 +1,5 @@
 """Few file descriptors, or a full disk, end in one line that says so, and never in a process that waits."""
 
-from __future__ import annotations
-
 import resource
 import shutil
 import subprocess

@@ -1,21 +1,13 @@
 """Other people's readers see in our outputs what was written; `foreign.py` prints the whole table."""
 
-from __future__ import annotations
-
 import foreign
 import pytest
 from foreign import READERS, Output, asked, missing, opens, ours
-from smallbags import make_small_bags
 
 
 @pytest.mark.slow
 def test_every_reader_that_is_installed_opens_every_output_it_has_a_format_for():
     assert foreign.main() == 0
-
-
-@pytest.fixture(scope="module")
-def bags(tmp_path_factory):
-    return make_small_bags(tmp_path_factory.mktemp("in"))
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,10 @@
-"""A minute of damage of everything that is read, with seeds that stay; `fuzz.py` is the long run."""
-
-from __future__ import annotations
+"""A minute of damage of all that is read, with seeds that stay; `fuzz.py` and `reader_fuzz.py` are the long runs."""
 
 import time
 
 import pytest
 from fuzz import Fuzz
+from reader_fuzz import ReaderFuzz
 from smallbags import make_small_bags
 
 KINDS = (
@@ -43,3 +42,13 @@ def test_small_bags_are_the_same_every_time(tmp_path):
         if small.path.is_file() and small.path.suffix != ".db3":
             assert small.path.read_bytes() == two[kind].path.read_bytes()
         assert small.count == two[kind].count > 50
+
+
+def test_damage_in_memory_is_refused_or_read_alike_in_every_way(tmp_path):
+    readers, begun, number = ReaderFuzz(tmp_path, 0), time.monotonic(), 0
+    while number < 20 or (number < 200 and time.monotonic() - begun < 1.0):
+        for kind in readers.kinds:
+            readers.case(kind, number)
+        number += 1
+    assert sum(readers.counts.values()) == number * len(readers.kinds)
+    assert {name.rpartition(": ")[2] for name in readers.counts} == {"read", "refused", "recovered"}

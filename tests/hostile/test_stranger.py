@@ -1,7 +1,5 @@
 """A stranger's model file or map runs no code and opens no file that it was not given."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest
@@ -12,15 +10,8 @@ from odomcorrupt.mapping.occupancy_grid import read_map
 from odomcorrupt.model.model_file import read_model
 
 WATCHED = (
-    "open",
-    "exec",
-    "subprocess.Popen",
-    "os.system",
-    "os.exec",
-    "os.posix_spawn",
-    "socket.connect",
-    "ctypes.dlopen",
-)
+    "open", "exec", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "ctypes.dlopen",
+)  # fmt: skip
 SEEN: list[tuple[str, str]] | None = None
 
 

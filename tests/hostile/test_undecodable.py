@@ -1,7 +1,5 @@
 """A message that is a whole record of damaged bytes: refused in a line, left out and counted with --recover."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re
@@ -9,7 +7,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from smallbags import make_small_bags
+from bagged import messages_in
 
 from odomcorrupt.bags.messages import locate
 from odomcorrupt.bags.open import open_reader, open_writer
@@ -21,11 +19,6 @@ KINDS = (
 )  # fmt: skip
 DAMAGED = {"/odom": {3, 4, 11}, "/tf": {0, 9}}
 """Which messages of a topic are damaged, by their order."""
-
-
-@pytest.fixture(scope="module")
-def bags(tmp_path_factory):
-    return make_small_bags(tmp_path_factory.mktemp("bags"))
 
 
 def damaged(source, target, damage=DAMAGED, compression=None):
@@ -42,17 +35,6 @@ def damaged(source, target, damage=DAMAGED, compression=None):
                         seen[channel.topic] += 1
             writer.write(block)
     return target
-
-
-def messages(path, *, recover=False):
-    """Return topic, log time and bytes of all messages, and what is lost."""
-    found = []
-    with open_reader(path, recover=recover) as reader:
-        for block in reader.blocks():
-            for number, log_ns, offset, length in block.table.tolist():
-                topic = reader.channels[number].topic
-                found.append((topic, log_ns, block.data[offset : offset + length].tobytes()))
-        return found, list(reader.losses)
 
 
 def without_damaged(everything, damage=DAMAGED):
@@ -96,9 +78,8 @@ def test_they_are_left_out_alone_and_counted_by_topic(kind, compression, bags, t
     assert lost == {topic: len(places) for topic, places in DAMAGED.items()}
     files = len(list(bad.glob("*.mcap"))) if bad.is_dir() else 1
     assert said.count("Lost: ") <= 2 * max(files, 1)
-    saved, losses = messages(out)
-    assert losses == []
-    expected = without_damaged(messages(source)[0])
+    saved = messages_in(out)
+    expected = without_damaged(messages_in(source))
     assert [one[:2] for one in saved] == [one[:2] for one in expected]
     untouched = [one for one in expected if one[0] not in DAMAGED]
     assert [one for one in saved if one[0] not in DAMAGED] == untouched
@@ -110,7 +91,7 @@ def test_each_is_read_by_other_formats_too(kind, bags, tmp_path):
     bad = damaged(bags[kind].path, tmp_path / ("bad" + bags[kind].path.suffix))
     out = tmp_path / "out.mcap"
     assert call(bad, out, "--seed", "7", "--recover")[0] == 3
-    assert len(messages(out)[0]) == bags[kind].count - sum(map(len, DAMAGED.values()))
+    assert len(messages_in(out)) == bags[kind].count - sum(map(len, DAMAGED.values()))
 
 
 @pytest.mark.parametrize("kind", ["mcap zstd", "ros1 none", "sqlite3 file"])
@@ -124,8 +105,8 @@ def test_what_is_not_corrupted_is_left_out_too_so_that_the_output_can_be_studied
     assert (code, "LOST" in said, "2 of the messages of /imu cannot be" in " ".join(said.split())) == (3, True, True), (
         said
     )
-    assert [one for one in messages(out)[0] if one[0] == "/imu"] == [
-        one for one in without_damaged(messages(source)[0], damage) if one[0] == "/imu"
+    assert [one for one in messages_in(out) if one[0] == "/imu"] == [
+        one for one in without_damaged(messages_in(source), damage) if one[0] == "/imu"
     ]
 
 
@@ -140,7 +121,7 @@ def test_an_encoding_that_is_not_read_is_not_damage(bags, tmp_path):
             writer.write(block)
     out = tmp_path / "out.mcap"
     assert call(parameters, out, "--seed", "7", "--recover")[0] == 0
-    assert len(messages(out)[0]) == bags["mcap zstd"].count
+    assert len(messages_in(out)) == bags["mcap zstd"].count
 
 
 def test_info_counts_them(bags, tmp_path):

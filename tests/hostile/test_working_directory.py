@@ -1,7 +1,5 @@
 """A folder that one stands in, such as a download, runs no code, and sets noise, topics, frames and seeds only."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import subprocess
@@ -113,21 +111,7 @@ def test_modules_of_the_folder_replace_none_of_the_program(folder, path):
         (folder / "signal.py").unlink()
     for words in (
         ["effects"],
-        [
-            "batch",
-            OFFICE,
-            "runs",
-            "--runs",
-            "4",
-            "--jobs",
-            "2",
-            "--seed",
-            "1",
-            "--output",
-            "trajectories",
-            "--effect",
-            "wheel_scale",
-        ],
+        f"batch {OFFICE} runs --runs 4 --jobs 2 --seed 1 --output trajectories --effect wheel_scale".split(),
     ):
         done = subprocess.run(
             [*start, *words], capture_output=True, text=True, check=False, env=environment, timeout=60

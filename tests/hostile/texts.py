@@ -1,7 +1,5 @@
 """Hostile model files, maps and trajectories: damaged bytes, and numbers that no robot has."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections import Counter
@@ -94,6 +92,10 @@ class TextTrial:
         data = TEXTS[kind]
         for _ in range(int(rng.integers(1, 4))):
             data = _worded(data, rng) if rng.random() < 0.6 else mutated(data, CSV + MODEL + PGM, rng)[1]
+        self.use(kind, data, rng)
+
+    def use(self, kind: str, data: bytes, rng: np.random.Generator) -> bool:
+        """Read a text of a kind and use what was read; return whether it was refused."""
         if kind == "model file":
             got = judged(self._model, data, rng)
         elif kind.startswith("map"):
@@ -101,6 +103,7 @@ class TextTrial:
         else:
             got = judged(self._trajectory, data, rng)
         self.outcomes[f"{kind} {'refused' if isinstance(got, OdomCorruptError) else 'done'}"] += 1
+        return isinstance(got, OdomCorruptError)
 
     def _model(self, data: bytes, rng: np.random.Generator) -> None:
         path = self.room / "robot.toml"

@@ -4,8 +4,6 @@ May: an answer, or one error of the project's own class, in one line. May not: a
 beyond the bound, debris, a touched input, messages lost without a word, an error that advises what was already given.
 """
 
-from __future__ import annotations
-
 import io
 import resource
 import shutil
@@ -18,7 +16,7 @@ from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from mcap.reader import NonSeekingReader
-from mcap.records import Message
+from mcap.records import Attachment, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mutations import ros1_headers
 from rosbags.rosbag1 import Reader as Ros1LibraryReader
@@ -47,17 +45,17 @@ class FoundError(BaseException):
 
 
 @contextmanager
-def guarded():
+def guarded(cpu_s=CPU_S):
     """Bound time and memory, and make warnings errors."""
 
     def late(_number, _frame):
-        raise FoundError(f"took longer than {CPU_S} s of CPU time, or {WALL_S} s")
+        raise FoundError(f"took longer than {cpu_s} s of CPU time, or {WALL_S} s")
 
     before = resource.getrlimit(resource.RLIMIT_AS)
     used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     handlers = {number: signal.signal(number, late) for number in (signal.SIGALRM, signal.SIGPROF)}
     signal.alarm(WALL_S)
-    signal.setitimer(signal.ITIMER_PROF, CPU_S)
+    signal.setitimer(signal.ITIMER_PROF, cpu_s)
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, before[1]))
     try:
         with warnings.catch_warnings():
@@ -84,28 +82,52 @@ def judged(function, *args):
         raise FoundError(f"{type(error).__name__}: {error}") from error
 
 
-def library_count(path: Path) -> int | None:
-    """Return how many messages other people's libraries see, None where they refuse."""
+def library_content(path: Path) -> list[tuple] | None:
+    """Return what other people's libraries see: messages, type first, and then what else; None where they refuse."""
     try:
         with guarded():
-            return _library_count(path)
+            return _library_content(path)
     except (Exception, FoundError):  # noqa: BLE001 - theirs may fail as they like
         return None
 
 
-def _library_count(path: Path) -> int:
+def library_count(path: Path) -> int | None:
+    """Return how many messages other people's libraries see, None where they refuse."""
+    seen = library_content(path)
+    return None if seen is None else sum(one[0] is not EXTRA for one in seen)
+
+
+EXTRA = object()
+"""In place of a type: an attachment or metadata."""
+
+
+def _library_content(path: Path) -> list[tuple]:
     if path.is_dir():
-        return sum(_library_count(part) for part in sorted(path.iterdir()) if part.suffix in (".db3", ".mcap"))
-    with path.open("rb") as stream:
-        begin = stream.read(8)
-    if begin.startswith(b"\x89MCAP"):
-        with path.open("rb") as stream:
-            return sum(1 for _ in NonSeekingReader(stream, validate_crcs=True).iter_messages(log_time_order=False))
+        parts = [part for part in sorted(path.iterdir()) if part.suffix in (".db3", ".mcap")]
+        return [(*one, number) for number, part in enumerate(parts) for one in _library_content(part)]
+    begin = path.read_bytes()[:8]
     if begin.startswith(b"#ROSBAG"):
         with Ros1LibraryReader(path) as reader:
-            return sum(1 for _ in reader.messages())
-    with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as connection:
-        return len(connection.execute("SELECT data FROM messages").fetchall())
+            return sorted((one.msgtype, one.topic, time_ns, data) for one, time_ns, data in reader.messages())
+    if not begin.startswith(b"\x89MCAP"):
+        with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as connection:
+            query = (
+                "SELECT type, messages.rowid, name, timestamp, data FROM messages LEFT JOIN topics "
+                "ON topics.id = topic_id ORDER BY messages.rowid"
+            )
+            return connection.execute(query).fetchall()
+    with path.open("rb") as stream:
+        seen = [
+            (schema and schema.name, channel.topic, channel.message_encoding, sorted(channel.metadata.items()),
+             schema and schema.data, one.log_time, one.publish_time, one.sequence, one.data)
+            for schema, channel, one in NonSeekingReader(stream, validate_crcs=True).iter_messages(log_time_order=False)
+        ]  # fmt: skip
+    with path.open("rb") as stream:
+        records = list(StreamReader(stream, validate_crcs=True).records)
+    seen += [
+        (EXTRA, one.name, one.media_type, one.log_time, one.data) for one in records if isinstance(one, Attachment)
+    ]
+    return seen + [(EXTRA, one.name, one.metadata) for one in records if isinstance(one, Metadata)]
 
 
 def walked_count(path: Path) -> int | None:

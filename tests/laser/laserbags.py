@@ -1,7 +1,5 @@
 """Bags with what a robot without motion capture has: odometry, gyro, wheel angles, laser scans and where these sit."""
 
-from __future__ import annotations
-
 import numpy as np
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore

@@ -1,7 +1,5 @@
 """A small ray-caster: a robot drives loops in a furnished room, and a laser on it sees the walls."""
 
-from __future__ import annotations
-
 import laserbags
 import numpy as np
 
@@ -48,14 +46,14 @@ def there_and_back(fine, every, half_s=10.0, short_s=0.6):
 
 
 def ranges(
-    pose_at, starts_s, *, walls=WALLS, beams=180, sweep_s=0.15, flipped=False, noise=0.008, backwards=False
+    pose_at, starts_s, *, walls=WALLS, beams=180, sweep_s=0.15, flipped=False, noise=0.008, backwards=False, rng=None
 ):  # fmt: skip
     """Ranges (n, beams): each beam from where the laser is then; a flipped laser turns clockwise seen from above.
 
     backwards : the last beam is measured first, as by a laser whose driver reverses the order
     walls : (s, 2, 2), or a function that returns them for the start of a sweep
     """
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(1) if rng is None else rng
     bearing = -np.pi + 2 * np.pi * np.arange(beams) / beams
     out = []
     for start in starts_s:

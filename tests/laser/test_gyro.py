@@ -111,33 +111,29 @@ def test_a_gain_of_turns_of_four_errors_of_the_gyros_scale_is_evidence_of_either
     assert 2.0 < own.gain < 0.5 * (abs(own.fitted.e) / GYRO_SCALE + 1.0) ** 2
 
 
+def jumped(fitted, jump, weights):
+    """Return a fit with some residuals (n, 3) more, and other weights of its noise."""
+    intervals = fitted.problem.intervals
+    problem = replace(fitted.problem, intervals=replace(intervals, residual=intervals.residual + jump))
+    return replace(fitted, problem=problem, noise=replace(fitted.noise, weights=weights))
+
+
 def test_slips_of_wheels_are_not_named_where_a_gyro_alone_is_the_truth(tmp_path):
     simulated = drive(31, duration_s=90.0, yaw_from="encoders")
     runs = list(read_runs(Source(bag(tmp_path / "run.mcap", simulated))))
     fitted = fit(runs, approach=choose_approach(runs))
-    intervals = fitted.problem.intervals
-    odd = np.where(np.arange(len(intervals)) % 7 == 3, 9.0, 1.0)
-    residual = intervals.residual + (odd > 1.0)[:, None] * np.array([1e-4, 0.0, 0.05])
-    jumped = replace(
-        fitted,
-        problem=replace(fitted.problem, intervals=replace(intervals, residual=residual)),
-        noise=replace(fitted.noise, weights=odd),
-    )
-    assert slip_bursts(jumped) is not None
-    assert outlier_effects(jumped, DECISIONS, tails=True) == []
+    odd = np.where(np.arange(len(fitted.problem.intervals)) % 7 == 3, 9.0, 1.0)
+    slipped = jumped(fitted, (odd > 1.0)[:, None] * np.array([1e-4, 0.0, 0.05]), odd)
+    assert slip_bursts(slipped) is not None
+    assert outlier_effects(slipped, DECISIONS, tails=True) == []
 
 
 def test_what_happened_once_is_a_turn_where_a_gyro_alone_is_the_truth(tmp_path):
     simulated = drive(31, duration_s=90.0, yaw_from="encoders")
     fitted = fit(runs := list(read_runs(Source(bag(tmp_path / "run.mcap", simulated)))), approach=choose_approach(runs))
-    intervals, jump = fitted.problem.intervals, np.zeros((len(fitted.problem.intervals), 3))
+    jump = np.zeros((len(fitted.problem.intervals), 3))
     jump[40], jump[80] = (0.02, 0.03, 0.5), (0.02, 0.03, 0.0)
-    jumped = replace(
-        fitted,
-        problem=replace(fitted.problem, intervals=replace(intervals, residual=intervals.residual + jump)),
-        noise=replace(fitted.noise, weights=1.0 + 8.0 * jump.any(axis=1)),
-    )
-    (event,) = single_events(jumped)
+    (event,) = single_events(jumped(fitted, jump, 1.0 + 8.0 * jump.any(axis=1)))
     assert (event.along_m, event.across_m) == (0.0, 0.0)
     assert event.yaw_rad == pytest.approx(0.5, abs=0.05)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_gyro import drive
 
-from odomcorrupt.api.fit import fit_returns
+from odomcorrupt.api.findings import fit_returns
 from odomcorrupt.cli import run
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes

@@ -1,7 +1,5 @@
 """Matching, moving objects, the map, its strain, and the trajectory with its noise."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -12,7 +10,7 @@ import raycaster
 import odomcorrupt as oc
 from odomcorrupt.cli import run
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.geometry.se2 import between, compose, inverse, rotate
+from odomcorrupt.geometry.se2 import between, compose, inverse
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.icp import WEAK, lines_of, match, surface_of
@@ -42,18 +40,10 @@ ROOM = np.array([(-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0)])
 
 def seen(pose, noise=0.0, rng=None, walls=ROOM, beams=360):
     """Return the returns of a laser at a pose inside a polygon."""
-    bearing = pose[2] + np.linspace(-np.pi, np.pi, beams, endpoint=False)
-    way = np.stack((np.cos(bearing), np.sin(bearing)), axis=1)
-    a, b = walls, np.roll(walls, -1, axis=0)
-    along, to = b - a, a - pose[:2]
-    cross = way[:, None, 0] * along[:, 1] - way[:, None, 1] * along[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        far = (to[:, 0] * along[:, 1] - to[:, 1] * along[:, 0]) / cross
-        share = (to[:, 0] * way[:, None, 1] - to[:, 1] * way[:, None, 0]) / cross
-    far = np.where((far > 0) & (share >= 0) & (share <= 1), far, np.inf).min(axis=1)
-    far = far + (noise * rng.normal(size=beams) if rng is not None else 0.0)
-    good = far < 15.0
-    return rotate(far[good, None] * way[good], np.full(int(good.sum()), -pose[2]))
+    still = {"sweep_s": 0.0, "noise": noise, "beams": beams, "rng": rng, "walls": raycaster.closed(walls)}
+    (far,) = raycaster.ranges(lambda at_s: np.tile(pose, (len(at_s), 1)), [0.0], **still)
+    bearing = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    return (far[:, None] * np.stack((np.cos(bearing), np.sin(bearing)), axis=1))[far < 15.0]
 
 
 def test_a_match_finds_the_pose_within_what_it_says_of_its_error():
@@ -233,7 +223,7 @@ def test_a_part_that_the_map_does_not_cover_is_stated(bag):
     drawn = laser_maps(cut, np.zeros((len(whole.odometry), 3)), 0.2)
     assert drawn.parts.startswith("2 parts that no scan connects: the map covers 0-22 s only")
     assert drawn.placed.startswith(f"{np.count_nonzero(whole.path.t_s <= 22.0)} of ")
-    assert [line.label for line in laser_brief(drawn, ()).lines[:3]] == ["MATCHED", "parts", "walls"]
+    assert [line.label for line in laser_brief(drawn).lines[:3]] == ["MATCHED", "parts", "walls"]
     assert drawn.parts in laser_text(drawn).splitlines()
     # the odometry without noise makes the map of the odometry
     np.testing.assert_array_equal(drawn.maps[1].grid.cells, drawn.maps[2].grid.cells)

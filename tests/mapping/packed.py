@@ -1,7 +1,5 @@
 """Scans, grids and transforms packed by other people's writers."""
 
-from __future__ import annotations
-
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 

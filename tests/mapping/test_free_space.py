@@ -1,7 +1,5 @@
 """Free space of a robot in a map, and paths within it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rooms import MODEL, RESOLUTION, drive, room

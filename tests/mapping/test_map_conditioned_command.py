@@ -1,17 +1,13 @@
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
-from packed import grid
 
-from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
 from odomcorrupt.commands._options import POSE
-from odomcorrupt.errors import TopicError
-from odomcorrupt.mapping import conditioned
-from odomcorrupt.mapping.conditioned import read_map_from_odom, read_recorded_map
-from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, free_space, read_map
+from odomcorrupt.mapping.conditioned import read_map_from_odom
+from odomcorrupt.mapping.occupancy_grid import free_space, read_map
+from odomcorrupt.trajectories import read_drive
 from recordings import RECORDINGS
 
 GAZEBO, MAPS = RECORDINGS / "real" / "rob521_gazebo.mcap", RECORDINGS / "bags" / "maps"
@@ -26,26 +22,31 @@ def ends(path):
 
 @pytest.mark.slow
 @pytest.mark.recordings
+@pytest.mark.parametrize("command", ["sample", "corrupt"])
 @pytest.mark.parametrize(
-    ("bag", "yaml", "pose"),
+    ("bag", "yaml", "pose", "seed"),
     [
-        (GAZEBO, MAPS / "rob521_gazebo.yaml", "0,0,0"),
-        (TURTLEBOT, MAPS / "depot.yaml", None),  # TF says where odom is
+        (GAZEBO, MAPS / "rob521_gazebo.yaml", "0,0,0", 3),
+        (TURTLEBOT, MAPS / "depot.yaml", None, 7),  # TF says where odom is
         # found by laying its scans onto its map
-        (OLIN / "macfirst_floor_take_2", OLIN / "maps" / "mac_1st_floor_final.yaml", "-0.25,0.12,4deg"),
+        (OLIN / "macfirst_floor_take_2", OLIN / "maps" / "mac_1st_floor_final.yaml", "-0.25,0.12,4deg", 7),
     ],
 )
-def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(bag, yaml, pose, tmp_path, capsys):
-    arguments = ["sample", str(bag), "-n", "40", "--every", "0.5", "--seed", "3", "--alpha", *["0.1"] * 4, "-o"]
+def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(command, bag, yaml, pose, seed, tmp_path, capsys):
     where = [] if pose is None else ["--map-pose", pose]
-    with_map = ["--map", str(yaml), *where, "--robot-radius", "0.1", "--unknown", "free"]
-    assert run([*arguments, str(tmp_path / "with.csv"), *with_map]) == 0
-    assert "drawn again" in capsys.readouterr().err
-    assert run([*arguments, str(tmp_path / "without.csv")]) == 0
     found = read_map_from_odom(bag, "map", "odom") if pose is None else np.array(POSE.convert(pose, None, None))
     walls = free_space(read_map(yaml), 0.0, unknown="free", map_from_odom=found)
-    assert walls.free(ends(tmp_path / "with.csv")).all()
-    assert not walls.free(ends(tmp_path / "without.csv")).all()
+    with_map = ["--map", str(yaml), *where, "--robot-radius", "0.1", "--unknown", "free"]
+    for name, more in (("with", with_map), ("without", [])):
+        out = tmp_path / f"{name}{'.csv' if command == 'sample' else bag.suffix}"
+        words = {
+            "sample": ["sample", str(bag), "-n", "40", "--every", "0.5", "--seed", "3", "-o", str(out)],
+            "corrupt": [str(bag), str(out), "--seed", str(seed)],
+        }[command]
+        assert run([*words, "--alpha", *["0.1"] * 4, *more]) == 0
+        assert ("drawn again" in capsys.readouterr().err) is (name == "with")
+        free = walls.free(ends(out) if command == "sample" else read_drive(out, "/odom").xyt[:, :2])
+        assert free.all() is np.bool_(name == "with")
 
 
 @pytest.mark.recordings
@@ -71,33 +72,3 @@ def test_map_that_is_not_there_is_reported_in_one_line(arguments, code, word, ca
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert word in lines[0]
-
-
-def test_recorded_map_is_the_last_one_of_its_topic(monkeypatch):
-    channel = Channel(1, "/map", "nav_msgs/msg/OccupancyGrid", "cdr")
-    messages = [grid(np.full((2, 3), 100)), grid(np.array([[0, 25, 26], [64, 65, -1]]))]
-    table = np.zeros(2, dtype=TABLE)
-    table["channel"], table["length"] = 1, [len(m) for m in messages]
-    table["offset"] = [0, len(messages[0])]
-
-    class Bag:
-        name = "bag"
-
-        def __init__(self):
-            self.channels = {1: channel}
-
-        def blocks(self):
-            yield Block(np.frombuffer(b"".join(messages), np.uint8).copy(), table)
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            return None
-
-    monkeypatch.setattr(conditioned, "open_reader", lambda _path, **_: Bag())
-    found = read_recorded_map(Path("bag"), "map")
-    assert found.grid.cells.tolist() == [[FREE, FREE, UNKNOWN], [UNKNOWN, OCCUPIED, UNKNOWN]]
-    assert found.frame_id == "map"
-    with pytest.raises(TopicError, match="found /map"):
-        read_recorded_map(Path("bag"), "/other")

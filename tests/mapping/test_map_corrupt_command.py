@@ -9,40 +9,12 @@ import numpy as np
 import pytest
 
 from odomcorrupt.cli import run
-from odomcorrupt.commands._options import POSE
-from odomcorrupt.mapping.conditioned import read_map_from_odom
 from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid, format_map, free_space, read_map
 from odomcorrupt.trajectories import read_drive
-from recordings import RECORDINGS
 
-MAPS, OLIN = RECORDINGS / "bags" / "maps", RECORDINGS / "bags" / "olin_tb4"
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 OFFICE = FIXTURES / "office.mcap"
 ALPHA = ["--alpha", "0.1", "0.1", "0.1", "0.1"]
-
-
-@pytest.mark.slow
-@pytest.mark.recordings
-def test_no_pose_is_written_into_a_wall_and_without_the_map_some_are(tmp_path, capsys):
-    cases = (
-        (RECORDINGS / "real" / "rob521_gazebo.mcap", MAPS / "rob521_gazebo.yaml", "0,0,0", 3),
-        (RECORDINGS / "bags" / "evo" / "nav2_turtlebot.mcap", MAPS / "depot.yaml", None, 7),
-        (OLIN / "macfirst_floor_take_2", OLIN / "maps" / "mac_1st_floor_final.yaml", "-0.25,0.12,4deg", 7),
-    )
-    for bag, yaml, pose, seed in cases:
-        where = [] if pose is None else ["--map-pose", pose]
-        arguments = [str(bag), *ALPHA, "--seed", str(seed)]
-        found = read_map_from_odom(bag, "map", "odom") if pose is None else np.array(POSE.convert(pose, None, None))
-        walls = free_space(read_map(yaml), 0.0, unknown="free", map_from_odom=found)
-        with_map = ["--map", str(yaml), *where, "--robot-radius", "0.1", "--unknown", "free"]
-        kind = bag.suffix
-        for name, more in (("with", with_map), ("without", [])):
-            out = tmp_path / f"{bag.stem}_{name}{kind}"
-            assert run([arguments[0], str(out), *arguments[1:], *more]) == 0
-            said = capsys.readouterr().err
-            assert ("increments were drawn again" in said) is (name == "with")
-            free = walls.free(read_drive(out, "/odom").xyt[:, :2])
-            assert free.all() is np.bool_(name == "with"), (bag.name, name)
 
 
 @pytest.fixture

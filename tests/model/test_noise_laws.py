@@ -1,7 +1,5 @@
 """Noise laws: their formulas, and what each must and must not depend on."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -11,8 +11,8 @@ import pytest
 from matplotlib.image import imread
 from scipy.stats import chi2
 
-from odomcorrupt.report.html.comparison import report_html
 from odomcorrupt.report.html.page import prose
+from odomcorrupt.report.html.study import report_html
 from odomcorrupt.report.plots.comparison import draw_errors, rms_interval
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.study.validate.compare import compare
@@ -100,7 +100,7 @@ def test_real_browser_shows_and_works_the_page_at_every_width(page, comparison, 
     long = "a_recording_with_a_name_that_has_no_place_to_break_020120212354_run1_of_many_more.mcap"
     two = [case.recording, replace(case.recording, name=long)]
     found = compare(two, {"base.toml": base_model, long: base_model, "c": base_model})
-    (tmp_path / "long.html").write_text(report_html(found, version="0"))
+    (tmp_path / "long.html").write_text(report_html(found))
     (tmp_path / "page.html").write_text(page)
     for name, width, phone, dark in (
         ("page", 1280, False, False), ("page", 1280, False, True), ("page", 390, True, False),

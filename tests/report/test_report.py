@@ -17,14 +17,13 @@ from matplotlib.image import imread
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.report.html.comparison import report_html
-from odomcorrupt.report.json.comparison import comparison_json
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.comparison import MOST, comparison_brief, comparison_json, evaluation_sentence, sentence
+from odomcorrupt.report.findings import noise_text
+from odomcorrupt.report.html.study import report_html
+from odomcorrupt.report.plain import finite
 from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.report.plots.paths import draw_paths
-from odomcorrupt.report.text.comparison import MOST, comparison_brief, evaluation_sentence, sentence
-from odomcorrupt.report.text.numbers import noise_text
 from odomcorrupt.study.validate.compare import compare
 
 VOID = {"meta", "img", "link", "br", "hr"}
@@ -152,7 +151,7 @@ def test_a_truth_of_positions_alone_gets_its_page_without_a_word_on_yaw(case, ba
         json.loads(json.dumps(comparison_json(found), allow_nan=False))["models"][0]["trajectory"]["rpe_1m_rmse_m"]
         is None
     )
-    page = report_html(found, version="0")
+    page = report_html(found)
     assert "positions only" in page
     shown = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert "nan" not in unescape(re.sub(r'src="[^"]*"', "", shown)).lower().split()

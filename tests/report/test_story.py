@@ -16,16 +16,13 @@ from test_report import parsed_page, shown
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
+from odomcorrupt.report import diagnosis as texts
+from odomcorrupt.report.brief import _contact_words, _found_lines, _mounting_words, findings_brief
+from odomcorrupt.report.comparison import comparison_text, rejection, within
 from odomcorrupt.report.findings import dependences_found, effects_found, foremost
-from odomcorrupt.report.html.diagnosis import SearchReport, found_html
-from odomcorrupt.report.json.diagnosis import learned_json
-from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
+from odomcorrupt.report.html.study import found_html
+from odomcorrupt.report.plots.comparison import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
-from odomcorrupt.report.text.brief import _contact_words, _found_lines, _mounting_words, findings_brief
-from odomcorrupt.report.text.comparison import comparison_text, rejection, within
-from odomcorrupt.report.text.design import advice_sentences, advice_text, inseparable_sentence, limits_sentence
-from odomcorrupt.report.text.diagnosis import NOTHING, fit_text, found_text, laws_table, shares_text
-from odomcorrupt.report.text.numbers import clock_lines, numbers_text, value_text
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import plan_of
@@ -42,6 +39,7 @@ from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm
 from odomcorrupt.study.validate.held_out import OF_ONE_DRIVE, without_parts
 from odomcorrupt.study.validate.lack_of_fit import Failure
+from odomcorrupt.summary import command_line
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
 PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
@@ -117,7 +115,7 @@ def poor(searched):
 
 
 def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
-    text = found_text(rich, ADVICE)
+    text = texts.found_text(rich, ADVICE)
     assert "missing, in the order of evidence" in text
     assert re.search(r"  \+ unequal_wheels .* mm after 10 s   confidence 0\.\d\d", text)
     # 40 nats of what depends on something look like a gain that wanders, too, and are more than its 25
@@ -172,10 +170,10 @@ def test_a_dependence_of_the_model_is_told_as_such_though_another_part_was_dropp
     included, other = dependences_found(kept)
     assert (included.fitted, included.part, list(included.numbers)) == (True, name, ["k"])
     assert (other.fitted, other.part, other.law.instead_of) == (False, "", ())
-    printed = learned_json(kept, sequence.evaluations, NONE)["unknown"]
+    printed = texts.learned_json(kept, sequence.evaluations, NONE)["unknown"]
     assert [one["in_model"] for one in printed] == [True, False]
     assert [one["expression"] for one in printed] == [included.expression, other.expression]
-    text = found_text(kept, NONE)
+    text = texts.found_text(kept, NONE)
     assert f"fitted: {included.expression}" in text
     assert f"suggested: {other.expression}" in text
     lines, _ = _found_lines(kept, kept.fit, set())
@@ -223,11 +221,12 @@ def test_a_dependence_that_is_negligible_is_in_the_model_only_if_it_is(rich, mon
         assert line.text == f"{UNKNOWNS[0].expression}: {said}"
 
 
-def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequence, monkeypatch):
-    def doubted(*given):
-        return [one._replace(confidence=0.02) for one in effects_found(*given)]
+def doubted(confidence):
+    return lambda *given: [one._replace(confidence=confidence) for one in effects_found(*given)]
 
-    monkeypatch.setattr("odomcorrupt.report.text.brief.effects_found", doubted)
+
+def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequence, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted(0.02))
     known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
     lines = findings_brief(known, NONE, sequence).lines
     assert not any(line.label == "perhaps" or line.text.startswith("unequal_wheels  ") for line in lines)
@@ -242,10 +241,9 @@ def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequenc
 def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich, sequence):
     first = sequence.evaluations[0]
     rejected = replace(sequence, evaluations=(first, replace(first, name="with all")))
-    following = (
-        f"odomcorrupt compare {'/data/recordings/' * 5}judge --truth /vrpn/robot/pose {'/data/models/' * 5}robot.toml"
-    )
-    text = findings_brief(rich, ADVICE, rejected, notes=("a", "b"), following=following).text().splitlines()
+    following = f"odomcorrupt compare {'/data/recordings/' * 5}judge --truth /vrpn/pose {'/data/models/' * 5}robot.toml"
+    brief = findings_brief(rich, ADVICE, rejected, notes=("a", "b"))
+    text = brief._replace(lines=(*brief.lines, command_line(following))).text().splitlines()
     labels = [row.split()[0] for row in text]
     assert "errors" in labels
     assert "rejected" in labels
@@ -253,10 +251,7 @@ def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich
 
 
 def test_a_name_below_even_odds_follows_dependences_and_noise_with_perhaps(rich, sequence, monkeypatch):
-    def doubted(*given):
-        return [one._replace(confidence=0.27) for one in effects_found(*given)]
-
-    monkeypatch.setattr("odomcorrupt.report.text.brief.effects_found", doubted)
+    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted(0.27))
     known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
     lines = findings_brief(known, NONE, sequence).lines
     assert lines[0].text.startswith("the yaw error depends on speed")
@@ -284,31 +279,31 @@ def test_only_a_sign_that_is_as_significant_in_the_final_model_contradicts_physi
     first = searched.rounds[0]
     forbidden = replace(first.candidates[0], refused="of a physically impossible sign")
     against = replace(searched, fit=first.before, contradictions=(forbidden,), noise=(), unknown=(), laws=())
-    assert "the data contradict physics: unequal_wheels" in found_text(against, NONE)
+    assert "the data contradict physics: unequal_wheels" in texts.found_text(against, NONE)
     # the final model explains it
-    assert "contradict" not in found_text(replace(against, fit=searched.fit), NONE)
+    assert "contradict" not in texts.found_text(replace(against, fit=searched.fit), NONE)
     # a dependence only approximates an unknown cause, and its misfit may have any sign
-    assert "contradict" not in found_text(replace(against, unknown=UNKNOWNS[:1]), NONE)
+    assert "contradict" not in texts.found_text(replace(against, unknown=UNKNOWNS[:1]), NONE)
 
 
 def test_what_explains_about_as_much_as_a_name_is_said_beside_it(rich):
     rival = replace(UNKNOWNS[0], instead_of=("unequal_wheels",))
     both = replace(rich, unknown=(rival,), laws=())
-    text = found_text(both, ADVICE)
+    text = texts.found_text(both, ADVICE)
     assert "or instead of unequal_wheels: the yaw error depends on speed (40 nats), and these data do not" in text
     assert both.unexplained == ()
     assert both.left_nats == 0.0
     assert "nan" not in text
-    alone = found_text(replace(rich, unknown=UNKNOWNS[4:]), NONE)
+    alone = texts.found_text(replace(rich, unknown=UNKNOWNS[4:]), NONE)
     assert "the along error is periodic, every 0.52 m driven" in alone
 
 
 def test_where_nothing_is_found_the_text_says_so(poor):
-    assert found_text(poor, NONE) == NOTHING
+    assert texts.found_text(poor, NONE) == texts.NOTHING
 
 
 def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive():
-    lines = advice_text(ADVICE).splitlines()
+    lines = texts.advice_sentences(ADVICE)
     assert len(lines) == len(CHOICES) + 3
     assert lines[0].startswith(
         "side_slip or turn_asymmetry: these data do not separate them (it never turned to the left); drive "
@@ -320,19 +315,19 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
     assert lines[4].startswith("backlash, accel_slip: not testable here: never reversed; drive ")
     assert lines[5] == "slope: not testable here: no map; give a map"
     assert lines[6] == "time_offset: not testable here: it stood still"
-    assert advice_text(NONE) == limits_sentence(()) == ""
-    assert limits_sentence(LIMITS) == (
+    assert (texts.advice_sentences(NONE), texts.limits_sentence(())) == ([], "")
+    assert texts.limits_sentence(LIMITS) == (
         "smallest detectable sizes: wheel_scale 0.12 %, lever_arm x 3.4 mm, lever_arm y 5 mm"
     )
 
 
 @pytest.mark.slow
 def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
-    page = found_html(SearchReport(rich, sequence, ADVICE, "odomcorrupt fit run.mcap -o robot.toml"), version="0")
+    page = found_html(rich, sequence, ADVICE, "odomcorrupt fit run.mcap -o robot.toml")
     parsed = parsed_page(page)
     assert parsed.tags.count("img") == 5
     text = unescape(page)
-    for sentence in advice_text(ADVICE).splitlines():
+    for sentence in texts.advice_sentences(ADVICE):
         assert sentence.partition(": ")[0] in text
     for one in UNKNOWNS[:3]:
         assert one.expression in text
@@ -342,9 +337,9 @@ def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
 
 def test_the_page_of_a_search_that_found_nothing_is_whole(poor, sequence):
     good = replace(sequence, evaluations=(kept(sequence.evaluations[0]),))
-    page = found_html(SearchReport(poor, good, NONE, ""), version="0")
+    page = found_html(poor, good, NONE, "")
     parsed_page(page)
-    assert NOTHING[1:] in unescape(page)
+    assert texts.NOTHING[1:] in unescape(page)
     assert "rejected" not in page.split("</h1>", 1)[1].split("</p>", 1)[0]
 
 
@@ -356,17 +351,18 @@ def kept(evaluation):
 @pytest.mark.slow
 def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequence):
     first = sequence.evaluations[0]
-    text = found_text(poor, NONE, evaluated=first)
+    text = texts.found_text(poor, NONE, evaluated=first)
     assert text == f"no known effect is missing, but the model is rejected: {rejection(first)}"
     assert "times the predicted ones (NEES " in text
     assert "an effect that is not in the model remains" in text
-    assert found_text(poor, NONE, evaluated=kept(first)) == NOTHING
-    beside = found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
+    assert texts.found_text(poor, NONE, evaluated=kept(first)) == texts.NOTHING
+    beside = texts.found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
     assert "no further known effect is missing, but" in beside
-    page = found_html(SearchReport(poor, replace(sequence, evaluations=(first,)), NONE, ""), version="0")
+    page = found_html(poor, replace(sequence, evaluations=(first,)), NONE, "")
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
     printed = [
-        learned_json(poor, sequence.evaluations[:1], NONE, evaluated=one)["rejected"] for one in (first, kept(first))
+        texts.learned_json(poor, sequence.evaluations[:1], NONE, evaluated=one)["rejected"]
+        for one in (first, kept(first))
     ]
     assert printed == [rejection(first), None]
 
@@ -409,7 +405,7 @@ def test_an_included_law_is_reported_with_the_numbers_of_the_model(searched):
     effect = user_effect("yaw_over_acceleration", "yaw += v * (k * a)", {"k": 0.0123})
     fit = SimpleNamespace(effects=(effect,), standard_errors=np.array([0.001]))
     learned = replace(searched, unknown=(found,), laws=(found,))
-    text = found_text(learned, NONE, fit=fit)
+    text = texts.found_text(learned, NONE, fit=fit)
     assert "fitted: yaw += v * (0.0123 * a)  (k 0.7047 +- 0.057 deg s^2/m^2)" in text
     (included,) = dependences_found(learned, fit)
     assert included.numbers == {"k": (0.0123, 0.001, "rad s^2/m^2")}
@@ -420,10 +416,10 @@ def test_an_included_law_is_reported_with_the_numbers_of_the_model(searched):
 
 def test_a_clock_is_no_reason_to_say_that_nothing_is_missing(poor):
     off = replace(poor.clocks, clocks=(Clock(-9e-5, 1.5e-4),), free=((True, True),), errors=((2e-4, 5e-7),))
-    text = found_text(replace(poor, clocks=off), NONE)
+    text = texts.found_text(replace(poor, clocks=off), NONE)
     # the offset is free beside a skew, and not there itself
     assert text.endswith("the odometry's clock is off: skew 150 +- 0.5 ppm (confidence 0.99)")
-    assert NOTHING not in text
+    assert texts.NOTHING not in text
 
 
 def test_names_too_long_for_their_column_stand_above_their_row(sequence):
@@ -435,11 +431,11 @@ def test_names_too_long_for_their_column_stand_above_their_row(sequence):
 
 
 def test_json_has_no_number_that_is_none(rich, poor, sequence):
-    printed = learned_json(rich, sequence.evaluations, ADVICE)
+    printed = texts.learned_json(rich, sequence.evaluations, ADVICE)
     assert json.loads(json.dumps(printed, allow_nan=False))["verdict"] == "unknown"
     assert len(printed["unknown"]) == len(UNKNOWNS)
     assert [one["effect"] for one in printed["not_testable"]] == [one.effect for one in UNTESTABLE]
-    assert learned_json(poor, sequence.evaluations[:1], NONE)["verdict"] == "complete"
+    assert texts.learned_json(poor, sequence.evaluations[:1], NONE)["verdict"] == "complete"
 
 
 @pytest.mark.slow
@@ -467,19 +463,19 @@ def test_a_step_that_included_a_dependence_is_drawn_with_its_title(rich):
 
 
 def test_the_fall_of_the_error_is_reported_for_ladders_alone(sequence):
-    text = shares_text(sequence.evaluations)
+    text = texts.shares_text(sequence.evaluations)
     assert text.startswith("held-out position error (RMS):\n  + unequal_wheels")
     assert "10 s: " in text
     assert "-" in text.partition("10 m: ")[2]
-    assert shares_text(sequence.evaluations[:1]) == ""
+    assert texts.shares_text(sequence.evaluations[:1]) == ""
 
 
 def test_values_have_units_that_a_person_thinks_in():
-    assert value_text(0.1, 0.01, "rad/m") == "5.73 +- 0.57 deg/m"
-    assert value_text(0.002, None, "m") == "2 mm"
-    assert value_text(0.05, 0.001, "s") == "50 +- 1 ms"
-    assert value_text(4.0, None, "s") == "4 s"
-    assert value_text(0.01, 0.002, "") == "1 +- 0.2 %"
+    assert texts.value_text(0.1, 0.01, "rad/m") == "5.73 +- 0.57 deg/m"
+    assert texts.value_text(0.002, None, "m") == "2 mm"
+    assert texts.value_text(0.05, 0.001, "s") == "50 +- 1 ms"
+    assert texts.value_text(4.0, None, "s") == "4 s"
+    assert texts.value_text(0.01, 0.002, "") == "1 +- 0.2 %"
 
 
 def test_clocks_that_are_off_have_a_line_and_others_none(searched):
@@ -489,10 +485,10 @@ def test_clocks_that_are_off_have_a_line_and_others_none(searched):
         free=tuple((True, True) for _ in searched.clocks.clocks),
         errors=tuple((0.001, 1e-6) for _ in searched.clocks.clocks),
     )
-    assert clock_lines(["a"], clocks) == [
+    assert texts.clock_lines(["a"], clocks) == [
         "a: the odometry's clock is off: offset 50 +- 1 ms (confidence 0.99), skew 20 +- 1 ppm (confidence 0.99)"
     ]
-    assert clock_lines(["a"], replace(clocks, free=((False, False),))) == []
+    assert texts.clock_lines(["a"], replace(clocks, free=((False, False),))) == []
 
 
 @pytest.fixture(scope="session")
@@ -501,11 +497,11 @@ def fitted(searched, case):
 
 
 def test_a_fit_is_reported_with_its_coefficients_as_the_law_has_them(fitted):
-    text = fit_text(fitted)
+    text = texts.fit_text(fitted)
     assert text.startswith("law quadratic, coefficients with 95 % intervals:")
     assert "as the law has it" in text
     assert "  unequal_wheels: curvature -0." in text
-    table = laws_table({"quadratic": fitted, "other": fitted}).splitlines()
+    table = texts.laws_table({"quadratic": fitted, "other": fitted}).splitlines()
     assert table[1].split() == ["quadratic", "0.0", str(len(fitted.fit.components.active)), "yes"]
 
 
@@ -565,8 +561,8 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     monkeypatch.setattr(
         "odomcorrupt.study.pipeline.compare", lambda _runs, models, **_named: asked.append(models) or sequence
     )
-    monkeypatch.setattr("odomcorrupt.study.validate.compare.compare", lambda _runs, _models, **_clocks: sequence)
-    monkeypatch.setattr("odomcorrupt.report.html.diagnosis.found_html", lambda story, version: f"{version} {story[3]}")
+    monkeypatch.setattr("odomcorrupt.api.findings.compare_models", lambda _runs, _models, **_clocks: sequence)
+    monkeypatch.setattr("odomcorrupt.report.html.study.found_html", lambda *_found: _found[-1])
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}
@@ -576,7 +572,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     assert all(f"wrote {name}" in err for name in files.values())
     assert "missing, in the order of evidence" in out
     assert list(asked[0]) == ["without effects", "with unequal_wheels, yaw over speed, gauss_markov"]
-    assert (tmp_path / "all.html").read_text().endswith(" odomcorrupt sim.bag noisy.bag --model robot.toml")
+    assert (tmp_path / "all.html").read_text().endswith("odomcorrupt sim.bag noisy.bag --model robot.toml")
     assert run([*words, "--json", "--force"]) == 0
     printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert printed["comparison"]["models"][0]["name"] == sequence.evaluations[0].name
@@ -590,9 +586,9 @@ def test_the_mean_of_a_dependence_on_time_is_reported_beside_it(rich, sequence):
     learned = replace(rich, unknown=(one,), laws=(), means=(mean.name,), fit=fit)
     k = learned.mean_of(one)
     assert [e.k for e in fit.effects if e.name == mean.name] == [k]
-    assert f"in the model: its mean, {k:.4g}" in found_text(learned, NONE)
+    assert f"in the model: its mean, {k:.4g}" in texts.found_text(learned, NONE)
     assert f"the model has its mean, {k:.4g}" in "".join(line.text for line in _found_lines(learned, fit, set())[0])
-    assert f"in the model: its mean, {k:.4g}" in found_html(SearchReport(learned, sequence, NONE, ""), version="0")
+    assert f"in the model: its mean, {k:.4g}" in found_html(learned, sequence, NONE, "")
     assert replace(learned, means=()).mean_of(one) is None
 
 
@@ -612,7 +608,7 @@ TWINS = {"wheelbase": ("gyro_scale",)}
 
 
 def said(*choices, best=BACK):
-    return inseparable_sentence(Advice(choices, (), (), best), lambda name: TWINS.get(name, ()))
+    return texts.inseparable_sentence(Advice(choices, (), (), best), lambda name: TWINS.get(name, ()))
 
 
 def choice(*names, plan=BACK):
@@ -759,12 +755,14 @@ def test_a_yaw_is_a_turn_and_a_lever_arm_a_point():
 
 def test_a_region_is_given_by_its_full_size():
     patch = effect_from_values("region_slip", {"slip": 0.1, "x": 1.0, "y": 2.0, "radius": 2.483, "width": 3.455})
-    said = ", ".join(numbers_text(patch, [0.01]))
+    said = ", ".join(texts.numbers_text(patch, [0.01]))
     assert said.endswith("5.0 m x 6.9 m")
     assert "radius" not in said
 
 
 def test_an_effect_with_evidence_is_not_called_untestable():
     advice = Advice((), (UntestableEffect("backlash", "never reversed", None, "reverse"),), (), None)
-    assert advice_sentences(advice) == ["backlash: not testable here: never reversed; reverse"]
-    assert advice_sentences(advice, {"backlash": "wheelbase"}) == ["backlash: not separated from wheelbase; reverse"]
+    assert texts.advice_sentences(advice) == ["backlash: not testable here: never reversed; reverse"]
+    assert texts.advice_sentences(advice, {"backlash": "wheelbase"}) == [
+        "backlash: not separated from wheelbase; reverse"
+    ]

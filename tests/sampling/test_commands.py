@@ -1,7 +1,5 @@
 """`sample` and `density`."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Errors of an estimate are evo's where stamps agree, and failures are found when they happen."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

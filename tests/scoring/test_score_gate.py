@@ -1,7 +1,5 @@
 """The gate finds what it must, leaves alone what has not changed, and gives one verdict for one pair of results."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Scores of a batch: estimates beside the runs, in them, as TUM and from TF; what is missing is never dropped."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -104,10 +102,16 @@ def test_two_files_that_could_be_meant_are_named(batch, estimates):
     assert "run_000000.tum, run_000000_slam.tum" in report.runs[0].reason
 
 
-def test_a_sweep_is_one_report(tmp_path):
-    words = [str(OFFICE), str(tmp_path / "runs"), "--runs", "2", *NOISE, "--seed", "7", "--output", "overlay"]
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory):
+    runs = tmp_path_factory.mktemp("sweep") / "runs"
+    words = [str(OFFICE), str(runs), "--runs", "2", *NOISE, "--seed", "7", "--output", "overlay"]
     assert run(["batch", *words, "--sweep", "alpha-scale=0.5,2"]) == 0
-    report = score(tmp_path / "runs", "/odom", align="origin", limits=Limits(lost_m=1e3))
+    return runs
+
+
+def test_a_sweep_is_one_report(sweep):
+    report = score(sweep, "/odom", align="origin", limits=Limits(lost_m=1e3))
     assert [one.name for one in report.runs] == [
         f"alpha-scale={scale}/run_{number:06d}" for scale in ("0.5", "2") for number in (0, 1)
     ]
@@ -120,18 +124,12 @@ def test_a_sweep_is_one_report(tmp_path):
     )
 
 
-def test_a_sweep_is_a_table_of_points_everywhere(tmp_path, capsys):
-    words = [str(OFFICE), str(tmp_path / "runs"), "--runs", "2", *NOISE, "--seed", "7", "--output", "overlay"]
-    assert run(["batch", *words, "--sweep", "alpha-scale=0.5,2"]) == 0
-    capsys.readouterr()
+def test_a_sweep_is_a_table_of_points_everywhere(sweep, tmp_path, capsys):
     files = {name: tmp_path / name for name in ("t.csv", "t.md", "t.xml", "t.png")}
-    given = [
-        w
-        for o, n in zip(("--csv", "--markdown", "--junit", "--plot"), files.values(), strict=True)
-        for w in (o, str(n))
-    ]
+    options = zip(("--csv", "--markdown", "--junit", "--plot"), files.values(), strict=True)
+    given = [word for option, file in options for word in (option, str(file))]
     gate = ["--fail-if", "ate_median > 0.001", "--fail-if", "lost > 99%"]
-    assert run(["score", str(tmp_path / "runs"), "--estimate", "/odom", "--align", "origin", *given, *gate]) == 1
+    assert run(["score", str(sweep), "--estimate", "/odom", "--align", "origin", *given, *gate]) == 1
     shown = capsys.readouterr().out
     head = next(line for line in shown.splitlines() if line.startswith("points"))
     assert head.split() == ["points", "drift", "runs", "lost", "median", "ATE", "p90", "point"]

@@ -1,7 +1,5 @@
 """Numbers over runs: intervals cover, the break-down point is found, growth has the right power."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

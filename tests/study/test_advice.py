@@ -10,7 +10,7 @@ from odomcorrupt.bags.messages import write_twists
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import Increments, accumulate
-from odomcorrupt.report.text.design import advice_text
+from odomcorrupt.report.diagnosis import advice_sentences
 from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.drives import excitation, missing_excitations
@@ -60,7 +60,7 @@ def test_following_the_advice_settles_a_or_b(cause, rival, first, tmp_path):
     assert choice.plan is not None
     assert choice.nats > 10.0
     assert advice.best is not None
-    assert "these data do not separate them" in advice_text(advice)
+    assert "these data do not separate them" in " ".join(advice_sentences(advice))
 
     after = met(cause, advice.best, 4, tmp_path / "next.mcap")
     settled = learn([before, after])

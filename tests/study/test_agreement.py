@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from odomcorrupt.report.text.comparison import falls_sentence, measures_words
+from odomcorrupt.report.comparison import falls_sentence, measures_words
 from odomcorrupt.study.validate.compare import agreement_of
 
 

@@ -9,7 +9,7 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.text.comparison import sentence, size
+from odomcorrupt.report.comparison import sentence, size
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.validate.calibration import HORIZONS_M
 from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of

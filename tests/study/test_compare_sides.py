@@ -12,7 +12,7 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.text.comparison import comparison_text
+from odomcorrupt.report.comparison import comparison_text
 from odomcorrupt.study.io.recording import content_of
 from odomcorrupt.study.validate.compare import compare
 

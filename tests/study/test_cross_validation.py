@@ -12,7 +12,7 @@ from odomcorrupt.cli import run as command
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.report.text.comparison import comparison_text
+from odomcorrupt.report.comparison import comparison_text
 from odomcorrupt.simulation import Segment, simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.intervals import intervals_of
@@ -79,7 +79,7 @@ def test_a_run_with_resets_is_halved_as_one(tmp_path, office, whole, resets_s, p
     assert found.evaluations[0].judged_on == "folds"
     # windows of 10 s begin elsewhere, and there are a dozen
     assert found.evaluations[0].ten_second_error_m < 1.6 * whole.evaluations[0].ten_second_error_m
-    assert found.evaluations[0].nats_per_m == pytest.approx(whole.evaluations[0].nats_per_m, rel=0.1)
+    assert found.evaluations[0].nats.per_m == pytest.approx(whole.evaluations[0].nats.per_m, rel=0.1)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.text.diagnosis import found_text
+from odomcorrupt.report.diagnosis import found_text
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.select.selection import learn
 

@@ -75,7 +75,7 @@ def test_neither_names_nor_order_of_recordings_decide_about_a_model(drives, mode
     for other in (renamed, shuffled):
         assert other.judged_on == found.judged_on == "folds"
         assert error_m(other) == pytest.approx(error_m(found), rel=1e-6)
-        assert other.evaluations[0].nats_per_m == pytest.approx(found.evaluations[0].nats_per_m, rel=1e-6)
+        assert other.evaluations[0].nats.per_m == pytest.approx(found.evaluations[0].nats.per_m, rel=1e-6)
         assert other.evaluations[0].verdict.fails == found.evaluations[0].verdict.fails
 
 

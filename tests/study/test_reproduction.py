@@ -11,8 +11,8 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.se2 import Increments, increments
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.json.diagnosis import reproduction_json
-from odomcorrupt.report.text.comparison import reproduction_sentence
+from odomcorrupt.report.comparison import reproduction_sentence
+from odomcorrupt.report.diagnosis import reproduction_json
 from odomcorrupt.study import pipeline
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.config import Approach

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from odomcorrupt.api.comparison import Comparison
+from odomcorrupt.api.findings import Comparison
 from odomcorrupt.cli import run
 
 pytestmark = pytest.mark.slow

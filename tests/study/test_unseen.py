@@ -9,7 +9,7 @@ import numpy as np
 from wandering import recording, wander
 
 from odomcorrupt.geometry.se2 import accumulate
-from odomcorrupt.report.text.diagnosis import fit_text
+from odomcorrupt.report.diagnosis import fit_text
 from odomcorrupt.study.estimate.calibrate import fit_robot
 
 

@@ -26,7 +26,7 @@ def advice_section(rows: Rows) -> list[str]:
     lines += ["A or B, on first drives that do not separate two effects:", "", *_opened(of_kind["open"])]
     lines += ["After the drive that was advised, where a choice was open:", "", *_settled(asked)]
     lines += ["Nothing named although there is a cause, and a drive advised:", "", *_shown(good)]
-    lines += ["By first drive and cause:", "", *_by_row(good)]
+    lines += ["By first drive:", "", *_by_first_drive(good)]
     lines += ["Not settled, or not shown, after one advised drive:", "", *_misses(good)]
     lines += ["Wrong, and named alone by a first drive that does not separate it:", "", *_silent(of_kind["open"])]
     seconds = [step["advise_s"] for row in good for step in row["looks"]]
@@ -82,21 +82,17 @@ def _shown(rows: Rows) -> list[str]:
     ])  # fmt: skip
 
 
-def _by_row(rows: Rows) -> list[str]:
-    groups: dict[tuple[str, str, str], Rows] = {}
+def _by_first_drive(rows: Rows) -> list[str]:
+    groups: dict[str, Rows] = {}
     for row in rows:
-        case = row["case"]
-        groups.setdefault((case["first"], case["cause"], case["yaw_from"]), []).append(row)
+        groups.setdefault(row["case"]["first"], []).append(row)
     out = []
-    for (first, cause, yaw), own in groups.items():
-        drives = dict.fromkeys(row["looks"][0]["best"]["drive"] for row in own if _advised(row))
+    for first, own in groups.items():
+        causes = {row["case"]["cause"] for row in own}
         followed = [settled(row, 1) for row in own if len(row["looks"]) > 1]
         asked, silent = sum(bool(open_names(row)) for row in own), sum(not named(row, 0) for row in own)
-        done = f"{sum(followed)} of {len(followed)}"
-        out.append([first, f"`{cause}`", yaw, len(own), asked, silent, ", ".join(drives), done])
-    return table(
-        ("first drive", "cause", "turns from", "robots", "choice open", "nothing named", "advised", "after"), out
-    )
+        out.append([first, len(own), len(causes), asked, silent, f"{sum(followed)} of {len(followed)}"])
+    return table(("first drive", "robots", "causes", "choice open", "nothing named", "settled after one drive"), out)
 
 
 def _misses(rows: Rows) -> list[str]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+from hashlib import sha256
 from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+from odomcorrupt import __version__
 from odomcorrupt.report.plots.figure import rendered
 
 if TYPE_CHECKING:
@@ -18,36 +20,35 @@ _HEAVY = 600_000
 """Size of a vector figure, bytes, above which it is rasterised if that is smaller; keeps the page below 3 MB."""
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """Content security policy: the browser may load nothing but the page itself."""
+_STYLE, SCRIPT = (
+    files("odomcorrupt.report.html").joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "explorer.js")
+)
 
 
-def page(title: str, body: Sequence[str], *, script_hash: str = "") -> str:
-    """Return a whole page with the given elements in its body.
+def page(title: str, body: Sequence[str], legend: str) -> str:
+    """Return a whole page with the given elements in its body, and a legend below them.
 
-    script_hash : hash of the one inline script that the browser may run; "" if there is none
+    The browser may run no script but that of the explorer.
     """
-    policy = f"{_POLICY}; script-src '{script_hash}'" if script_hash else _POLICY
+    allowed = f"sha256-{base64.b64encode(sha256(SCRIPT.encode()).digest()).decode()}"
     elements = "\n".join(body)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta http-equiv="Content-Security-Policy" content="{_POLICY}; script-src '{allowed}'">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{escape(title)}</title>
 <link rel="icon" href="data:,">
 <style>
-{resource("page.css")}</style>
+{_STYLE}</style>
 </head>
 <body>
 {elements}
+<p class="quiet">{escape(legend)} Made by odomcorrupt {__version__}.</p>
 </body>
 </html>
 """
-
-
-def resource(name: str) -> str:
-    """Return the text of a style sheet or script in this module's directory."""
-    return files("odomcorrupt.report.html").joinpath(name).read_text(encoding="utf-8")
 
 
 def prose(text: str) -> str:

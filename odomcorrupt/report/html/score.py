@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.report.html.page import page, picture, table
 from odomcorrupt.report.plots.score import along, draw_alone, drift, places
-from odomcorrupt.report.text.score import (
+from odomcorrupt.report.score import (
     METRIC_HEADS,
     POINT_HEADS,
     gate_lines,
@@ -29,7 +29,7 @@ _ROWS = 1000
 """Largest number of runs in the table; the worst ones are listed."""
 
 
-def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str) -> str:
+def score_html(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
     """Return the HTML page."""
     title = f"Localisation under drift: {report.estimate}, {len(report.runs)} runs"
     first, *rest = sentences(report)
@@ -56,9 +56,8 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str
         "<h2>Runs</h2>",
         _runs(report),
         *(f'<p class="quiet">Note: {escape(note)}.</p>' for note in report.notes),
-        f'<p class="quiet">{escape(_legend(report, version))}</p>',
     ]  # fmt: skip
-    return page(title, body)
+    return page(title, body, _legend(report))
 
 
 def _sections(report: ScoreReport) -> str:
@@ -79,12 +78,12 @@ def _runs(report: ScoreReport) -> str:
     return table(run_heads(), rows, "The worst first")
 
 
-def _legend(report: ScoreReport, version: str) -> str:
+def _legend(report: ScoreReport) -> str:
     limits = report.limits
     return (
         "ATE and RPE as evo defines them (root mean squares, the truth interpolated at the stamps of the estimate). "
         f"Lost: more than {limits.lost_m:g} m off for {limits.lost_s:g} s or until the end; diverged: ten times that "
         f"far. Jump: the error changes by {limits.jump_m:g} m within a second. Intervals of quantiles by order "
         "statistics, of the break-down point by profile likelihood of a logistic regression on the logarithm of the "
-        f"drift. odomcorrupt {version}"
+        "drift."
     )

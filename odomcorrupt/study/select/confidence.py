@@ -104,16 +104,6 @@ def chance_odds(errors: float) -> float:
     return -e * p * log(p) if 0.0 < p < 1.0 / e else float(p > 0.0)
 
 
-def odds_formula(prior: PriorOdds = DECISIONS.prior) -> str:
-    """Return the formula of `odds_against` with its numbers filled in, as the documents print it."""
-    t = "" if prior.temper == 1.0 else f"{prior.temper:g} * "
-    left = "u" if prior.unexplained == 1.0 else f"{prior.unexplained:g} * u"
-    return (
-        f"sum(exp({t}(g_i - g)) for g_i in rivals) + n * exp(-{t}g) + exp({prior.dependence_nats:g} - {t}m)"
-        f" + {prior.elsewhere:g} + {left} / g + max(B(p), {prior.correlated:g} * w / g)"
-    )
-
-
 def _exp(nats: float) -> float:
     return exp(min(max(nats, -700.0), 700.0))
 

@@ -85,11 +85,6 @@ class ModelEvaluation:
     pieces: tuple[Evaluation, ...]
     unplaced: tuple[str, ...] = ()
 
-    @property
-    def nats_per_m(self) -> float:
-        """Log likelihood per metre driven."""
-        return self.nats.per_m
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:

@@ -12,7 +12,7 @@ from sourcedrive import Rows, path
 
 from odomcorrupt.effects.gears import AT_REST, crossed
 from odomcorrupt.geometry.se2 import between, compose
-from odomcorrupt.report.json.diagnosis import recordings_json
+from odomcorrupt.report.diagnosis import recordings_json
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.feedback import pull_of
 from odomcorrupt.study.io.raw_trajectory import Samples

@@ -222,7 +222,7 @@ def test_each_recording_and_each_held_out_one_has_the_truth_file_of_its_place(tm
     truths = [csv_file(tmp_path / f"{name}.csv", truth()) for name in "abc"]
     words = [word for path in truths for word in ("--truth-bag", str(path))]
     reading = reading_command.main(words, standalone_mode=False)
-    runs, held_out = reading.read_with_held_out([moved, moved], [moved], Console(quiet=True), Stages(quiet=True))
+    runs, held_out = reading.read([moved, moved], Console(quiet=True), Stages(quiet=True), held_out=[moved])
     assert [source.truth_path for source in runs.sources] == truths[:2]
     assert [source.truth_path for source in held_out.sources] == truths[2:]
 

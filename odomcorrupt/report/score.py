@@ -1,17 +1,20 @@
-"""Scores of a batch's estimates as plain text, Markdown, CSV and JUnit XML, with the sentences of the HTML page."""
+"""Scores of a batch's estimates as text, Markdown, CSV, JUnit XML and JSON, with sentences of the page."""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections import Counter
+from dataclasses import asdict
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape, quoteattr
 
+from odomcorrupt.report.plain import finite, picked
 from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
 from odomcorrupt.scoring.gate import quantity
-from odomcorrupt.summary import ALWAYS, MOST_LINES, Line, Summary, command_line
+from odomcorrupt.scoring.run import METRICS, RunScore, ScoreReport
+from odomcorrupt.summary import ALWAYS, MOST_LINES, Line, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.scoring.gate import Verdict
     from odomcorrupt.scoring.run import RunScore, ScoreReport, Status
     from odomcorrupt.scoring.statistics import Quantile
+
 
 METRIC_WORDS = {
     "ate_m": "ATE, position", "ate_rad": "ATE, heading", "max_m": "largest position error",
@@ -76,12 +80,11 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     ]
 
 
-def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: Sequence[object]) -> Summary:
+def score_brief(report: ScoreReport, verdicts: Sequence[Verdict]) -> Summary:
     """Return the gate's result, the number of failed runs, the errors, the break-down point and the covariances.
 
     report : scores of the runs
     verdicts : verdicts of the gate's rules
-    following : words of the suggested next command
     """
     said = f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}"
     bad = sum(one.failed for one in verdicts)
@@ -115,7 +118,7 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: 
     if nees.n:
         lines.append(Line("NEES", f"{nees.median.value:.3g} per degree of freedom (1 is calibrated)"))
     lines += [Line("note", note, "warning") for note in report.notes]
-    return Summary((*lines, command_line(following)), most)
+    return Summary(tuple(lines), most)
 
 
 def gate_lines(verdicts: Iterable[Verdict]) -> list[str]:
@@ -276,3 +279,51 @@ def run_cells(run: RunScore) -> list[str]:
 
 def _interval(metric: str, q: Quantile) -> str:
     return f"{quantity(metric, q.low)} to {quantity(metric, q.high)}"
+
+
+SCHEMA = 1
+
+
+def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[str, Any]:
+    """Return a report, and the verdicts of a gate: metres, radians, seconds; unknown and infinite are null."""
+    found = report.breakdown
+    grown = report.growth
+    return finite(
+        {
+            "schema": SCHEMA,
+            **picked(report, "estimate", "truth", "align"),
+            "limits": asdict(report.limits),
+            "inputs": report.inputs,
+            "summary": {name: asdict(report.summary(name)) for name in METRICS},
+            "failed": report.failed,
+            "identical": report.identical,
+            "points": [
+                {
+                    "name": p.runs[0].point,
+                    "drift": p.drift,
+                    "runs": len(p.runs),
+                    "lost": p.failed,
+                    "ate": asdict(p.summary("ate_m")),
+                }
+                for p in report.points
+            ],
+            "breakdown": asdict(found),
+            "growth": None if grown is None else asdict(grown),
+            "sections": [asdict(section) for section in report.sections],
+            "runs": [_run(run) for run in report.runs],
+            "verdicts": [asdict(verdict) for verdict in verdicts],
+            "notes": list(report.notes),
+        }
+    )
+
+
+def _run(run: RunScore) -> dict[str, Any]:
+    return {
+        **picked(run, "name", "seed", "run", "status", "reason", "scored", "failed", "drift", "drift_end_m"),
+        "metrics": {name: run.metrics.get(name) for name in METRICS},
+        "failure": None if run.failure is None else asdict(run.failure),
+        "jumps_s": list(run.jumps_s),
+        **picked(run, "coverage", "frame", "source"),
+        "events": [{"effect": name, "from_s": begin, "to_s": end} for name, begin, end in run.events],
+        "notes": list(run.notes),
+    }

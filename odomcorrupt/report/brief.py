@@ -1,44 +1,42 @@
-"""Findings and fit of a study in eight lines: verdict, sizes, held-out errors, and the next command."""
+"""Findings and fit of a study in eight lines: verdict, sizes, held-out errors, what stays open, next command."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import IntEnum
 from math import degrees, isfinite, radians
 from typing import TYPE_CHECKING
 
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.report.findings import (
-    SIGNIFICANT,
-    clocks_found,
-    dependences_found,
-    effects_found,
-    effects_with_errors,
-    foremost,
-    is_unexplained,
-    noise_found,
-)
-from odomcorrupt.report.text.comparison import (
+from odomcorrupt.report.comparison import (
     HELD,
     TONES,
     measures_words,
     reproduction_sentence,
     size,
 )
-from odomcorrupt.report.text.diagnosis import alternative, contradiction
-from odomcorrupt.report.text.limits import (
-    drive_lines,
-    hidden_noise,
-    limit_lines,
-    open_lines,
-    track_lines,
-    untested_lines,
+from odomcorrupt.report.diagnosis import alternative, contradiction, inseparable_sentence
+from odomcorrupt.report.findings import (
+    SIGNIFICANT,
+    clock_text,
+    clocks_found,
+    confidence_words,
+    dependences_found,
+    effects_found,
+    effects_with_errors,
+    foremost,
+    is_unexplained,
+    noise_found,
+    noise_text,
+    numbers_text,
+    plainly,
 )
-from odomcorrupt.report.text.numbers import clock_text, confidence_words, noise_text, numbers_text, plainly
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.select.confidence import EVEN_ODDS
 from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.study.validate.held_out import OF_ONE_DRIVE
-from odomcorrupt.summary import ALWAYS, FIRST, FOUND, SPARE, USUAL, Line, Summary, Tone, command_line
+from odomcorrupt.summary import ALWAYS, FIRST, FOUND, SPARE, USUAL, Line, Summary, Tone
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -50,9 +48,11 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.io.recording import Mistake
     from odomcorrupt.study.select.result import Learned
     from odomcorrupt.study.validate.compare import Comparison, JudgedOn, ModelEvaluation
     from odomcorrupt.study.validate.predictive_check import Reproduction
+
 
 _LEAST_TURNED_RAD, _LEAST_APART_M = radians(0.1), 0.005
 """Least yaw and displacement of the truth's tracked point that are reported; mountings are rarely measured better."""
@@ -85,7 +85,6 @@ def findings_brief(
     notes: Sequence[str] = (),
     alerts: Sequence[str] = (),
     reproduction: Reproduction | None = None,
-    following: str = "",
 ) -> Summary:
     """Return the findings of a search: each effect with size and probability, held-out errors, undecided alternatives.
 
@@ -95,7 +94,6 @@ def findings_brief(
     written : the model as written, which may lack findings that cannot be applied
     notes, alerts : the reader's notes on the recordings, and findings that are shown in any case
     reproduction : drift of the final model relative to the recordings, if known
-    following : suggested next command, "" for none
     """
     undecided = {name for choice in advice.choices for name in choice.names}
     fit, last = search.fit if robot is None else robot.fit, comparison.evaluations[-1]
@@ -140,7 +138,7 @@ def findings_brief(
     if notes := tuple(dict.fromkeys(notes)):
         said = notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them"
         lines.append(Line("notes", said, "warning", SPARE))
-    return Summary((*lines, command_line(following)))
+    return Summary(tuple(lines))
 
 
 def _figures(search: Learned) -> str:
@@ -386,7 +384,7 @@ def _contact_words(effect: Effect, search: Learned) -> str:
     return "; give --track: the wheels may cross it separately" if search.drive_type.name == "differential" else ""
 
 
-def fit_brief(result: RobotFit, following: str = "") -> Summary:
+def fit_brief(result: RobotFit) -> Summary:
     """Return the error after 10 s on the fitted data, the noise coefficients and the effects of a fit."""
     fit = result.fit
     law = fit.problem.approach.law_name
@@ -403,4 +401,82 @@ def fit_brief(result: RobotFit, following: str = "") -> Summary:
     for effect, errors in effects_with_errors(fit):
         kind = "set-up" if effect.kind == "setup" else "effect"
         lines.append(Line(kind, f"{effect.name}  {', '.join(numbers_text(effect, errors))}"))
-    return Summary((*lines, *_clock_lines(result.clocks, fit), command_line(following)))
+    return Summary((*lines, *_clock_lines(result.clocks, fit)))
+
+
+_LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
+"""Effects that resemble errors of single wheels: a larger wheel shifts turns as the y of a lever arm does."""
+_PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
+
+
+def mistakes_first(brief: Summary, mistakes: Sequence[Mistake]) -> Summary:
+    """Return a summary that begins with plain mistakes: what is seen, usual causes, and what to change."""
+    lines = []
+    for one in mistakes:
+        change = f"{one.change}; {one.then}" if one.then else one.change
+        lines += [Line("MISTAKE", one.said, "bad", ALWAYS), Line("causes", one.causes, weight=FIRST)]
+        lines.append(Line("change", change, "warning", ALWAYS))
+    return Summary((*lines, *brief.lines), brief.most + len(lines))
+
+
+def drive_lines(search: Learned) -> list[Line]:
+    """Return the drive type, if names depend on an inferred one, or on the default of a robot that may be steered."""
+    drive = search.drive_type
+    if drive.reason:
+        return [Line("drive type", f"{drive.sentence}; --drive-type overrules it")]
+    of_wheels = {kind.unsteered for kind in registry().values()} & set(search.added)
+    if not (drive.least_radius_m and of_wheels):
+        return []
+    said = f"it never turned on the spot (smallest radius {drive.least_radius_m:.2g} m): if it steers, --drive-type car"
+    return [Line("drive type", said, "warning")]
+
+
+def track_lines(search: Learned, *, failed: bool) -> list[Line]:
+    """Return the approximations due to an unknown track, if a finding may depend on them."""
+    recordings = search.fit.problem.recordings
+    if search.drive_type.name != "differential" or any(r.track_m is not None for r in recordings):
+        return []
+    named = (*search.added, *(one.name for one in search.unknown))
+    if not (named or failed or any(clocks_found(search.clocks))):
+        return []
+    fitted = [e.name for e in search.fit.effects if getattr(e, "track", 0.0)]
+    ghosts = [name for name in search.added if name in _LIKE_SINGLE_WHEELS]
+    said = f"that of {', '.join(fitted)} was fitted" if fitted else "errors of single wheels are approximated"
+    said += f", {', '.join(ghosts)} may come from them" if ghosts else ""
+    return [Line("track", f"not given: {said}; measure it (--track)", "warning")]
+
+
+def open_lines(search: Learned, advice: Advice) -> list[Line]:
+    """Return the alternatives that the data cannot separate and the drive to do so, if there are any that matter."""
+    matters = tuple(choice for choice in advice.choices if not search.is_negligible(choice.names[0]))
+    said = inseparable_sentence(replace(advice, choices=matters), lambda name: readings_of(name, search.drive_type))
+    return [Line("open", said, "warning", SPARE)] if said else []
+
+
+def limit_lines(advice: Advice) -> list[Line]:
+    """Return the effects hidden by the scale error of a gyro or laser that serves as truth, and the remedy."""
+    hidden = [one for one in advice.untestable if one.limited_by_truth]
+    return [Line("not testable", f"{one.effect}: {one.why}; {one.hint}", "warning") for one in hidden]
+
+
+def untested_lines(search: Learned, advice: Advice) -> list[Line]:
+    """Return the frequent causes that the drives could not show, for a model without findings."""
+    common = search.decisions.common
+    names = [one.effect for one in advice.untestable if one.effect in common and not one.limited_by_truth]
+    said = f"{', '.join(names)}: not visible in these data (-v: why, and what would show it)"
+    return [Line("not testable", said, "warning")] if names else []
+
+
+def hidden_noise(result: RobotFit | None) -> list[Line]:
+    """Return a line on noise for which a localisation gives only an upper bound."""
+    hidden = [] if result is None else [i for i in result.noise_at_most if i.name in _PER_METRE]
+    if not hidden:
+        return []
+    bounds = [f"{degrees(i.high):.2g} deg" if i.name == "rot_trans" else f"{i.high * 1e3:.2g} mm" for i in hidden]
+    most = ", ".join(f"{bound} {_PER_METRE[i.name]}" for bound, i in zip(bounds, hidden, strict=True))
+    return [
+        Line(
+            "noise",
+            f"at most {most} after a metre (95 %): the localisation's own errors mask it; the model has the estimate",
+        )
+    ]
