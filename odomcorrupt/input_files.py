@@ -63,7 +63,6 @@ def _open_at_once(path: str, flags: int) -> int:
 def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCorruptError) -> bytes:
     """Return the content of a regular file of at most `most` bytes.
 
-    path : the file
     most : largest size, bytes
     what : expected content, as in "model file", for the error
     error : class of the error
@@ -75,7 +74,8 @@ def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCo
     """
     with open_input(path, error) as stream:
         try:
-            data = stream.read(most + 1)
+            # no more than the file has, because a read allocates as much as it is asked for
+            data = stream.read(min(max(os.fstat(stream.fileno()).st_size, 1 << 16), most) + 1)
         except OSError as failure:
             raise error(f"{path}: cannot be read: {failure.strerror}") from failure
     if len(data) > most:
