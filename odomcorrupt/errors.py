@@ -52,6 +52,10 @@ class TopicError(OdomCorruptError):
     """A topic or frame is missing, ambiguous or of a type that cannot be used."""
 
 
+class SensorError(OdomCorruptError):
+    """Data of another sensor cannot be made consistent with corrupted odometry."""
+
+
 class MapError(OdomCorruptError):
     """A map cannot be read, or lacks what is needed."""
 

@@ -26,6 +26,7 @@ class BagOptions(TypedDict, total=False):
     keep_localisation : modify map -> odom inversely, so that map -> base remains true
     new_odom_frame : leave all messages unchanged and publish the drift as the transform from this frame to odom
     subtracted : with `new_odom_frame`: publish noisy minus clean poses, as in the article's listing, which is not rigid
+    consistent : rewrite wheels, ticks, twists and gyros of known types to the noisy motion, too
     overwrite : replace an existing output
     compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (ROS 2 directories);
         by default those of the input
@@ -46,6 +47,7 @@ class BagOptions(TypedDict, total=False):
     keep_localisation: bool
     new_odom_frame: str | None
     subtracted: bool
+    consistent: bool
     overwrite: bool
     compression: str | None
     level: int | None

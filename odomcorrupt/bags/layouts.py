@@ -34,12 +34,14 @@ class Item(NamedTuple):
     """One stamped item of a message: the Odometry itself, or one transform of a TFMessage.
 
     frame_id, child_frame_id : as written in the message ("" where the type has none), leading slashes kept
-    stamp : offset of the stamp (two 32-bit words, seconds and nanoseconds) from the message's start, bytes
-    fields : name to (offset from the message's start in bytes, count of float64): "position" 3, "orientation" 4
+    stamp : offset of the stamp (two 32-bit words, seconds and nanoseconds) from the message's start, bytes; -1 for none
+    fields : name to (offset from the message's start in bytes, count of numbers): "position" 3, "orientation" 4
         (xyzw), "pose_covariance" 36, "twist" 6, "twist_covariance" 36, "lla" 3 (degrees, degrees, metres),
-        "covariance" 9 (of a NavSatFix), "angular_velocity" 3 (of an Imu), and of a JointState the position of each
-        joint, 1, by its name; in Odometry and TF, orientation follows position directly
+        "covariance" 9 (of a NavSatFix), "angular_velocity" 3 (of an Imu), of a JointState the position of each joint,
+        1, by its name, and in a second item the velocity of each; "wheels" 1 or 2 (left, right) of ticks and speeds;
+        in Odometry and TF, orientation follows position directly
     status : offset of the signed byte NavSatStatus.status of a NavSatFix, None elsewhere
+    number : type of the numbers: "f8", or of ticks and speeds of wheels "f4", "i4", "i8"
     """
 
     frame_id: str
@@ -47,6 +49,7 @@ class Item(NamedTuple):
     stamp: int
     fields: Mapping[str, tuple[int, int]]
     status: int | None = None
+    number: str = "f8"
 
 
 class Template(NamedTuple):
@@ -211,16 +214,43 @@ def _nav_sat_fix(cursor: _Cursor) -> tuple[Item, ...]:
 
 def _imu(cursor: _Cursor) -> tuple[Item, ...]:
     stamp, frame = cursor.header()
-    cursor.doubles(4 + 9)  # orientation and its covariance
-    return (Item(frame, "", stamp, {"angular_velocity": cursor.doubles(3)}),)
+    orientation, _ = cursor.doubles(4), cursor.doubles(9)
+    return (Item(frame, "", stamp, {"orientation": orientation, "angular_velocity": cursor.doubles(3)}),)
 
 
 def _joint_state(cursor: _Cursor) -> tuple[Item, ...]:
     stamp, frame = cursor.header()
     names = [cursor.string() for _ in range(cursor.count())]
-    count = cursor.count()
-    start, _ = cursor.doubles(count) if count else (0, 0)
-    return (Item(frame, "", stamp, {name: (start + 8 * i, 1) for i, name in enumerate(names[:count])}),)
+    items = []
+    for _ in ("position", "velocity"):
+        count = cursor.count()
+        start, _ = cursor.doubles(count) if count else (0, 0)
+        items.append(Item(frame, "", stamp, {name: (start + 8 * i, 1) for i, name in enumerate(names[:count])}))
+    return tuple(items)
+
+
+def _twist(cursor: _Cursor) -> tuple[Item, ...]:
+    stamp, frame = cursor.header()
+    return (Item(frame, "", stamp, {"twist": cursor.doubles(6)}),)
+
+
+def _wheels(number: str, before: int = 0, count: int = 2) -> Callable[[_Cursor], tuple[Item, ...]]:
+    """Return the reader of a message with the ticks or speeds of wheels.
+
+    number, count : type of these numbers, and how many follow each other
+    before : bytes between them and the header; -1 for no header
+    """
+
+    def read(cursor: _Cursor) -> tuple[Item, ...]:
+        stamp, frame = cursor.header() if before >= 0 else (-1, "")
+        size = int(number[1])
+        cursor.align(4 if before > 0 else size)
+        cursor.take(max(before, 0), structural=False)
+        start = cursor.skip(size)
+        cursor.take(size * (count - 1), structural=False)
+        return (Item(frame, "", stamp, {"wheels": (start, count)}, number=number),)
+
+    return read
 
 
 PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {
@@ -234,5 +264,13 @@ PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {
     "sensor_msgs/msg/NavSatFix": _nav_sat_fix,
     "sensor_msgs/msg/Imu": _imu,
     "sensor_msgs/msg/JointState": _joint_state,
+    "geometry_msgs/msg/TwistStamped": _twist,
+    "geometry_msgs/msg/TwistWithCovarianceStamped": _twist,
+    "irobot_create_msgs/msg/WheelTicks": _wheels("i4"),
+    "irobot_create_msgs/msg/WheelVels": _wheels("f4"),
+    "std_msgs/msg/Int32": _wheels("i4", -1, 1),
+    "std_msgs/msg/Int64": _wheels("i8", -1, 1),
+    "std_msgs/msg/Float32": _wheels("f4", -1, 1),
+    "std_msgs/msg/Float64": _wheels("f8", -1, 1),
 }
 """What can be read, by message type."""

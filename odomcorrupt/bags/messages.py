@@ -102,14 +102,16 @@ def gather(block: Block, layout: Layout, item: Item, field: str) -> NDArray[np.f
     field : name of the field in `item.fields`
     """
     offset, count = item.fields[field]
-    raw = windows(block.data, 8 * count)[layout.starts + offset]
-    return raw.view(_order(layout) + "f8").reshape(-1, count).astype(np.float64, copy=False)
+    kind = np.dtype(_order(layout) + item.number)
+    raw = windows(block.data, kind.itemsize * count)[layout.starts + offset]
+    return raw.view(kind).reshape(-1, count).astype(np.float64, copy=False)
 
 
 def scatter(block: Block, layout: Layout, item: Item, field: str, values: NDArray[np.float64]) -> None:
     """Write values (n, count) of a field of all messages of a layout into the block's data, in place; see `gather`."""
     offset, count = item.fields[field]
-    _put(block, layout, layout.starts + offset, np.broadcast_to(values, (layout.starts.size, count)))
+    rows = np.broadcast_to(values, (layout.starts.size, count))
+    _put(block, layout, layout.starts + offset, rows, item.number)
 
 
 def scatter_columns(
@@ -131,17 +133,29 @@ def scatter_columns(
         begin = end
 
 
-def _put(block: Block, layout: Layout, places: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-    """Write rows of numbers (n, k) at offsets (n,) of the block's data."""
-    raw = np.ascontiguousarray(values, dtype=_order(layout) + "f8")
+def _put(
+    block: Block, layout: Layout, places: NDArray[np.int64], values: NDArray[np.float64], number: str = "f8"
+) -> None:
+    """Write rows of numbers (n, k) of a type at offsets (n,) of the block's data."""
+    raw = np.ascontiguousarray(values, dtype=_order(layout) + number)
     width = raw.itemsize * raw.shape[1]
     windows(block.data, width)[places] = raw.view(f"V{width}")[:, 0]
 
 
 def gather_stamps_ns(block: Block, layout: Layout, item: Item) -> NDArray[np.int64]:
-    """Return the header stamps (n,) in nanoseconds since 1970."""
+    """Return the header stamps (n,) in nanoseconds since 1970; zeros where the type has none."""
+    if item.stamp < 0:
+        return np.zeros(layout.starts.size, dtype=np.int64)
     raw = windows(block.data, 8)[layout.starts + item.stamp].view(_stamp_type(layout))
     return raw["s"].astype(np.int64) * _SECOND_NS + raw["ns"]
+
+
+def stamps_or_log_ns(block: Block, layout: Layout, item: Item) -> NDArray[np.int64]:
+    """Return header stamps (n,), log times where a stamp is zero."""
+    stamps_ns = gather_stamps_ns(block, layout, item)
+    if stamps_ns.all():
+        return stamps_ns
+    return np.where(stamps_ns == 0, block.table["log_ns"][layout.rows], stamps_ns)
 
 
 def gather_status(block: Block, layout: Layout, item: Item) -> NDArray[np.int8]:
@@ -178,8 +192,10 @@ def _matches(
     """Return a mask (n,) of messages with a template's structural bytes and long enough for its numbers."""
     same = lengths >= template.size
     candidates = np.flatnonzero(same) if not same.all() else slice(None)
-    # by 64-bit words, the last of which may overlap: eight bytes compare as fast as one
     width = template.mask.size
+    if not width:
+        return same
+    # by 64-bit words, the last of which may overlap: eight bytes compare as fast as one
     step = 8 if width >= 8 else 1
     heads = windows(data, width)[starts[candidates]].view(np.uint8)
     for begin in (*range(0, width - step, step), width - step):
@@ -232,16 +248,5 @@ def write_twists(
     writer.finish()
 
 
-__all__ = [
-    "READABLE",
-    "Item",
-    "Layout",
-    "gather",
-    "gather_stamps_ns",
-    "gather_status",
-    "locate",
-    "scatter",
-    "scatter_columns",
-    "scatter_stamps_ns",
-    "undecodable",
-]
+__all__ = ["READABLE", "Item", "Layout", "gather", "gather_stamps_ns", "gather_status", "locate", "scatter",
+           "scatter_columns", "scatter_stamps_ns", "stamps_or_log_ns", "undecodable"]  # fmt: skip

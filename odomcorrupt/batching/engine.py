@@ -261,7 +261,10 @@ def require_odometry(jobs: Sequence[Job]) -> None:
     """Raise an error at once where all runs would fail: no odometry, or an invalid model."""
     for job in jobs:
         with open_reader(job.source, recover=job.batch.container.recover) as reader:
-            Transform(job.model_of(0), job.batch.seed, 0, job.batch.options).odometry.prepare(reader, reader.name)
+            transform = Transform(job.model_of(0), job.batch.seed, 0, job.batch.options)
+            transform.odometry.prepare(reader, reader.name)
+            if job.batch.options.consistent:
+                transform.relations(reader)
 
 
 @dataclass(frozen=True, slots=True)

@@ -261,4 +261,9 @@ def _option_words(options: Options, container: Container) -> list[str]:
         *(("--rename", words) for words in container.rename),
     )
     words = [word for flag, value in values if value is not None for word in (flag, str(value))]
-    return words + ["--keep-localisation"] * options.keep_localisation + ["--recover"] * container.recover
+    return (
+        words
+        + ["--keep-localisation"] * options.keep_localisation
+        + ["--consistent"] * options.consistent
+        + ["--recover"] * container.recover
+    )

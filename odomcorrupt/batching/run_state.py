@@ -86,7 +86,7 @@ class RunState:
         self.marks = MarkMeter()
         self._watchers: list[PathWatcher] = [self.drift, self.marks, *watchers]
         self._path: PathSource = NoisyPath(model, seed, run, systematic=systematic) if path is None else path
-        self._curve = Curve(subtracted=options.subtracted)
+        self._curve = Curve(subtracted=options.subtracted, consistent=options.consistent)
         self._new_frame = options.new_odom_frame is not None
         self._patcher = Patcher(model, keep_twist=options.keep_twist, keep_covariance=options.keep_covariance)
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.bag_options import BagOptions
 
-_ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisation", "new_odom_frame", "overwrite",
+_ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisation", "new_odom_frame", "consistent",
+          "overwrite",
           "compression", "level", "storage", "exclude", "rename", "recover", "threads")  # fmt: skip
 """Options with the same name here and in the Python interface."""
 
@@ -47,6 +48,9 @@ moving_options = added(
     click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this additional topic."),
     click.option(
         "--keep-localisation", is_flag=True, help="Invert the change in map -> odom, so that map -> base is unchanged."
+    ),
+    click.option(
+        "--consistent", is_flag=True, help="Rewrite wheels, ticks, twists and gyros to the noisy motion, too."
     ),
     valued(
         "--tf", among=["odometry", "correction", "subtraction"],
@@ -138,6 +142,8 @@ def bag_words(given: Mapping[str, Any]) -> BagOptions:
     if (tf != "odometry") != (given.get("new_odom_frame") is not None):
         word = "correction" if tf == "odometry" else tf
         raise click.UsageError(f"--tf {word} and --new-odom-frame FRAME go together; give both or neither")
+    if given.get("consistent") and tf != "odometry":
+        raise click.UsageError(f"--consistent and --tf {tf}: the odometry keeps the true motion; leave one out")
     options: Any = {name: given[name] for name in _ALIKE if name in given}
     for name in ("twist", "covariance"):
         if name in given:

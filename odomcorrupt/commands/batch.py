@@ -13,7 +13,7 @@ from odomcorrupt.commands._bag import bag_words, container_options, moving_optio
 from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
 from odomcorrupt.commands._options import FILE, setting, usage_errors, valued
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
-from odomcorrupt.errors import BatchError, BatchOptionError
+from odomcorrupt.errors import BatchError, BatchOptionError, SensorError
 
 _MODEL_WORDS = {"alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step",
                 "preset": "--preset", "effects": "--effect", "track": "--track"}  # fmt: skip
@@ -88,7 +88,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
 
     inputs, target = _paths(paths, output_option)
     options = _options(inputs, given)
-    with usage_errors(BatchOptionError):
+    with usage_errors(BatchOptionError), usage_errors(SensorError):
         if given["dry_run"]:
             del options["verify"], options["dask"]
             cost = estimate_batch(inputs, target, **options)

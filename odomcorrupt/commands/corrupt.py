@@ -18,9 +18,10 @@ from odomcorrupt.commands._bag import (
     threads_option,
 )
 from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
-from odomcorrupt.commands._options import run_options
+from odomcorrupt.commands._options import run_options, usage_errors
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
+from odomcorrupt.errors import SensorError
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Names of parameters in glibc's malloc.h."""
@@ -86,7 +87,7 @@ def command(
     options = bag_words(given)
     condition = choose_condition_of_run(given, source, split_options(options)[0], model.motion_model)
     keep_freed_memory()
-    with Progress(quiet=console.quiet) as progress:
+    with usage_errors(SensorError), Progress(quiet=console.quiet) as progress:
         asked = {name: given[name] for name in ("seed", "run", "also")} | {"within": condition, "watch": progress}
         done = corrupt(input_, target, model=model, **asked, **options)
     console.show(done, bag=target)

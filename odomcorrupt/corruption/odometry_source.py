@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, stamps_or_log_ns
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.reorder import Arrivals
-from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, inverted, planar_poses
+from odomcorrupt.corruption.se2_on_se3 import inverted, planar_poses, poses_in
 from odomcorrupt.errors import TopicError
 
 if TYPE_CHECKING:
@@ -339,25 +339,13 @@ class OdometrySource:
 
     def _poses(self, block: Block, layout: Layout, number: int, time_ns: NDArray[np.int64]) -> Arrivals:
         item = layout.items[number]
-        poses = SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+        poses = poses_in(block, layout, item)
         if self.frames is not None and side_of(item.frame_id, item.child_frame_id, self.frames) == "right":
             poses = inverted(poses)
         xyt = planar_poses(poses)
         self.faults.take(poses.position, poses.quat_xyzw)
-        stamps_ns = gather_stamps_ns(block, layout, item)
-        self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(stamps_ns))
-        stamps_ns = _or_log_ns(stamps_ns, block, layout)
+        stamps_ns = stamps_or_log_ns(block, layout, item)
+        self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(gather_stamps_ns(block, layout, item)))
         if "twist" in item.fields:
             self.faults.twists.take(stamps_ns, xyt, gather(block, layout, item, "twist")[:, _PLANAR])
         return Arrivals(stamps_ns, time_ns[layout.rows], xyt)
-
-
-def stamps_or_log_ns(block: Block, layout: Layout, number: int) -> NDArray[np.int64]:
-    """Return header stamps (n,), log times where a stamp is zero."""
-    return _or_log_ns(gather_stamps_ns(block, layout, layout.items[number]), block, layout)
-
-
-def _or_log_ns(stamps_ns: NDArray[np.int64], block: Block, layout: Layout) -> NDArray[np.int64]:
-    if stamps_ns.all():
-        return stamps_ns
-    return np.where(stamps_ns == 0, block.table["log_ns"][layout.rows], stamps_ns)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_columns, scatter_stamps_ns
-from odomcorrupt.corruption.correction import Correction
+from odomcorrupt.corruption.correction import Correction, body_difference
 from odomcorrupt.corruption.covariance import STEP_SUMS, has_random_part, pose_covariance, twist_covariance
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.odometry_source import ODOMETRY, plain
@@ -20,10 +20,12 @@ from odomcorrupt.corruption.se2_on_se3 import (
     from_right,
     in_level_frame,
     planar_poses,
+    poses_in,
     tilted_rows,
     tilts,
 )  # fmt: skip
-from odomcorrupt.geometry.se2 import rotated, wrap
+from odomcorrupt.geometry.se2 import rotated
+from odomcorrupt.sensors.consistent import Rewriter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.odometry_source import Side
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.sensors.consistent import Follows
 
 _LOSS = 0.3
 """Smallest motion that counts as a restored loss, as a fraction of the pose's: of both wheels, the pose stands; of one,
@@ -153,7 +156,7 @@ class TopicTwist:
         added, rate, swing = np.zeros((count + 1, 3)), np.zeros((count + 1, 3)), np.zeros((count + 1, 2))
         covariance = np.zeros((3, 3, count + 1)).transpose(2, 0, 1)
         added[0], covariance[0], rate[0], swing[0] = self._added, self._covariance, self._rate, self._swing
-        difference, body = _body_difference(clean, correction)
+        difference, body = body_difference(clean, correction)
         for column in range(3):
             added[1 + fresh :, column], rate[1 + fresh :, column] = difference[:, column] / dt_s, body[:, column] / dt_s
         # headings of the clean and of the noisy body at the middle of the interval
@@ -227,25 +230,6 @@ _FITS, _MISFIT = 0.25, 0.01
 """Parts of sums of squares: below the first one axes fit better than others, above the second those do not fit."""
 
 
-def _body_difference(clean_xyt: Array, correction_xyt: Array) -> tuple[Array, Array]:
-    """Return noisy minus clean body increments (n - 1, 3), each at its own mid heading, and the clean ones.
-
-    Only changes of the correction enter: where it is held, the difference is zero to the last bit.
-    """
-    (x, y, heading), (shift_x, shift_y, angle) = clean_xyt.T, correction_xyt.T
-    turn, swing = wrap(np.diff(heading)), np.diff(angle)
-    middle = heading[:-1] + turn / 2.0
-    shift = rotated(np.diff(shift_x), np.diff(shift_y), -angle[:-1])
-    end = x[1:], y[1:]
-    swung = rotated(*end, swing)
-    noisy_less_clean = shift[0] + (swung[0] - end[0]), shift[1] + (swung[1] - end[1])
-    body = rotated(np.diff(x), np.diff(y), -middle)
-    less = rotated(*body, -swing / 2.0)
-    more = rotated(*noisy_less_clean, -middle - swing / 2.0)
-    difference = np.stack((less[0] - body[0] + more[0], less[1] - body[1] + more[1], swing), axis=1)
-    return difference, np.stack((*body, turn), axis=1)
-
-
 PLANAR = np.array([0, 1, 5])
 """Where x, y and yaw stand among x, y, z, roll, pitch, yaw."""
 
@@ -258,6 +242,7 @@ class Target(NamedTuple):
 
     side : whether the correction multiplies the pose from the left or from the right
     stamps_ns, time_ns : (n,) header stamps, and log times as running maxima
+    follows : how the item's numbers follow the motion, of another sensor than the odometry
     """
 
     channel: Channel
@@ -266,6 +251,7 @@ class Target(NamedTuple):
     side: Side
     stamps_ns: NDArray[np.int64]
     time_ns: NDArray[np.int64]
+    follows: Follows | None = None
 
 
 @dataclass(slots=True)
@@ -274,12 +260,14 @@ class Changes:
 
     static : edges on /tf_static, which cannot follow a drift
     odom_axes : topics whose twists are in the axes of the odom frame
+    sensors : topics of other sensors that are rewritten
     """
 
     odometry: Counter[str] = field(default_factory=Counter)
     edges: Counter[str] = field(default_factory=Counter)
     static: set[str] = field(default_factory=set)
     odom_axes: set[str] = field(default_factory=set)
+    sensors: set[str] = field(default_factory=set)
     held: int = 0
 
 
@@ -297,6 +285,7 @@ class Patcher:
         drawn = any(has_random_part(e, model.track_m) for e in model.effects)
         self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.noise_free)
         self._twists: dict[str, TopicTwist] = {}
+        self._sensors = Rewriter()
 
     @np.errstate(over="ignore", invalid="ignore")  # NaN and infinite poses stay as they are
     def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:
@@ -304,6 +293,12 @@ class Patcher:
         odometry: dict[str, list[tuple[Target, Correction]]] = {}
         for target in targets:
             at = curve.at(target.stamps_ns, target.time_ns)
+            if target.follows is not None:
+                if self._moves:
+                    self.changes.sensors.add(target.channel.topic)
+                    message = block, target.channel, target.layout, target.item
+                    self._sensors.rewrite(*message, target.follows, target.stamps_ns, at.added, at.stretch)
+                continue
             self.changes.held += int(np.count_nonzero(at.held))
             if target.channel.msgtype == ODOMETRY:
                 self.changes.odometry[target.channel.topic] += len(target.stamps_ns)
@@ -315,7 +310,7 @@ class Patcher:
                 if target.channel.topic.endswith("tf_static"):
                     self.changes.static.add(edge)
                 if self._moves:
-                    _move(block, target, at.xyt, _poses(block, target))
+                    _move(block, target, at.xyt, poses_in(block, target.layout, target.item))
             if self._clocks:
                 self._shift_stamps(block, target, first_ns)
         if self._moves:
@@ -325,7 +320,7 @@ class Patcher:
     def _patch_odometry(self, block: Block, topic: str, parts: list[tuple[Target, Correction]]) -> None:
         motions = []
         for target, at in parts:
-            poses = _poses(block, target)
+            poses = poses_in(block, target.layout, target.item)
             if self._twist:
                 twist = gather(block, target.layout, target.item, "twist")
                 motions.append(Motions(target.stamps_ns, planar_poses(poses), poses.quat_xyzw, twist))
@@ -392,22 +387,15 @@ class Patcher:
 
 
 def _rows(at: Correction, rows: slice | NDArray[np.int64]) -> Correction:
-    return Correction(at.xyt[rows], at.sums[:, rows], at.origin_xy[:, rows], at.stretch[rows], at.held[rows])
+    return Correction._make(one[:, rows] if name in _BY_COLUMN else one[rows] for name, one in at._asdict().items())
 
 
 def _together(parts: list[Correction]) -> Correction:
-    return Correction(
-        np.concatenate([at.xyt for at in parts]),
-        np.concatenate([at.sums for at in parts], axis=1),
-        np.concatenate([at.origin_xy for at in parts], axis=1),
-        np.concatenate([at.stretch for at in parts]),
-        np.concatenate([at.held for at in parts]),
-    )
+    fields = zip(Correction._fields, zip(*parts, strict=True), strict=True)
+    return Correction._make(np.concatenate(each, axis=int(name in _BY_COLUMN)) for name, each in fields)
 
 
-def _poses(block: Block, target: Target) -> SpatialPoses:
-    layout, item = target.layout, target.item
-    return SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+_BY_COLUMN = ("sums", "origin_xy")
 
 
 def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:

@@ -218,8 +218,9 @@ class Outcome:
 
     @property
     def moved_topics(self) -> set[str]:
-        """Odometry topics that are moved, of all robots."""
-        return set(self.changes.odometry).union(*(other.changes.odometry for other in self.others))
+        """Topics of odometry and other sensors that are moved, of all robots."""
+        every = [one.changes for one in (self, *self.others)]
+        return {topic for changes in every for topic in (*changes.odometry, *changes.sensors)}
 
 
 def corrupt_bag(

@@ -122,6 +122,7 @@ def _counted(outcome: Outcome) -> str:
     """Return the moved topics and edges with their numbers of messages."""
     changes = outcome.changes
     topics = [f"{topic} {count}" for topic, count in sorted(changes.odometry.items())]
+    topics += [f"{topic} consistent with it" for topic in sorted(changes.sensors)]
     edges = [f"TF {edge} {count}" for edge, count in sorted(changes.edges.items())]
     none = [] if edges or outcome.added else [f"no transform from {outcome.frames.odom}"]
     return ", ".join([*topics, *edges, *none, *(f"{count} {what} added" for what, count in outcome.added.items())])
@@ -160,6 +161,7 @@ def _is_identity(model: MotionModel) -> bool:
 def moved_words(outcome: Outcome) -> str:
     """Return the moved topics and TF edges with their numbers of messages, as text."""
     topics = [f"{count} messages on {topic}" for topic, count in sorted(outcome.changes.odometry.items())]
+    topics += [f"{topic} to be consistent" for topic in sorted(outcome.changes.sensors)]
     edges = [f"{count} transforms {edge}" for edge, count in sorted(outcome.changes.edges.items())]
     none = [] if edges else [f"no transform from {outcome.frames.odom}{_stayed(outcome)}"]
     added = [f"{count} {what} added" for what, count in outcome.added.items()]

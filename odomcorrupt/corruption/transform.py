@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.bags.block import joined
-from odomcorrupt.bags.messages import locate
+from odomcorrupt.bags.messages import locate, stamps_or_log_ns
 from odomcorrupt.corruption.additions import CorrectionEdge, TruthTopic
 from odomcorrupt.corruption.correction import PATIENCE_NS, Curve
 from odomcorrupt.corruption.drift import DriftMeter
@@ -28,14 +28,14 @@ from odomcorrupt.corruption.odometry_source import (
     plain,
     says_truth,
     side_of,
-    stamps_or_log_ns,
 )  # fmt: skip
 from odomcorrupt.corruption.patch import Patcher, Target
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.pose_faults import FAR_M, W_FIRST, ZERO
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
-from odomcorrupt.corruption.unmodified_topics import frame_of, may_be_placed
-from odomcorrupt.errors import TopicError
+from odomcorrupt.corruption.unmodified_topics import can_be_consistent, frame_of, may_be_placed
+from odomcorrupt.errors import SensorError, TopicError
+from odomcorrupt.sensors.consistent import find_relations
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.patch import Changes
     from odomcorrupt.corruption.path import PathSource
     from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.sensors.consistent import Follows
 
 WAIT_NS = PATIENCE_NS + WINDOW_NS
 """The longest that a block waits, log time."""
@@ -67,6 +68,7 @@ class Options(NamedTuple):
     keep_localisation : move the edges between odom and what lies above it, so that map -> base stays true
     new_odom_frame : change no message, and publish the correction as the TF edge from this frame to odom
     subtracted : publish noisy minus clean there instead, component by component, as the article's listing does
+    consistent : rewrite wheels, twists and gyros to the noisy motion, too
     """
 
     odom_topic: str | None = None
@@ -78,6 +80,7 @@ class Options(NamedTuple):
     keep_localisation: bool = False
     new_odom_frame: str | None = None
     subtracted: bool = False
+    consistent: bool = False
 
 
 @dataclass(slots=True, eq=False, repr=False)
@@ -128,7 +131,8 @@ class Transform:
         self.truth: TruthTopic | None = None
         self.edge: CorrectionEdge | None = None
         self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
-        self._curve = Curve(subtracted=self.options.subtracted)
+        self._curve = Curve(subtracted=self.options.subtracted, consistent=self.options.consistent)
+        self._follows: dict[int, list[Follows]] = {}
         self._now_ns = -(2**62)
         self._first_ns: int | None = None
         self._patcher = Patcher(model, keep_twist=self.options.keep_twist, keep_covariance=self.options.keep_covariance)
@@ -174,12 +178,12 @@ class Transform:
             self.truth = TruthTopic(self.options.keep_truth, reader, writer)
         if self.options.new_odom_frame is not None and writer is not None:
             self.edge = CorrectionEdge(self.options.new_odom_frame, reader, writer)
+        if self.options.consistent:
+            self._follows = self.relations(reader)
         waiting: deque[_Held] = deque()
         only = None
         if writer is not None and writer.keeps_rest:
-            only = {
-                number for number, channel in reader.channels.items() if _may_move(channel) or may_be_placed(channel)
-            }
+            only = {n for n, channel in reader.channels.items() if self.may_move(channel) or may_be_placed(channel)}
         given = joined(reader.blocks(only)) if before is None else before
         for block in given:
             waiting.append(self._take(block, reader))
@@ -195,6 +199,32 @@ class Transform:
             why = f" ({zero} {ZERO})" if zero else ""
             raise TopicError(f"{name}: {self.odometry.name} has no message with a pose{why}{self.odometry.elsewhere}")
 
+    def may_move(self, channel: Channel) -> bool:
+        """Return whether a channel's messages may be changed."""
+        return _has_poses(channel) or channel.id in self._follows
+
+    def relations(self, reader: BagReader) -> dict[int, list[Follows]]:
+        """Return how other sensors follow the odometry, by channel id, from a pass over the bag.
+
+        Raises
+        ------
+        SensorError
+            If that cannot be known.
+        """
+        if not reader.complete:
+            raise SensorError("--consistent: reads the bag beforehand, which is impossible on a pipe; name a file")
+        source = OdometrySource(*self.options[:3], self.model.odometry_topic)
+        source.prepare(reader, reader.name)
+
+        def poses_of(block: Block) -> Arrivals:
+            own = [reader.channels[number] for number in sorted(block.present())]
+            parts = [(c, layout) for c in own if _has_poses(c) for layout in locate(block, c)]
+            return source.read(block, parts, block.table["log_ns"])
+
+        channels = reader.channels.values()
+        sensors = [c for c in channels if can_be_consistent(c) and source.shares_tree(c)]
+        return find_relations(reader, sensors, poses_of, {c.id for c in channels if _has_poses(c)})
+
     def _take(self, block: Block, reader: BagReader) -> _Held:
         """Read the odometry of a block and extend C(t)."""
         time_ns = np.maximum.accumulate(np.concatenate(([self._now_ns], block.table["log_ns"])))[1:]
@@ -207,10 +237,11 @@ class Transform:
         parts = []
         for number in sorted(present):
             channel = reader.channels[number]
-            if _may_move(channel):
+            if self.may_move(channel):
                 parts += [(channel, layout) for layout in locate(block, channel)]
-        if parts:
-            self._add(self.odometry.read(block, parts, time_ns))
+        poses = [part for part in parts if _has_poses(part[0])]
+        if poses:
+            self._add(self.odometry.read(block, poses, time_ns))
         if len(time_ns):
             self._now_ns = int(time_ns[-1])
         self._extend(self.order.release(self._now_ns))
@@ -259,8 +290,14 @@ class Transform:
     def _find_targets(self, held: _Held, frames: Frames) -> list[Target]:
         found = []
         for channel, layout in held.parts:
+            if channel.id in self._follows:
+                for follows in self._follows[channel.id]:
+                    item = layout.items[follows.number]
+                    times = stamps_or_log_ns(held.block, layout, item), held.time_ns[layout.rows]
+                    found.append(Target(channel, layout, item, "left", *times, follows))
+                continue
             shares = self.odometry.shares_tree(channel)
-            for number, item in enumerate(layout.items):
+            for item in layout.items:
                 self.frame_met |= shares and frames.odom in (plain(item.frame_id), plain(item.child_frame_id))
                 side = self._side(channel, item, frames) if shares else None
                 if side is None and channel.msgtype in TRANSFORMS:
@@ -269,7 +306,7 @@ class Transform:
                     if shares and contains_truth(channel.topic, item.frame_id, item.child_frame_id, frames):
                         self.true_edges.add(f"{channel.topic} {edge}")
                 if side is not None:
-                    stamps_ns = stamps_or_log_ns(held.block, layout, number)
+                    stamps_ns = stamps_or_log_ns(held.block, layout, item)
                     found.append(Target(channel, layout, item, side, stamps_ns, held.time_ns[layout.rows]))
         return found
 
@@ -314,5 +351,5 @@ class Transform:
         return held.block
 
 
-def _may_move(channel: Channel) -> bool:
+def _has_poses(channel: Channel) -> bool:
     return channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS)

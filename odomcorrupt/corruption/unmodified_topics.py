@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.odometry_source import ENCODINGS, plain, tree_of
+from odomcorrupt.corruption.odometry_source import ENCODINGS, plain, says_truth, tree_of
+from odomcorrupt.sensors.consistent import SENSORS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -54,6 +55,15 @@ LARGE_TYPES = frozenset({"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid
 def may_be_placed(channel: Channel) -> bool:
     """Return whether the frame of a channel's messages is needed, although the channel itself is not moved."""
     return channel.msgtype in FRAMED_TYPES and channel.msgtype not in LARGE_TYPES
+
+
+def can_be_consistent(channel: Channel) -> bool:
+    """Return whether a channel's numbers can be rewritten to the noisy motion: of a known type, and no command."""
+    name = channel.topic.lower()
+    known = channel.msgtype in SENSORS and channel.encoding in ENCODINGS and not says_truth(name)
+    if not known or _COMMANDS.search(name) or name.rsplit("/", 1)[-1] in SETPOINT_TOPICS:
+        return False
+    return not channel.msgtype.startswith("std_msgs") or _of_wheels(channel)
 
 
 def topics_with_true_motion(

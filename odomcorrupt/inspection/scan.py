@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import Layout, gather, gather_stamps_ns, locate
-from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS, plain, stamps_or_log_ns
+from odomcorrupt.bags.messages import Layout, gather, gather_stamps_ns, locate, stamps_or_log_ns
+from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS, plain
 from odomcorrupt.corruption.patch import PLANAR
 from odomcorrupt.corruption.pose_faults import PoseFaults
-from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, planar_poses
+from odomcorrupt.corruption.se2_on_se3 import planar_poses, poses_in
 from odomcorrupt.corruption.unmodified_topics import frame_of
 from odomcorrupt.inspection.covariance_check import CovarianceCheck
 
@@ -127,12 +127,11 @@ def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None)
                     _take_odometry(odometry.setdefault(channel.topic, _Odometry()), block, layout)
             elif channel.msgtype in TRANSFORMS:
                 for layout in locate(block, channel):
-                    for item_number, item in enumerate(layout.items):
+                    for item in layout.items:
                         key = (channel.topic, plain(item.frame_id), plain(item.child_frame_id))
                         zeros = int(np.count_nonzero(gather_stamps_ns(block, layout, item) == 0))
-                        edges[key].append(
-                            (stamps_or_log_ns(block, layout, item_number), _xyt(block, layout, item_number), zeros)
-                        )
+                        stamps_ns = stamps_or_log_ns(block, layout, item)
+                        edges[key].append((stamps_ns, planar_poses(poses_in(block, layout, item)), zeros))
     return BagScan(
         dict(sorted(topics.items())),
         tuple(_odometry(topic, taken) for topic, taken in sorted(odometry.items())),
@@ -161,25 +160,19 @@ def _count(topics: dict[str, TopicRecord], channel: Channel, block: Block) -> No
     record.last_ns = max(record.last_ns, int(times.max()))
 
 
-def _xyt(block: Block, layout: Layout, number: int) -> Array:
-    item = layout.items[number]
-    return planar_poses(
-        SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
-    )
-
-
 def _take_odometry(taken: _Odometry, block: Block, layout: Layout) -> None:
     item = layout.items[0]
     if not taken.columns:
         taken.frame, taken.child = item.frame_id, item.child_frame_id
     columns = taken.columns
-    stamps_ns, xyt = stamps_or_log_ns(block, layout, 0), _xyt(block, layout, 0)
+    poses = poses_in(block, layout, item)
+    stamps_ns, xyt = stamps_or_log_ns(block, layout, item), planar_poses(poses)
     twist = gather(block, layout, item, "twist")[:, PLANAR]
     columns["stamps"].append(stamps_ns)
     columns["zero"].append(gather_stamps_ns(block, layout, item) == 0)
     columns["xyt"].append(xyt)
     columns["twist"].append(twist)
-    taken.faults.take(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+    taken.faults.take(poses.position, poses.quat_xyzw)
     taken.faults.twists.take(stamps_ns, xyt, twist)
     taken.pose_covariance.take(gather(block, layout, item, "pose_covariance"))
     taken.twist_covariance.take(gather(block, layout, item, "twist_covariance"))

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, locate
+from odomcorrupt.bags.messages import gather, locate, stamps_or_log_ns
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.odometry_source import stamps_or_log_ns
 from odomcorrupt.errors import OdomCorruptError, TopicError
 from odomcorrupt.scoring.errors import ScoreError
 from odomcorrupt.study.io.bag import read_bag
@@ -154,7 +153,7 @@ def _covariances(path: Path, topic: str, ordered: Samples) -> Array | None:
                     item = layout.items[0]
                     if "pose_covariance" in item.fields:
                         full = gather(block, layout, item, "pose_covariance").reshape(-1, 6, 6)
-                        stamps.append(stamps_or_log_ns(block, layout, 0))
+                        stamps.append(stamps_or_log_ns(block, layout, layout.items[0]))
                         values.append(full[:, _PLANAR[:, None], _PLANAR])
     if not stamps:
         return None
