@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
+from itertools import islice
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from odomcorrupt.errors import OdomCorruptError
@@ -43,11 +44,9 @@ def open_input(path: Path, error: type[Exception] = OdomCorruptError) -> BinaryI
     """
     try:
         # checked before opening: opening alone triggers some devices, and blocks until a pipe has a writer
-        mode = path.stat().st_mode
-        if stat.S_ISREG(mode):
+        if stat.S_ISREG(mode := path.stat().st_mode):
             stream = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - Path has no opener
-            mode = os.fstat(stream.fileno()).st_mode
-            if stat.S_ISREG(mode):
+            if stat.S_ISREG(mode := os.fstat(stream.fileno()).st_mode):
                 return stream
             stream.close()
     except (OSError, ValueError) as failure:  # ValueError: a name with a zero byte
@@ -63,8 +62,7 @@ def _open_at_once(path: str, flags: int) -> int:
 def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCorruptError) -> bytes:
     """Return the content of a regular file of at most `most` bytes.
 
-    most : largest size, bytes
-    what : expected content, as in "model file", for the error
+    most, what : largest size, bytes, and the expected content for the error, as in "model file"
     error : class of the error
 
     Raises
@@ -74,8 +72,8 @@ def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCo
     """
     with open_input(path, error) as stream:
         try:
-            # no more than the file has, because a read allocates as much as it is asked for
-            data = stream.read(min(max(os.fstat(stream.fileno()).st_size, 1 << 16), most) + 1)
+            # in parts, because one read of the whole limit allocates it
+            data = b"".join(islice(iter(lambda: stream.read(1 << 16), b""), (most >> 16) + 1))
         except OSError as failure:
             raise error(f"{path}: cannot be read: {failure.strerror}") from failure
     if len(data) > most:
