@@ -104,10 +104,9 @@ class Batch(Result):
             first, reason = self.failures[0]
             lines.append(Line("failed", f"{len(self.failures)} runs, tried twice; run {first}: {reason}", "bad"))
         lines += [Line("lost", loss, "warning") for loss in self.losses]
-        # a sweep has a spread at each of its points
-        return Summary(
-            (*lines, command_line(["odomcorrupt", "spread", self.directory / names[0]])), MOST_LINES + len(drifts)
-        )
+        # a sweep has a spread at each of its points; one run has none
+        words = ("odomcorrupt", "spread", self.directory / names[0]) if len(records) > len(self.jobs) else ()
+        return Summary((*lines, command_line(words)), MOST_LINES + len(drifts))
 
     def details(self) -> str:
         """Return the summary in sentences, with the numbers of the failed runs."""
