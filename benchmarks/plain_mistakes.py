@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import collections
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -221,7 +222,8 @@ def found_in(first: Path, second: Path) -> tuple[tuple[str, ...], str]:
         (run, *_) = read_runs(Source(first, truth_path=second))
     except RecordingError as error:
         said = str(error)
-        return tuple(p.name for p in PATTERNS if p.change.split("{")[0] in said), said
+        words = ((p.name, f"usual causes: {p.causes}".split("{")[0], re.split(r"\{\w+\}", p.seen)) for p in PATTERNS)
+        return tuple(name for name, causes, seen in words if causes in said and max(seen, key=len) in said), said
     return tuple(one.name for one in run.mistakes), ""
 
 

@@ -115,7 +115,8 @@ def findings_brief(
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: intervals that the fit left out as outliers"
     if unexplained:
-        verdict, tone, first = "UNKNOWN", "warning", f"nothing found explains the errors; {_figures(search)}"
+        ratios = search.fit.problem.recordings[0].ratios or "a first look shows no plain mistake"
+        verdict, tone, first = "UNKNOWN", "warning", f"nothing found explains the errors; {ratios}"
     lines = [Line(verdict, first, tone), *lines[named:]]
     if len(comparison.evaluations) == 1:
         lines[1:1] = _clock_error_lines(comparison)
@@ -139,11 +140,6 @@ def findings_brief(
         said = notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them"
         lines.append(Line("notes", said, "warning", SPARE))
     return Summary(tuple(lines))
-
-
-def _figures(search: Learned) -> str:
-    """Return the robust ratios of the first recording."""
-    return search.fit.problem.recordings[0].ratios or "a first look shows no plain mistake"
 
 
 def _error_lines(comparison: Comparison) -> list[Line]:
@@ -411,12 +407,12 @@ _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans":
 
 def mistakes_first(brief: Summary, mistakes: Sequence[Mistake]) -> Summary:
     """Return a summary that begins with plain mistakes: what is seen, usual causes, and what to change."""
-    lines = []
+    lines: list[Line] = []
     for one in mistakes:
-        change = f"{one.change}; {one.then}" if one.then else one.change
         lines += [Line("MISTAKE", one.said, "bad", ALWAYS), Line("causes", one.causes, weight=FIRST)]
-        lines.append(Line("change", change, "warning", ALWAYS))
-    return Summary((*lines, *brief.lines), brief.most + len(lines))
+        lines.append(Line("change", "; ".join(filter(None, (one.change, one.then))), "warning", ALWAYS))
+    rest = [one._replace(label="otherwise") if lines and one.label == "COMPLETE" else one for one in brief.lines]
+    return Summary((*lines, *rest), brief.most + len(lines))
 
 
 def drive_lines(search: Learned) -> list[Line]:
@@ -436,8 +432,7 @@ def track_lines(search: Learned, *, failed: bool) -> list[Line]:
     recordings = search.fit.problem.recordings
     if search.drive_type.name != "differential" or any(r.track_m is not None for r in recordings):
         return []
-    named = (*search.added, *(one.name for one in search.unknown))
-    if not (named or failed or any(clocks_found(search.clocks))):
+    if not (search.added or search.unknown or failed or any(clocks_found(search.clocks))):
         return []
     fitted = [e.name for e in search.fit.effects if getattr(e, "track", 0.0)]
     ghosts = [name for name in search.added if name in _LIKE_SINGLE_WHEELS]

@@ -429,14 +429,16 @@ def learned_json(
     unmeasured = {"held_out": None, "negligible": False}
     # parameters of random effects have no standard errors
     found += [_entry(one.effect, (), (), one.confidence) | unmeasured for one in noise_found(learned)]
-    missing, unknown = bool(learned.lacking or learned.noise), learned.unexplained or is_unexplained(learned, evaluated)
+    mistakes = learned.fit.problem.recordings[0].mistakes
+    missing = bool(learned.lacking or learned.noise or mistakes)
+    unknown = learned.unexplained or is_unexplained(learned, evaluated)
     return finite(
         {
             "schema": SCHEMA,
             "verdict": "unknown" if unknown else "missing" if missing else "complete",
             "rejected": (evaluated and rejection(evaluated)) or None,
             "recordings": recordings_json(learned.fit.problem.recordings),
-            "mistakes": [one._asdict() for one in learned.fit.problem.recordings[0].mistakes],
+            "mistakes": [one._asdict() for one in mistakes],
             "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],

@@ -117,12 +117,12 @@ _GROSS = 2.0
 
 
 def is_unexplained(learned: Learned, last: ModelEvaluation | None, *, falls: bool = True) -> bool:
-    """Return whether held-out data reject a model in which nothing, or nothing but noise, was found.
+    """Return whether held-out data reject a model in which nothing that matters, or nothing but noise, was found.
 
     last : evaluation of the model with all findings, if there is one
     falls : whether the held-out error or likelihood improves with the findings
     """
-    if learned.lacking or learned.laws:
+    if learned.lacking or any(law in learned.unexplained for law in learned.laws):
         return False
     if not learned.noise:
         return last is not None and last.verdict.fails

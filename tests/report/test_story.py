@@ -373,6 +373,14 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
     assert printed == [rejection(first), None]
 
 
+def test_a_rejected_model_with_negligible_laws_alone_is_not_complete(poor, sequence, monkeypatch):
+    monkeypatch.setattr(Learned, "hardly_moves", lambda *_: True)
+    small = replace(poor, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
+    assert (
+        findings_brief(small, NONE, replace(sequence, evaluations=sequence.evaluations[:1])).lines[0].label == "UNKNOWN"
+    )
+
+
 def test_what_happened_at_once_is_no_effect_that_a_model_lacks(sequence):
     first = sequence.evaluations[0]
     push = Failure(

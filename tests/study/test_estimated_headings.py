@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,14 @@ def errors(recording, yaw):
 def test_fixes_that_an_outage_leaves_alone_get_the_heading_of_those_beside_them(without_s):
     recording, yaw = drive(without_s=without_s)
     assert np.abs(errors(with_headings(recording), yaw)).max() < 0.01
+
+
+def test_a_fast_car_with_few_fixes_has_the_headings_of_its_path():
+    recording, yaw = drive()
+    truth, odometry = recording.truth, recording.odometry
+    few = Trajectory(truth.stamps_ns[::5], truth.xyt[::5] * [8.0, 8.0, 1.0])
+    fast = replace(recording, odometry=replace(odometry, xyt=odometry.xyt * [8.0, 8.0, 1.0]), truth=few)
+    assert np.abs(errors(with_headings(fast), yaw[::5])).max() < 0.05
 
 
 def test_headings_are_those_of_the_model_so_that_an_antenna_ahead_of_the_axle_turns_none_of_them():

@@ -294,8 +294,7 @@ class Look:
         origin = int(self.paths[0].stamps_ns[0])
         for one in self.witnesses():
             t_s = (one.stamps_ns - origin) * 1e-9
-            window_s = 4.0 * (starts[1] - starts[0])
-            turned = np.interp(starts + window_s, t_s, one.angle) - np.interp(starts, t_s, one.angle)
+            turned = np.interp(starts + self.window_s, t_s, one.angle) - np.interp(starts, t_s, one.angle)
             agrees = [float(_correlations(np.column_stack((turned,) * 3), x)[0, 2]) for x in (here, there)]
             fault = int(agrees[1] < agrees[0])
             if max(map(abs, agrees)) > _CLEAR and (one.independent or fault == 0):
@@ -464,10 +463,6 @@ def _by(matrix: Array) -> Callable[[Samples], Samples]:
     return lambda path: _moved_by(path, increments(path.trajectory().xyt).rows @ matrix.T)
 
 
-def _mirrored(path: Samples) -> Samples:
-    return replace(path, xyz=path.xyz * [1.0, -1.0, 1.0], yaw_rad=-path.yaw_rad)
-
-
 def _speed(look: Look, i: int) -> Figures | None:
     speeds = look.own[i].speed_mps, look.own[1].speed_mps
     undo = lambda path: replace(path, xyz=path.xyz * 1e-3)  # noqa: E731
@@ -494,7 +489,8 @@ def _unit_of_headings(look: Look, i: int) -> Figures | None:
     by_path = own.chords >= _CHORDS and max(own.agreement) > _FOLLOWS
     agreement = own.agreement if by_path or i == 0 else look.turns_agree
     k = int(np.argmax(agreement[2:])) + 2
-    if not path.headed or agreement[0] > _MISSES or agreement[k] < _FOLLOWS or not (by_path or i):
+    follows = own.chords >= _CHORDS and own.agreement[0] > _MISSES
+    if not path.headed or follows or agreement[0] > _MISSES or agreement[k] < _FOLLOWS or not (by_path or i):
         return None
     words = ("degrees, not radians", "degrees of a compass (clockwise)", "read as degrees, but are radians")
 
@@ -587,7 +583,8 @@ def _exchanged(look: Look) -> Figures | None:
     words = "whether the odometry or the truth is wrong, these data do not show"
     if fault is not None:
         words = f"{source} turns as {look.paths[1 - fault].name} does, so {look.paths[fault].name} is wrong"
-    return {"i": fault or 0, "corr": corr, "fault": words, "undo": _mirrored}
+    undo = lambda path: replace(path, xyz=path.xyz * [1.0, -1.0, 1.0], yaw_rad=-path.yaw_rad)  # noqa: E731
+    return {"i": fault or 0, "corr": corr, "fault": words, "undo": undo}
 
 
 def _overflows(look: Look, i: int) -> Figures | None:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
 
 UNKNOWN_RAD = 0.5
-_REACH_M = 4.0  # travel before and after a sample that is aligned
+_REACH_M = 4.0  # travel before and after a sample that is aligned, and two intervals of fast motion at least
 _POOR = 10.0
 """Ratio of a heading's standard error to the usual one above which the heading is interpolated from other samples."""
 
@@ -82,8 +82,9 @@ def _alignment(recording: Recording, odometry: Array) -> Alignment:
     q = (odometry[:, 0] + 1j * odometry[:, 1]) * inside
     p = (truth.xyt[:, 0] - truth.xyt[0, 0] + 1j * (truth.xyt[:, 1] - truth.xyt[0, 1])) * inside
     travelled = distance_along(odometry)
-    first = np.searchsorted(travelled, travelled - _REACH_M, side="left")
-    last = np.searchsorted(travelled, travelled + _REACH_M, side="right")
+    reach_m = max(_REACH_M, 2.0 * float(np.percentile(np.diff(travelled), 90.0))) if len(travelled) > 1 else _REACH_M
+    first = np.searchsorted(travelled, travelled - reach_m, side="left")
+    last = np.searchsorted(travelled, travelled + reach_m, side="right")
     found = Alignment(q, p, inside, first, last, q, travelled, inside)
     count = np.maximum(found.sums(inside.astype(np.float64)), 1.0)
     mean = found.sums(q) / count

@@ -14,9 +14,12 @@ from sourcedrive import odometry, truth
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
+from odomcorrupt.report.brief import mistakes_first
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.first_look import PATTERNS, Look, Witness, factors_of, first_look, mistakes_alone
+from odomcorrupt.study.io.first_look import Look, Witness, factors_of, first_look, mistakes_alone
 from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.recording import Mistake
+from odomcorrupt.summary import Line, Summary
 
 NONE = np.zeros(0)
 HZ = 50.0
@@ -244,7 +247,8 @@ def test_the_recording_keeps_its_odometry_and_has_the_factor_as_an_effect(tmp_pa
     assert "turns agree" in run.mistakes[0].said
 
 
-def test_every_row_of_the_table_has_its_words():
-    assert len({pattern.name for pattern in PATTERNS}) == len(PATTERNS)
-    for pattern in PATTERNS:
-        assert all((pattern.seen, pattern.causes, pattern.change))
+def test_what_is_complete_but_for_a_mistake_is_not_called_complete():
+    nothing = Summary((Line("COMPLETE", "no known effect explains more than chance"),))
+    first = mistakes_first(nothing, [Mistake("wheel separation", "turns", "track", "change it")])
+    assert [line.label for line in first.lines] == ["MISTAKE", "causes", "change", "otherwise"]
+    assert mistakes_first(nothing, ()) == nothing

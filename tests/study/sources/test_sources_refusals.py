@@ -49,10 +49,7 @@ def csv_file(path, rows, header="t,x,y,yaw", scale=1.0, yaw_scale=1.0, every=1):
 
 
 def test_too_short(refused):
-    line = refused(odometry(6.0), truth(6.0))
-    assert (
-        "run.mcap: /odom: lasts 5.9 s (5.9)" in line or "/odom: lasts 6.0 s; a study takes 10 s, better minutes" in line
-    )
+    assert "/odom: lasts 6.0 s; a study takes 10 s, better minutes" in refused(odometry(6.0), truth(6.0))
 
 
 def test_too_few_poses_in_common(refused):
@@ -68,16 +65,11 @@ def test_no_motion(refused):
     assert "/odom: no motion: 1 mm and 0.4 deg in 30 s; record a drive" in refused(still(odometry()), still(truth()))
 
 
-def test_a_truth_that_stands_still(refused):
-    real = truth()
-    line = refused(real=real.having(xyz=real.xyz * 1e-3))
-    assert "/truth: stands still while the odometry moves over" in line
-
-
-def test_an_odometry_that_stands_still(refused):
-    moved = odometry()
-    line = refused(moved.having(xyz=moved.xyz * 1e-3, yaw=moved.yaw * 1e-3))
-    assert "/odom: stands still while the truth moves over" in line
+def test_one_of_the_two_that_stands_still(refused):
+    moved, real = odometry(), truth()
+    assert "/truth: stands still while the odometry moves over" in refused(real=real.having(xyz=real.xyz * 1e-3))
+    still = moved.having(xyz=moved.xyz * 1e-3, yaw=moved.yaw * 1e-3)
+    assert "/odom: stands still while the truth moves over" in refused(still)
 
 
 def test_no_overlap_says_both_spans_and_the_shift_that_makes_them_match(refused, tmp_path):
@@ -108,16 +100,6 @@ def test_a_small_offset_is_left_to_the_fit(tmp_path):
     assert recording.truth.stamps_ns[0] == late.stamps_ns[0]
 
 
-def test_truth_identical_to_odometry(refused):
-    moved = odometry()
-    assert "/truth: repeats /odom (599 of 599 steps are equal): it is the same odometry" in refused(moved, moved)
-
-
-def test_a_throttled_copy_of_the_odometry_is_no_truth(refused):
-    moved = odometry()
-    assert "it is the same odometry" in refused(moved, moved.only(np.arange(0, len(moved), 3)))
-
-
 def test_the_exact_poses_of_a_simulator_are_a_truth(tmp_path):
     bag = write(
         tmp_path / "run.mcap",
@@ -128,8 +110,9 @@ def test_the_exact_poses_of_a_simulator_are_a_truth(tmp_path):
     assert any("/truth: equals /odom to within 2 mm over the whole drive" in note for note in run.notes)
 
 
-def test_a_copy_of_the_odometry_in_another_frame_is_no_truth_either(refused):
+def test_a_copy_of_the_odometry_throttled_or_in_another_frame_is_no_truth(refused):
     moved = odometry()
+    assert "it is the same odometry" in refused(moved, moved.only(np.arange(0, len(moved), 3)))
     turned = moved.having(xyz=moved.xyz @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + 4.0)
     assert "it is the same odometry" in refused(moved, turned.having(yaw=moved.yaw + np.pi / 2))
 
@@ -138,9 +121,8 @@ def test_a_wrong_topic_names_the_near_miss(refused):
     line = refused(None, None, "--truth", "/ground_trth")
     assert "no topic /ground_trth (" in line
     assert "did you mean /odom" not in line
-    assert "no topic /trut (did you mean /truth? found /odom, /truth). Name another with --truth." in refused(
-        None, None, "--truth", "/trut"
-    )
+    line = refused(None, None, "--truth", "/trut")
+    assert "no topic /trut (did you mean /truth? found /odom, /truth). Name another with --truth." in line
 
 
 def test_nothing_but_nan(refused):
@@ -150,12 +132,8 @@ def test_nothing_but_nan(refused):
 
 def test_a_hill_is_not_y_up(tmp_path):
     real = truth()
-    xyz = real.xyz + np.outer(real.xyz[:, 0], [0.0, 0.0, 0.2])
-    bag = write(
-        tmp_path / "run.mcap",
-        topic("/odom", "Odometry", odometry()),
-        topic("/truth", "PoseStamped", real.having(xyz=xyz)),
-    )
+    hill = real.having(xyz=real.xyz + np.outer(real.xyz[:, 0], [0.0, 0.0, 0.2]))
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()), topic("/truth", "PoseStamped", hill))
     assert len(read_runs(Source(bag))) == 1
 
 
@@ -184,8 +162,8 @@ def test_a_sideways_robot_is_not_taken_for_a_mirrored_one(tmp_path):
 
 @pytest.mark.parametrize("command", ["fit", "diagnose", "learn"])
 def test_every_command_of_the_study_refuses_alike(refused, command):
-    moved = odometry()
-    assert "it is the same odometry" in refused(moved, moved, command=command)
+    said = refused(odometry(), odometry(), command=command)
+    assert "/truth: repeats /odom (599 of 599 steps are equal): it is the same odometry" in said
 
 
 def test_a_text_file_alone_asks_for_the_truth(tmp_path, capsys):
