@@ -26,7 +26,7 @@ from odomcorrupt.mapping.scan_map import read_rays
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.sampling.samples import move_between, move_sampled, move_variances
-from odomcorrupt.scoring.estimates import read_estimate
+from odomcorrupt.scoring.run import read_estimate
 from odomcorrupt.trajectories import read_poses
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from localise import Field, localise, map_of, read_scans
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.scoring.estimates import read_estimate
+from odomcorrupt.scoring.run import read_estimate
 
 OFFICE = Path("fixtures/office.mcap")
 ALPHAS = Noise("quadratic", Coefficients(0.1, 0.1, 0.1, 0.1))

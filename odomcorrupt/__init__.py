@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from odomcorrupt.api.simulation import Simulation, simulate
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.scoring.errors import path_errors
-    from odomcorrupt.scoring.estimates import Estimate, read_estimate
+    from odomcorrupt.scoring.run import Estimate, read_estimate
 
 __version__ = "0.1.0"
 
@@ -69,7 +69,7 @@ _HOMES = {
     "api.simulation": "Simulation simulate",
     "errors": "OdomCorruptError",
     "scoring.errors": "path_errors",
-    "scoring.estimates": "Estimate read_estimate",
+    "scoring.run": "Estimate read_estimate",
 }
 """Modules of the public names."""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}

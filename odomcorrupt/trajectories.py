@@ -7,19 +7,10 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from odomcorrupt.bags.messages import Item, Layout, gather, locate, scatter
+from odomcorrupt.bags.messages import TRANSFORMS, Item, Layout, gather, locate, scatter, stamps_or_log_ns
 from odomcorrupt.bags.open import open_reader, open_writer
-from odomcorrupt.corruption.odometry_source import (
-    ODOMETRY,
-    TRANSFORMS,
-    Frames,
-    find_odometry,
-    plain,
-    side_of,
-    stamps_or_log_ns,
-    tree_of,
-)
-from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, from_left, from_right
+from odomcorrupt.corruption.odometry_source import ODOMETRY, Frames, find_odometry, plain, side_of, tree_of
+from odomcorrupt.corruption.se2_on_se3 import from_left, from_right, poses_in
 from odomcorrupt.errors import ModelError, RecordingError, TopicError
 from odomcorrupt.geometry.se2 import compose, interpolate, inverse, wrap, yaw_from_quaternion
 from odomcorrupt.geometry.trajectory import Trajectory, distance_along
@@ -129,7 +120,7 @@ def _drive(reader: BagReader, channels: list[Channel], topic: str) -> Drive:
                 twist = np.zeros((len(yaw), 3))
                 if "twist" in item.fields:
                     twist = gather(block, layout, item, "twist")[:, [0, 1, 5]]
-                parts.append((stamps_or_log_ns(block, layout, 0), np.column_stack((xy, yaw, twist))))
+                parts.append((stamps_or_log_ns(block, layout, layout.items[0]), np.column_stack((xy, yaw, twist))))
     stamps, numbers = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     good = np.isfinite(numbers).all(axis=1)
     # of messages with equal stamps the last one is used: its twist is the one that continues
@@ -271,12 +262,12 @@ def rewrite_path(
         for block in reader.blocks():
             for channel in channels:
                 for layout in locate(block, channel):
-                    for number, item in enumerate(layout.items):
+                    for item in layout.items:
                         own = channel.id in odometry
                         side = "left" if own else side_of(item.frame_id, item.child_frame_id, frames)
                         if side is None:
                             continue
-                        at = _at(stamps_or_log_ns(block, layout, number), drive, correction)
+                        at = _at(stamps_or_log_ns(block, layout, item), drive, correction)
                         _move(block, layout, item, at, right=side == "right")
                         messages += len(layout.rows) * own
                         transforms += len(layout.rows) * (not own)
@@ -294,7 +285,6 @@ def _at(stamps_ns: NDArray[np.int64], drive: Drive, correction_xyt: Array) -> Ar
 
 
 def _move(block: Block, layout: Layout, item: Item, correction_xyt: Array, *, right: bool) -> None:
-    poses = SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
-    moved = (from_right if right else from_left)(correction_xyt, poses)
+    moved = (from_right if right else from_left)(correction_xyt, poses_in(block, layout, item))
     scatter(block, layout, item, "position", moved.position)
     scatter(block, layout, item, "orientation", moved.quat_xyzw)

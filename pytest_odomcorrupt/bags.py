@@ -16,7 +16,7 @@ from odomcorrupt.batching.runner import attempt
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.scoring.errors import Alignment, PathErrors, path_errors
-from odomcorrupt.scoring.estimates import read_estimate
+from odomcorrupt.scoring.run import read_estimate
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.mapping.conditioned import read_condition
+from odomcorrupt.sensors.noise import read_imu
 
 if TYPE_CHECKING:
     from odomcorrupt.bags.convert.message_types import Generation
@@ -26,6 +27,9 @@ class BagOptions(TypedDict, total=False):
     keep_localisation : modify map -> odom inversely, so that map -> base remains true
     new_odom_frame : leave all messages unchanged and publish the drift as the transform from this frame to odom
     subtracted : with `new_odom_frame`: publish noisy minus clean poses, as in the article's listing, which is not rigid
+    consistent : rewrite wheels, ticks, twists and gyros of known types to the noisy motion, too
+    scan_noise, scan_keep : noise of the ranges of laser scans, metres, and part of their beams that is kept, 0 to 1
+    imu : file with the noise of IMUs, as Kalibr has it
     overwrite : replace an existing output
     compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (ROS 2 directories);
         by default those of the input
@@ -46,6 +50,10 @@ class BagOptions(TypedDict, total=False):
     keep_localisation: bool
     new_odom_frame: str | None
     subtracted: bool
+    consistent: bool
+    scan_noise: float
+    scan_keep: float
+    imu: str | PathLike[str] | None
     overwrite: bool
     compression: str | None
     level: int | None
@@ -65,6 +73,8 @@ def split_options(options: BagOptions) -> tuple[Options, Container]:
         if name not in known:
             raise TypeError(f"{name}: no such option; there are {', '.join(sorted(known))}")
     values: dict[str, Any] = dict(options)
+    if values.get("imu") is not None:
+        values["imu"] = read_imu(Path(fspath(values["imu"])))
     return (
         Options(**{name: value for name, value in values.items() if name in moved}),
         Container(**{name: value for name, value in values.items() if name not in moved}),

@@ -17,8 +17,7 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.bags.pipeline import default_threads
 from odomcorrupt.batching import split_layout
 from odomcorrupt.batching.dispersion import measure, spread_brief, spread_text
-from odomcorrupt.batching.engine import Shard, require_odometry, run_batch
-from odomcorrupt.batching.estimate import need_of, require_space
+from odomcorrupt.batching.engine import Shard, need_of, require_odometry, require_space, run_batch
 from odomcorrupt.batching.job import BatchSpec, Job, plan
 from odomcorrupt.batching.manifest import fingerprint_of, read_beginning, read_records, seed_of
 from odomcorrupt.batching.parameter_draws import fleet_model
@@ -35,8 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.batching.dispersion import SpreadReport
-    from odomcorrupt.batching.engine import Audience
-    from odomcorrupt.batching.estimate import Need
+    from odomcorrupt.batching.engine import Audience, Need
     from odomcorrupt.batching.job import Format, Output
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.conditioned import MapCondition
@@ -203,6 +201,7 @@ class BatchOptions(BagOptions, total=False):
     sweeps : such as "alpha-scale=0.5,1,2"; each combination gets its own directory. Ranges as "wheel_scale.e=0..0.02"
     points : number of Sobol points that cover all ranges
     within : map that no noisy pose leaves, as in `corrupt`
+    also : odometry topics of other robots in the bag, as in `corrupt`
     jobs : number of processes. In a script, call from under ``if __name__ == "__main__"``
     shard : part of the runs to make, and number of parts, as (3, 16), counted from 1
     model_file : file of `model`, if that is not its path: what it states as "a +- b" is drawn for each run
@@ -218,6 +217,7 @@ class BatchOptions(BagOptions, total=False):
     sweeps: Sequence[str]
     points: int
     within: MapCondition | str | PathLike[str] | None
+    also: Sequence[str]
     jobs: int
     shard: tuple[int, int] | None
     model_file: Path | None
@@ -361,6 +361,7 @@ def _plan(
         split=given.get("layout") == "split",
         condition=as_condition(given.get("within")),
         to=given.get("to"),
+        also=tuple(given.get("also", ())),
         model_words=given.get("model_words"),
         map_words=given.get("map_words", ()),
     )

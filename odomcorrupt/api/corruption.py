@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block
     from odomcorrupt.correction.run import Corrected
-    from odomcorrupt.corruption.drift import Drift as Errors
+    from odomcorrupt.corruption.path import Drift as Errors
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.conditioned import MapCondition
     from odomcorrupt.summary import Summary
@@ -86,7 +86,7 @@ class Corruption(Result):
         """Number of modified messages per topic, and of modified transforms per TF edge "parent -> child"."""
         moved: Counter[str] = Counter()
         for robot in (self.outcome, *self.outcome.others):
-            moved += robot.changes.odometry + robot.changes.edges
+            moved += robot.changes.odometry + robot.changes.edges + robot.changes.noisy
         return dict(moved)
 
     @property

@@ -520,11 +520,7 @@ class Diagnosis(Findings):
         """Return the missing effects, their size and probability, and the gain of each."""
         found = self.result
         brief = findings_brief(
-            found.search,
-            found.advice,
-            found.sequence,
-            notes=self.recordings.notes,
-            alerts=self.recordings.alerts,
+            found.search, found.advice, found.sequence, notes=self.recordings.notes, alerts=self.recordings.alerts
         )
         brief = mistakes_first(brief, self.recordings.mistakes)
         if all(run.positioned for run in self.recordings):

@@ -19,15 +19,7 @@ from odomcorrupt.extras import part_of_study
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.occupancy_grid import format_map
-from odomcorrupt.mapping.scan_map import (
-    WINDOW_M,
-    maps_brief,
-    maps_json,
-    maps_table,
-    read_rays,
-    scan_maps,
-    slow_rays,
-)
+from odomcorrupt.mapping.scan_map import WINDOW_M, maps_brief, maps_json, maps_table, read_rays, scan_maps, slow_rays
 from odomcorrupt.report.plain import finite
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.rng import draw_seed

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.budget import Budget
-    from odomcorrupt.bags.source import Source
+    from odomcorrupt.bags.source import Budget, Source
 
     RecordBytes = Callable[[memoryview, int], int]
 
@@ -49,6 +48,9 @@ LARGE_BYTES = 32 << 20
 
 _BLOCK_BYTES = 4 << 20
 """What is read of a large chunk at once, if no record is larger; the writers make a chunk of it."""
+
+MOST_RECORDS = 1 << 22
+"""What a chunk without an index of its messages is walked for: no recorder writes a tenth of it."""
 
 _LARGEST_RECORD_BYTES = 1 << 32
 """An endless pipe must not fill the memory."""

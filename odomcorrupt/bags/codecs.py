@@ -13,8 +13,7 @@ import numpy as np
 import xxhash
 import zstandard
 
-from odomcorrupt.bags.budget import ARENA_BYTES, Budget
-from odomcorrupt.bags.source import Source
+from odomcorrupt.bags.source import ARENA_BYTES, Budget, Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.budget import BufferPool
+    from odomcorrupt.bags.source import BufferPool
 
 
 _PIECE_BYTES = 1 << 20

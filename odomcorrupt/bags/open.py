@@ -8,12 +8,10 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
-from odomcorrupt.bags import magic
 from odomcorrupt.bags.codecs import require_level
-from odomcorrupt.bags.output import Output
-from odomcorrupt.bags.placement import is_stream, refuse_target
+from odomcorrupt.bags.output import Output, is_stream, refuse_target
 from odomcorrupt.bags.record_reader import loss_of
-from odomcorrupt.bags.source import Source
+from odomcorrupt.bags.source import MCAP, ROS1, SNIFFED, SQLITE, ZSTD, Source, unknown
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -67,13 +65,13 @@ def open_reader(path: Path | None, stream: BinaryIO | None = None, *, recover: b
 
 def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:
     try:
-        begin = source.sniff(magic.SNIFFED)
-        if begin.startswith(magic.MCAP):
+        begin = source.sniff(SNIFFED)
+        if begin.startswith(MCAP):
             from odomcorrupt.bags.mcap.reader import McapReader  # noqa: PLC0415 - see above
 
             mcap = McapReader(path, source, recover=recover)
             return _unpacked(mcap, recover=recover) if mcap.packed else mcap
-        if begin.startswith(magic.ROS1):
+        if begin.startswith(ROS1):
             from odomcorrupt.bags.ros1.reader import Ros1Reader  # noqa: PLC0415 - see above
 
             return Ros1Reader(path, source, recover=recover)
@@ -81,9 +79,9 @@ def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:
         source.close()
         raise
     source.close()
-    if path is not None and begin.startswith((magic.SQLITE, magic.ZSTD)):
+    if path is not None and begin.startswith((SQLITE, ZSTD)):
         return _parts(path, recover=recover)
-    raise magic.unknown(source.name, begin)
+    raise unknown(source.name, begin)
 
 
 def is_pattern(path: Path) -> bool:

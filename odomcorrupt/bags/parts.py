@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Self, cast, get_args
 
 import numpy as np
 
-from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming, joined
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.record_reader import loss_of
@@ -19,7 +18,7 @@ from odomcorrupt.bags.rosbag2.bounded_yaml import read_text
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, Mode, UnpackedFiles, UnpackedMessages
 from odomcorrupt.bags.rosbag2.metadata import read_info
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
-from odomcorrupt.bags.source import Source
+from odomcorrupt.bags.source import MCAP, ROS1, SNIFFED, SQLITE, ZSTD, Source, unknown
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -322,22 +321,22 @@ class PartsReader:
 def _mode_of(path: Path) -> Mode:
     """Return how a single file is compressed, by its first bytes."""
     with Source.of_file(path) as source:
-        return "file" if source.sniff(len(magic.ZSTD)) == magic.ZSTD else "none"
+        return "file" if source.sniff(len(ZSTD)) == ZSTD else "none"
 
 
 def open_part(path: Path, name: str, *, recover: bool = False) -> SqliteReader | McapReader | Ros1Reader:
     """Return a reader for a file of a bag, by its content; `name` is that in messages."""
     source = Source.of_file(path, name)
     try:
-        begin = source.sniff(magic.SNIFFED)
-        if begin.startswith(magic.MCAP):
+        begin = source.sniff(SNIFFED)
+        if begin.startswith(MCAP):
             return McapReader(path, source, recover=recover)
-        if begin.startswith(magic.ROS1):
+        if begin.startswith(ROS1):
             return Ros1Reader(path, source, recover=recover)
     except BaseException:
         source.close()
         raise
     source.close()
-    if begin.startswith(magic.SQLITE):
+    if begin.startswith(SQLITE):
         return SqliteReader(path, name, recover=recover)
-    raise magic.unknown(name, begin)
+    raise unknown(name, begin)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.records import RECORD_HEADER_BYTES, Op
+from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming, Op
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

@@ -2,19 +2,200 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+import os
+import re
+import weakref
+from contextlib import ExitStack, contextmanager
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Self
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.budget import Budget, BufferPool
 from odomcorrupt.bags.checksum import crc32, crc_of_both
 from odomcorrupt.bags.output import FileState
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
+
+
+VARIABLE = "ODOMCORRUPT_MAX_UNPACKED"
+"""Environment variable that sets the allowance of a chunk and of a bag; processes of a batch inherit it."""
+
+_TIMES = 1000
+"""What a bag may unpack to, in its own size, beyond the allowance; recorders reach 2 to 50, black images a thousand."""
+
+_UNITS = {"B": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_SIZE = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,15})?) *(B|[KMGT](?:I?B)?)", re.IGNORECASE)
+
+
+class _Allowance(NamedTuple):
+    """Decompressed bytes of any chunk, and of any bag beyond a multiple of its own size."""
+
+    chunk: int
+    bag: int
+
+
+_DEFAULT = (1 << 30, 128 << 20)
+"""So much stays below 300 MB of memory for a bag of 100 kB, together with what Python takes."""
+
+
+def size_of(text: str) -> int:
+    """Return a size in bytes: "4GiB", "500 MB", "4G" or "1000B"; units are of 1024.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or zero.
+    """
+    found = _SIZE.fullmatch(text.strip())
+    size = int(float(found[1]) * _UNITS[found[2][0].upper()]) if found else 0
+    if not size:
+        raise ValueError(f"{text!r} is not a size; write one such as 4GiB or 500MB")
+    return size
+
+
+@contextmanager
+def limited(size: int | None) -> Iterator[None]:
+    """Let chunks and bags unpack to `size` bytes in this process and those it starts; None: as before."""
+    before = os.environ.get(VARIABLE)
+    if size is not None:
+        os.environ[VARIABLE] = f"{size}B"
+    try:
+        yield
+    finally:
+        if size is not None:
+            os.environ.pop(VARIABLE)
+            if before is not None:
+                os.environ[VARIABLE] = before
+
+
+class Budget:
+    """Remaining decompressed bytes of a bag in one pass."""
+
+    def __init__(self) -> None:
+        self._packed = self._unpacked = 0
+
+    @cached_property
+    def _allowance(self) -> _Allowance:
+        text = os.environ.get(VARIABLE)
+        if text is None:
+            return _Allowance(*_DEFAULT)
+        try:
+            size = size_of(text)
+        except ValueError as error:
+            raise BagError(f"{VARIABLE}: {error}") from error
+        return _Allowance(size, size)
+
+    def require(self, size: int, packed: int, what: str) -> None:
+        """Count the compressed bytes of a chunk; raise BagError if its stated size is too large.
+
+        The limit of a bag grows with the compressed bytes that were read.
+        """
+        self._packed += packed
+        if size > self._allowance.chunk:
+            raise BagError(
+                f"{what}: states that it unpacks to {size} bytes, more than the {self._allowance.chunk} that a chunk "
+                f"may; it is damaged, or to be recorded again in smaller chunks; {_advice(size)}"
+            )
+        if size > self.left:
+            raise BagError(
+                f"{what}: states that it unpacks to {size} bytes; the bag would unpack to {self._unpacked + size} "
+                f"bytes from {self._packed}, a ratio that no recording has; {_advice(self._unpacked + size)}"
+            )
+
+    def take(self, size: int, what: str) -> None:
+        """Count decompressed bytes; raise BagError beyond the limit."""
+        self._unpacked += size
+        if self.left <= 0:
+            raise BagError(
+                f"{what}: up to here {self._packed} bytes have unpacked to {self._unpacked}, a ratio that no recording "
+                f"has; {_advice(self._unpacked + 1)}"
+            )
+
+    @property
+    def left(self) -> int:
+        """Remaining bytes."""
+        return self._allowance.bag + _TIMES * self._packed - self._unpacked
+
+
+def _advice(size: int) -> str:
+    gib = 1 << max((size - 1).bit_length() - 30, 0)
+    return f"--max-unpacked {gib}GiB allows it"
+
+
+ARENA_BYTES = 8 << 20
+"""What is put side by side: with less, NumPy has fewer messages at once; more does not stay in the cache."""
+
+
+class BufferPool:
+    """Allocator of chunk buffers."""
+
+    def __init__(self) -> None:
+        self._free: list[NDArray[np.uint8]] = []
+        self._buffer: NDArray[np.uint8] = np.empty(0, dtype=np.uint8)
+        self._used = 0
+
+    def place(self, size: int) -> NDArray[np.uint8]:
+        """Return a writable buffer (size,), placed directly after the previous one if there is room."""
+        if size > ARENA_BYTES:
+            return np.empty(size, dtype=np.uint8)
+        if size > self._buffer.size - self._used:
+            self._take_buffer()
+        self._used += size
+        return self._buffer[self._used - size : self._used]
+
+    def _take_buffer(self) -> None:
+        self._buffer = np.empty(0, dtype=np.uint8)
+        # not zeroed: a short bag never touches most of it
+        memory = self._free.pop() if self._free else np.empty(ARENA_BYTES, dtype=np.uint8)
+        self._buffer = np.frombuffer(memory.data, dtype=np.uint8)
+        # All buffers are views of this array: without the last of them, the memory is free.
+        weakref.finalize(self._buffer, self._free.append, memory).atexit = False
+        self._used = 0
+
+
+MCAP: Final = b"\x89MCAP0\r\n"
+ROS1: Final = b"#ROSBAG V2.0\n"
+SQLITE: Final = b"SQLite format 3\0"
+ZSTD: Final = b"\x28\xb5\x2f\xfd"
+
+SNIFFED: Final = 64
+"""Number of first bytes that tell."""
+
+_OTHERS = {
+    b"#ROSBAG V1": "is a ROS 1 bag of version 1; `rosbag migrate` makes it a 2.0 one",
+    ZSTD: "is a zstd-compressed file; decompress it first (`zstd -d`)",
+    b"\x1f\x8b": "is a gzip-compressed file; decompress it first (`gunzip`)",
+    b"BZh": "is a bzip2-compressed file; decompress it first (`bunzip2`)",
+    b"\xfd7zXZ\0": "is a xz-compressed file; decompress it first (`unxz`)",
+    b"\x04\x22\x4d\x18": "is a lz4-compressed file; decompress it first (`lz4 -d`)",
+    b"PK\x03\x04": "is a zip archive; unpack it first (`unzip`)",
+    b"version https://git-lfs": "is a Git LFS pointer, not the file it points to; `git lfs pull` fetches that",
+    b"rosbag2_bagfile_information": "is the metadata.yaml of a ROS 2 bag; name its directory",
+    b"<!doctype": "is an HTML page, not a bag; download the file that the page offers",
+    b"<html": "is an HTML page, not a bag; download the file that the page offers",
+}
+"""Other files that are taken for bags, and the way out; text may begin with white space and be in capitals."""
+
+
+def unknown(name: str, begin: bytes) -> BagError:
+    """Return the error that says what a file is that is no bag, from its first bytes."""
+    if not begin:
+        return BagError(f"{name}: is empty; nothing was recorded, or nothing came through the pipe")
+    if begin.startswith(SQLITE):
+        return BagError(f"{name}: a sqlite3 bag cannot come through a pipe; name the file or directory")
+    text = begin.lstrip().lower()
+    for first, said in _OTHERS.items():
+        if begin.startswith(first) or text.startswith(first.lower()):
+            return BagError(f"{name}: {said}")
+    if not any(begin):
+        return BagError(f"{name}: begins with zeros: space that was reserved and never written; nothing is in it")
+    return BagError(f"{name}: begins with {begin[:8]!r}, which is not an MCAP, a ROS 1 bag or a ROS 2 bag")
+
 
 _BUFFER_BYTES = 1 << 16
 """What is read ahead: small records want some, and of a large one as much is copied twice."""
@@ -55,13 +236,6 @@ def temporary_copy(stream: BinaryIO, path: Path, name: str) -> Path:
             f"{name}: cannot be copied to a temporary file: {error.strerror}; TMPDIR names another directory for it"
         ) from error
     return path
-
-
-class Summed(NamedTuple):
-    """Bytes read, and their CRC-32."""
-
-    data: NDArray[np.uint8]
-    crc: int
 
 
 class Source:
@@ -204,14 +378,14 @@ class Source:
             self._fill(pieces[-1].data, what)
         return np.concatenate(pieces)
 
-    def read_summed(self, size: int, what: str) -> Summed:
+    def read_summed(self, size: int, what: str) -> tuple[NDArray[np.uint8], int]:
         """Return exactly `size` bytes in a new writable array, with their CRC-32."""
         summing, before = self.summing, self.crc
         self.summing, self.crc = True, 0
         data = self.read_array(size, what)
         crc, self.summing = self.crc, summing
         self.crc = crc_of_both(before, crc, data.data) if summing else before
-        return Summed(data, crc)
+        return data, crc
 
     def read_scratch(self, size: int, what: str) -> memoryview:
         """Return exactly `size` bytes in a buffer that the next call overwrites."""

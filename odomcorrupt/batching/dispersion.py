@@ -160,12 +160,7 @@ def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: PathS
 
 
 def _path(
-    model: MotionModel,
-    shared: SystematicEffects,
-    seed: int,
-    record: dict[str, Any],
-    directory: Path,
-    clean: TumPath,
+    model: MotionModel, shared: SystematicEffects, seed: int, record: dict[str, Any], directory: Path, clean: TumPath
 ) -> Array:
     """Return a run's path (n, 2), drawn again from its seed and its own parameters."""
     if "robot" in record:

@@ -20,7 +20,7 @@ import xxhash
 
 import odomcorrupt
 from odomcorrupt.bags.checksum import crc32
-from odomcorrupt.bags.placement import sweep
+from odomcorrupt.bags.output import sweep
 from odomcorrupt.errors import BagError, BatchError
 from odomcorrupt.input_files import read_input
 from odomcorrupt.model.model_file import format_model
@@ -79,7 +79,7 @@ def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
         "robots": [[spread.effect, spread.parameter, spread.deviation] for spread in job.spreads],
         "seed": batch.seed,
         "output": [batch.output, layout, *([] if batch.to is None else [batch.to])],
-        "options": [repr(batch.options), repr(batch.container), *map_words],
+        "options": [repr(batch.options), repr(batch.container), *map_words, *batch.also],
     }
 
 

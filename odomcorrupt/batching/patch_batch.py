@@ -14,8 +14,6 @@ from odomcorrupt.bags.block import TABLE, Block, own_framing
 from odomcorrupt.bags.chunk import windows
 from odomcorrupt.bags.messages import Layout
 from odomcorrupt.corruption.correction import Curve
-from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS
-from odomcorrupt.corruption.patch import Target
 from odomcorrupt.corruption.transform import Transform
 
 if TYPE_CHECKING:
@@ -24,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, BagWriter
+    from odomcorrupt.corruption.patch import Target
     from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.corruption.reorder import Arrivals
     from odomcorrupt.corruption.transform import Options, _Held
@@ -164,7 +163,7 @@ def portions(
     LateTopic
         If a channel turns out to change after some of its messages were skipped.
     """
-    gatherer = _Gatherer(reader, keep=keep, whole=whole)
+    gatherer = _Gatherer(reader, shared, keep=keep, whole=whole)
     for block in shared.blocks(reader, reader.name, writer):
         gatherer.take(block, shared.taken)
         if gatherer.full:
@@ -173,8 +172,8 @@ def portions(
 
 
 class _Gatherer:
-    def __init__(self, reader: BagReader, *, keep: bool, whole: set[int] | None) -> None:
-        self._reader = reader
+    def __init__(self, reader: BagReader, shared: SharedTransform, *, keep: bool, whole: set[int] | None) -> None:
+        self._reader, self._shared = reader, shared
         self._keep = keep
         self._whole = whole
         self._passed: set[int] = set()
@@ -219,8 +218,7 @@ class _Gatherer:
             raise LateTopic(min(late))
         whole |= changing
         for number in block.present() - whole:
-            channel = self._reader.channels[number]
-            if channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS):
+            if self._shared.may_move(self._reader.channels[number]):
                 self._passed.add(number)
 
     def _gather(self, block: Block, rows: NDArray[np.int64]) -> Place:
@@ -253,7 +251,7 @@ class _Gatherer:
             moved = Layout(
                 self._rows + places, starts[places] + inside, layout.items, layout.big_endian, layout.unsigned_seconds
             )
-            here = Target(target.channel, moved, target.item, target.side, target.stamps_ns, target.time_ns)
+            here = target._replace(layout=moved)
             known = self._portion.targets
             number = next((i for i, one in enumerate(known) if _alike(one, here)), None)
             if number is None:
@@ -288,7 +286,5 @@ def _joined(one: Target, other: Target) -> Target:
         np.concatenate((a.rows, b.rows)), np.concatenate((a.starts, b.starts)), a.items, a.big_endian,
         a.unsigned_seconds,
     )  # fmt: skip
-    return Target(
-        one.channel, layout, one.item, one.side, np.concatenate((one.stamps_ns, other.stamps_ns)),
-        np.concatenate((one.time_ns, other.time_ns)),
-    )  # fmt: skip
+    stamps_ns, time_ns = (np.concatenate(pair) for pair in zip(one[4:6], other[4:6], strict=True))
+    return one._replace(layout=layout, stamps_ns=stamps_ns, time_ns=time_ns)

@@ -5,46 +5,154 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from odomcorrupt.bags.block import Block
 from odomcorrupt.bags.open import Form, Target, open_reader
+from odomcorrupt.bags.output import beside, place, remove
 from odomcorrupt.bags.pipeline import Workers, default_threads
-from odomcorrupt.bags.placement import beside, place, remove
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import content_of, note, read_records
 from odomcorrupt.batching.parameter_draws import drawn_values
 from odomcorrupt.batching.patch_batch import LateTopic, SharedTransform, portions
-from odomcorrupt.batching.run_state import RunState
 from odomcorrupt.batching.sinks import BagSink, FullSink, MultiSink, OverlaySink, TumSink
-from odomcorrupt.corruption.additions import CorrectionEdge
-from odomcorrupt.corruption.inverse import SystematicEffects, acts
+from odomcorrupt.corruption.correction import Curve
+from odomcorrupt.corruption.inverse import SystematicEffects, changes_nothing
+from odomcorrupt.corruption.patch import Patcher
+from odomcorrupt.corruption.path import MARKS_M, DriftMeter, NoisyPath
 from odomcorrupt.corruption.run import corrupt_bag
+from odomcorrupt.corruption.transform import CorrectionEdge
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.result_files import write_bytes
+from odomcorrupt.sensors.noise import SensorNoise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator, Sequence
+    from collections.abc import Callable, Container, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from odomcorrupt.bags.block import BagReader, Block, Message
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import BagReader, Message
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.batching.sinks import Sink
+    from odomcorrupt.corruption.path import PathSamples, PathSource, PathWatcher
+    from odomcorrupt.corruption.reorder import Arrivals
+    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.forecasting.forecast import CleanDrive
     from odomcorrupt.model.motion_model import MotionModel
+
+
+class MarkMeter:
+    """Errors of the last stretch after each of the distances `MARKS_M` and at the end.
+
+    marks : (distance in metres, noisy minus clean x and y in metres, heading in radians)
+    """
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Start a new stretch: the stamps have jumped back."""
+        self.marks: list[tuple[float, float, float, float]] = []
+        self._last: tuple[float, float, float, float] | None = None
+
+    def add(self, samples: PathSamples) -> None:
+        """Process the next part of the path."""
+        if not len(samples):
+            return
+        while len(self.marks) < len(MARKS_M) and samples.travelled_m[-1] >= MARKS_M[len(self.marks)]:
+            mark_m = MARKS_M[len(self.marks)]
+            self.marks.append((mark_m, *_error(samples, int(np.searchsorted(samples.travelled_m, mark_m)))))
+        self._last = (float(samples.travelled_m[-1]), *_error(samples, len(samples) - 1))
+
+    def result(self) -> list[tuple[float, float, float, float]]:
+        """Return the errors at the marks, the last of them at the end."""
+        return [*self.marks, *([self._last] if self._last is not None else [])]
+
+
+def _error(samples: PathSamples, i: int) -> tuple[float, float, float]:
+    x, y, turn = samples.error_xyt[i].tolist()
+    return x, y, turn
+
+
+class RunState:
+    """One run of a batch, over a bag that is read once for many runs.
+
+    path : corrupted path, instead of the noisy path that the model draws
+    systematic : the model's systematic effects, shared with the other runs of the same model
+    drift, marks : meters of its error
+    """
+
+    def __init__(
+        self,
+        model: MotionModel,
+        seed: int,
+        run: int,
+        options: Options,
+        watchers: Iterable[PathWatcher] = (),
+        *,
+        path: PathSource | None = None,
+        systematic: SystematicEffects | None = None,
+    ) -> None:
+        self.model = model
+        self.run = run
+        self.drift = DriftMeter()
+        self.marks = MarkMeter()
+        self._watchers: list[PathWatcher] = [self.drift, self.marks, *watchers]
+        self._path: PathSource = NoisyPath(model, seed, run, systematic=systematic) if path is None else path
+        self._curve = Curve(subtracted=options.subtracted, consistent=options.consistent)
+        self._new_frame = options.new_odom_frame is not None
+        self._patcher = Patcher(
+            model,
+            SensorNoise(*options[-3:], seed, run),
+            keep_twist=options.keep_twist,
+            keep_covariance=options.keep_covariance,
+        )
+
+    def grow(self, parts: Iterable[Arrivals | None]) -> None:
+        """Draw the next parts of the path; None marks a restart of time."""
+        for part in parts:
+            if part is None:
+                self._path.restart()
+                self._curve.restart()
+            else:
+                samples = self._path.feed(part.stamps_ns, part.xyt)
+                self._curve.extend(samples, part.time_ns)
+            for watcher in self._watchers:
+                if part is None:
+                    watcher.restart()
+                else:
+                    watcher.add(samples)
+
+    def edges(self, portion: Portion, edge: CorrectionEdge, odom: str) -> list[list[Message]]:
+        """Return, for each block of a portion, the transforms with this run's correction."""
+        found = []
+        for block, targets in zip(portion.blocks, portion.own_targets, strict=True):
+            beside = Block(block.data, block.table)
+            edge.add(beside, [one for one in targets if one.follows is None], self._curve, odom)
+            found.append(beside.added)
+        return found
+
+    def patched(self, portion: Portion) -> NDArray[np.uint8]:
+        """Return a portion's data (size,) with this run's correction applied to its targets."""
+        self._curve.forget(portion.oldest_ns)
+        block = Block(portion.data.copy(), portion.table)
+        if not self._new_frame:
+            self._patcher.patch(block, portion.targets, self._curve, portion.first_ns)
+        self._patcher.add_noise(block, portion.targets)
+        return block.data
+
 
 PAUSE_S = 0.3
 """Time between two beats."""
 
 
-class ProgressCallback(Protocol):
-    """Callback for progress."""
-
-    def __call__(self, part: float | None, past_s: float, /) -> None:
-        """Process the part of the bag's bytes read, 0 to 1 or None where unknown, and the seconds of recorded time."""
+ProgressCallback: TypeAlias = "Callable[[float | None, float], None]"
+"""Takes the part of the bag's bytes read, 0 to 1 or None where unknown, and the seconds of recorded time."""
 
 
 class Watched:
@@ -145,13 +253,7 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
 
 
 def _make(
-    task: Task,
-    room: Path,
-    whole: set[int],
-    stack: ExitStack,
-    output: Target,
-    part: BagReader,
-    workers: Workers,
+    task: Task, room: Path, whole: set[int], stack: ExitStack, output: Target, part: BagReader, workers: Workers
 ) -> list[tuple[dict[str, Any], Sink | None]]:
     """Make the runs in a folder; return the record of each, and its output, None where the bag is copied unchanged."""
     job = replace(task.job, directory=room)
@@ -241,7 +343,7 @@ def _begin(
         return _Run(strand, tum, patches=False)
     if batch.output == "overlay":
         return _Run(strand, sink_of(run), patches=True)
-    if _is_copy(job, model):
+    if batch.also or (changes_nothing(model) and not batch.options.degrades):  # written by itself, or the file copied
         return _Run(strand, None, patches=False)
     sink = sink_of(run)
     frame = batch.options.new_odom_frame
@@ -256,17 +358,12 @@ def _put_beside(job: Job, home: Path, one: _Run) -> None:
         batch = job.batch
         container = replace(batch.container, overwrite=True)
         corrupt_bag(
-            job.source, job.path_of(run), model, seed=batch.seed, run=run, options=batch.options, container=container
-        )
+            job.source, job.path_of(run), model, seed=batch.seed, run=run, options=batch.options, container=container,
+            also=batch.also,
+        )  # fmt: skip
     if job.spreads:
         (home / "robots").mkdir(exist_ok=True)
         write_bytes(home / job.robot_of(run), format_model(model).encode())
-
-
-def _is_copy(job: Job, model: MotionModel) -> bool:
-    """Whether a run changes nothing, so that the file is copied."""
-    is_identity = model.noise.coefficients.noise_free and not any(acts(effect) for effect in model.effects)
-    return is_identity and job.batch.output == "full"
 
 
 def _record(job: Job, strand: RunState, losses: Sequence[str], frame: str) -> dict[str, Any]:
@@ -284,7 +381,7 @@ def _record(job: Job, strand: RunState, losses: Sequence[str], frame: str) -> di
         record["robot"] = job.robot_of(strand.run)
         record["drawn"] = drawn_values(strand.model, job.spreads)
     record["drift"] = {key: value for key, value in drift._asdict().items() if value is not None}
-    events = [(one.name, one.window_s) for one in strand.model.effects if one.window_s is not None and acts(one)]
+    events = [(one.name, one.window_s) for one in strand.model.effects if one.window_s is not None and one.acts]
     if events:
         record["events"] = [{"effect": name, "from_s": w[0], "to_s": w[1]} for name, w in events]
     if losses:

@@ -15,7 +15,6 @@ from odomcorrupt.bags.block import Block, Message, PartFraming
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter, ReframedReader
 from odomcorrupt.bags.output import Output, OutputContext
-from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.input_files import open_input
 from odomcorrupt.model.model_file import format_model
@@ -71,7 +70,7 @@ class TumSink(OutputContext):
     def __init__(self, path: Path, model: MotionModel | None) -> None:
         super().__init__(Output(path, overwrite=True))
         self._clean = model is None
-        self._clocks = () if model is None else tuple(e for e in model.effects if e.clock and acts(e))
+        self._clocks = () if model is None else tuple(e for e in model.effects if e.clock and e.acts)
         self._waiting: list[PathSamples] = []
 
     def restart(self) -> None:

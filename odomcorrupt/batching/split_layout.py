@@ -9,8 +9,7 @@ import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, PartFraming, without
 from odomcorrupt.bags.codecs import compress_for_ros1
-from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.records import RECORD_HEADER_BYTES, Op
+from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming, Op
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.provenance import mapping_of

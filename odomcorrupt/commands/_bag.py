@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import added, setting, valued
+from odomcorrupt.commands._options import FILE, Number, added, setting, valued
 from odomcorrupt.commands._standard import overwrite_option
 
 if TYPE_CHECKING:
@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.bag_options import BagOptions
 
-_ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisation", "new_odom_frame", "overwrite",
-          "compression", "level", "storage", "exclude", "rename", "recover", "threads")  # fmt: skip
+_ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisation", "new_odom_frame", "consistent",
+          "scan_noise", "scan_keep", "imu", "overwrite", "compression", "level", "storage", "exclude", "rename",
+          "recover", "threads")  # fmt: skip
 """Options with the same name here and in the Python interface."""
 
 _RECOVER = click.option(
@@ -29,7 +30,11 @@ ODOM_TOPIC = ("--odom-topic", "--odom", "odom_topic")
 """Names of the option that selects the odometry."""
 
 frame_options = added(
-    setting(*ODOM_TOPIC, metavar="TOPIC", help="Odometry topic to modify."),
+    setting(
+        *ODOM_TOPIC,
+        metavar="TOPIC",
+        help="Odometry topic to modify; in a ROS 1 bag TOPIC@NODE for one publisher of it.",
+    ),
     setting("--odom-frame", metavar="FRAME", help="Odom frame. [default: that of the odometry]"),
     setting("--base-frame", metavar="FRAME", help="Robot's frame. [default: the odometry's child frame]"),
 )
@@ -44,18 +49,26 @@ keeping_options = added(
 moving_options = added(
     frame_options,
     keeping_options,
-    click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this additional topic."),
     click.option(
-        "--keep-localisation", is_flag=True, help="Invert the change in map -> odom, so that map -> base is unchanged."
+        "--also", multiple=True, metavar="TOPIC",
+        help="Odometry of another robot in the bag, corrupted with a drift of its own (repeatable).",
     ),
+    click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this additional topic."),
+    click.option("--keep-localisation", is_flag=True,
+                 help="Invert the change in map -> odom, so that map -> base is unchanged."),
+    click.option("--consistent", is_flag=True, help="Rewrite wheels, ticks, twists, gyros to the noisy motion, too."),
+    valued("--scan-noise", kind=Number("metres", 0.0, 100.0), default=0.0, metavar="M",
+           text="Standard deviation of noise on the ranges of laser scans, metres."),
+    valued("--scan-keep", kind=Number("a part of 1", 0.0, 1.0), default=1.0, metavar="PART",
+           text="Part of the beams of laser scans that is kept; the others become NaN."),
+    click.option("--imu", type=FILE, help="Add the noise in an IMU file of Kalibr to all Imu messages."),
     valued(
         "--tf", among=["odometry", "correction", "subtraction"],
         text="Move the odometry, or leave it and publish the drift as a transform: a rigid transform (correction), or "
         "noisy minus clean poses, which is not rigid (subtraction; Gazebo article, docs/laws.md).",
     ),
-    click.option(
-        "--new-odom-frame", metavar="FRAME", help="Parent of the odom frame, for --tf correction or subtraction."
-    ),
+    click.option("--new-odom-frame", metavar="FRAME",
+                 help="Parent of the odom frame, for --tf correction or subtraction."),
 )  # fmt: skip
 """Adds the options of the messages that corruption modifies and adds."""
 
@@ -65,7 +78,7 @@ def unpack_option(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(command)
     def within_limit(*args: Any, max_unpacked: int | None, **given: Any) -> Any:
-        from odomcorrupt.bags.budget import limited
+        from odomcorrupt.bags.source import limited
 
         with limited(max_unpacked):
             return command(*args, **given)
@@ -80,7 +93,7 @@ def unpack_option(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _size(_ctx: click.Context, _option: click.Parameter, text: str | None) -> int | None:
-    from odomcorrupt.bags.budget import size_of
+    from odomcorrupt.bags.source import size_of
 
     try:
         return None if text is None else size_of(str(text))
@@ -138,6 +151,8 @@ def bag_words(given: Mapping[str, Any]) -> BagOptions:
     if (tf != "odometry") != (given.get("new_odom_frame") is not None):
         word = "correction" if tf == "odometry" else tf
         raise click.UsageError(f"--tf {word} and --new-odom-frame FRAME go together; give both or neither")
+    if given.get("consistent") and tf != "odometry":
+        raise click.UsageError(f"--consistent and --tf {tf}: the odometry keeps the true motion; leave one out")
     options: Any = {name: given[name] for name in _ALIKE if name in given}
     for name in ("twist", "covariance"):
         if name in given:

@@ -69,9 +69,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")
 @threads_option
-@click.option(
-    "--verify", is_flag=True, help="Make those runs again whose checksums differ from the manifest: bit rot, edits."
-)
+@click.option("--verify", is_flag=True, help="Make runs again whose checksums are not the manifest's: bit rot, edits.")
 @click.option("--dry-run", is_flag=True, help="Print the expected time and disk space, and make nothing.")
 @moving_options
 @map_options
@@ -127,7 +125,7 @@ def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
     from odomcorrupt.api.model import Model
 
     words = bag_words(given)
-    passed = ("runs", "seed", "output", "layout", "to", "robots", "fleet", "sweeps", "points")
+    passed = ("runs", "seed", "output", "layout", "to", "also", "robots", "fleet", "sweeps", "points")
     options = {**words, **{name: given[name] for name in (*passed, "jobs", "shard", "verify", "dask")}}
     if given["fleet"]:
         other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]
@@ -141,14 +139,9 @@ def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
         options |= {"model": model, "model_file": given["model"]}
         options["model_words"] = tuple(_words(_MODEL_WORDS, given))
     condition = choose_condition_of_run(given, inputs[0], split_options(words)[0], model.motion_model)
-    return {**options, "within": condition, "map_words": tuple(_map_words(given))}
-
-
-def _map_words(given: dict[str, Any]) -> list[str]:
-    if given["map_"] is None:
-        return []
     pose = [] if given["map_pose"] is None else ["--map-pose", ",".join(repr(float(v)) for v in given["map_pose"])]
-    return [*_words(_MAP_WORDS, given), *pose]
+    mapped = () if given["map_"] is None else (*_words(_MAP_WORDS, given), *pose)
+    return {**options, "within": condition, "map_words": mapped}
 
 
 def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:

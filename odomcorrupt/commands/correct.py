@@ -36,9 +36,7 @@ from odomcorrupt.errors import EffectError
     "its own frame. [required if they were learned]",
 )  # fmt: skip
 @click.option(
-    "--keep-localisation",
-    is_flag=True,
-    help="Invert the change in map -> odom, so that map -> base is unchanged.",
+    "--keep-localisation", is_flag=True, help="Invert the change in map -> odom, so that map -> base is unchanged."
 )
 @container_options
 @standard_options

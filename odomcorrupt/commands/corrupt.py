@@ -47,10 +47,6 @@ def keep_freed_memory() -> None:
 @output_option()
 @model_options
 @run_options
-@click.option(
-    "--also", multiple=True, metavar="TOPIC",
-    help="Odometry of another robot in the bag, corrupted with a drift of its own (repeatable).",
-)  # fmt: skip
 @moving_options
 @map_options
 @container_options

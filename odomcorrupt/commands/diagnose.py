@@ -22,12 +22,7 @@ if TYPE_CHECKING:
 @overwrite_option("existing outputs")
 @standard_options
 def command(
-    arguments: tuple[str, ...],
-    *,
-    reading: Reading,
-    drive: Path | None,
-    report: Path | None,
-    console: Console,
+    arguments: tuple[str, ...], *, reading: Reading, drive: Path | None, report: Path | None, console: Console
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out data, and suggest the next command."""
     from odomcorrupt.api.findings import diagnose

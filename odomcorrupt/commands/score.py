@@ -107,16 +107,14 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
         (given["csv"], result.points_csv),
     ]  # fmt: skip
     files: dict[Path, Callable[[], object]] = {
-        path: functools.partial(_write, path, text) for path, text in texts if path is not None
+        path: functools.partial(lambda to, text: write_text(to, text()), path, text)
+        for path, text in texts
+        if path is not None
     }
     files |= {path: functools.partial(result.plot, path) for path in pictures if path is not None}
     following = () if given["report"] else ("odomcorrupt", "score", *typed_words(), "--report", "page.html")
     console.show(result.then(*following), files=files)
     return 1 if result.failed else 0
-
-
-def _write(path: Path, text: Callable[[], str]) -> None:
-    write_text(path, text())
 
 
 def _baseline(path: Path) -> dict[str, Any]:

@@ -10,8 +10,7 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.correction.undo import ClockInverse, pose_corrections, true_stamps, undo_effects
 from odomcorrupt.corruption.covariance import SUMS, NoiseSteps, sum_terms
-from odomcorrupt.corruption.drift import LEG_M
-from odomcorrupt.corruption.path import PathSamples, StepGrowth, noise_variances
+from odomcorrupt.corruption.path import LEG_M, PathSamples, StepGrowth, noise_variances
 from odomcorrupt.corruption.run import corrupt_bag, outcome_of, provenance
 from odomcorrupt.corruption.summary import (
     effect_words,
@@ -334,11 +333,7 @@ def correction_summary(corrected: Corrected) -> str:
     run, taken = corrected.run, _taken_out(corrected)
     if taken:
         source = f"the poses of {run.odometry}{topic_words(run)} ({travel_words(run)})"
-        parts = [
-            f"Corrected: {moved_words(run)}, computed from {source}.",
-            f"Taken out: {taken}.",
-            _shift(corrected),
-        ]
+        parts = [f"Corrected: {moved_words(run)}, computed from {source}.", f"Taken out: {taken}.", _shift(corrected)]
     else:
         has = "no effect that can be undone" if corrected.effects.left else "no effect"
         parts = [f"Nothing to correct: the model has {has}, so the bag was copied."]

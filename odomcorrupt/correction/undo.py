@@ -202,12 +202,7 @@ class Undone:
 
 
 def undo_effects(
-    effects: Sequence[Effect],
-    t_s: Array,
-    measured_xyt: Array,
-    track_m: float | None,
-    *,
-    frame_xyt: Array | None = None,
+    effects: Sequence[Effect], t_s: Array, measured_xyt: Array, track_m: float | None, *, frame_xyt: Array | None = None
 ) -> Undone:
     """Return the path of n poses with the effects removed; the first pose is unchanged.
 

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.corruption.covariance import SUMS
-from odomcorrupt.geometry.se2 import interpolate
+from odomcorrupt.geometry.se2 import interpolate, rotated, wrap
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from odomcorrupt.corruption.path import PathSamples
@@ -37,6 +39,7 @@ class Correction(NamedTuple):
     origin_xy : (2, n) origin of these sums, metres
     stretch : (n,) index of the stretch (time between two restarts) of each stamp, from 0
     held : (n,) whether the stamp lies after the end of the curve, so that the last value is held
+    added : (n, 3) running sums of noisy minus clean body increments, metres and radians; (n, 0) where not asked for
     """
 
     xyt: Array
@@ -44,6 +47,20 @@ class Correction(NamedTuple):
     origin_xy: Array
     stretch: NDArray[np.int64]
     held: NDArray[np.bool_]
+    added: Array
+
+    def take(self, rows: slice | NDArray[np.int64]) -> Correction:
+        """Return the correction at some of the stamps."""
+        return Correction._make(one[:, rows] if i in _BY_COLUMN else one[rows] for i, one in enumerate(self))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Correction]) -> Correction:
+        """Return those at the stamps of several, one behind the other."""
+        return cls._make(np.concatenate(one, int(i in _BY_COLUMN)) for i, one in enumerate(zip(*parts, strict=True)))
+
+
+_BY_COLUMN = 1, 2
+"""Fields of `Correction` whose second index counts the stamps."""
 
 
 @dataclass(slots=True, eq=False, repr=False)
@@ -56,12 +73,21 @@ class _Stretch:
     origin_xy: Array
     first_ns: int
     began_ns: int
+    own_sums: int
+    clean: Array
 
     def extend(self, samples: PathSamples, time_ns: NDArray[np.int64], xyt: Array) -> None:
         self.stamps_ns = np.concatenate((self.stamps_ns, samples.stamps_ns))
         self.time_ns = np.concatenate((self.time_ns, time_ns))
         self.xyt = np.concatenate((self.xyt, xyt))
-        self.sums = np.concatenate((self.sums, samples.sums), axis=1)
+        sums = samples.sums
+        if len(self.sums) > self.own_sums:
+            self.clean = np.concatenate((self.clean[-1:], samples.clean_xyt))
+            steps, _ = body_difference(self.clean, self.xyt[-len(self.clean) :])
+            before = self.sums[self.own_sums :, -1:].T if self.sums.size else np.zeros((1, 3))
+            added = np.cumsum(np.concatenate((before, steps)), axis=0)[-len(samples) :]
+            sums = np.concatenate((sums, added.T))
+        self.sums = np.concatenate((self.sums, sums), axis=1)
 
     def forget(self, before_ns: int) -> None:
         gone = min(int(np.searchsorted(self.time_ns, before_ns)), len(self.time_ns) - 1)
@@ -99,8 +125,27 @@ class _Stretch:
         return slice(int(i[0]), int(i[-1]) + 1) if len(i) and (np.diff(i) == 1).all() else i
 
     def _correction(self, xyt: Array, sums: Array, held: NDArray[np.bool_]) -> Correction:
-        origin = np.repeat(self.origin_xy[:, None], len(xyt), axis=1)
-        return Correction(xyt, sums, origin, np.full(len(xyt), self.number), held)
+        origin, rows = np.repeat(self.origin_xy[:, None], len(xyt), axis=1), self.own_sums
+        return Correction(xyt, sums[:rows], origin, np.full(len(xyt), self.number), held, sums[rows:].T)
+
+
+def body_difference(clean_xyt: Array, correction_xyt: Array) -> tuple[Array, Array]:
+    """Return noisy minus clean body increments (n - 1, 3), each at its own mid heading, and the clean ones.
+
+    Only changes of the correction enter: where it is held, the difference is zero to the last bit.
+    """
+    (x, y, heading), (shift_x, shift_y, angle) = clean_xyt.T, correction_xyt.T
+    turn, swing = wrap(np.diff(heading)), np.diff(angle)
+    middle = heading[:-1] + turn / 2.0
+    shift = rotated(np.diff(shift_x), np.diff(shift_y), -angle[:-1])
+    end = x[1:], y[1:]
+    swung = rotated(*end, swing)
+    noisy_less_clean = shift[0] + (swung[0] - end[0]), shift[1] + (swung[1] - end[1])
+    body = rotated(np.diff(x), np.diff(y), -middle)
+    less = rotated(*body, -swing / 2.0)
+    more = rotated(*noisy_less_clean, -middle - swing / 2.0)
+    difference = np.stack((less[0] - body[0] + more[0], less[1] - body[1] + more[1], swing), axis=1)
+    return difference, np.stack((*body, turn), axis=1)
 
 
 class Curve:
@@ -108,12 +153,13 @@ class Curve:
 
     subtracted : the plain difference of the poses in place of C, as the article's listing publishes it: no rigid
         motion once the robot has turned, so nothing but a transform of that name may be made of it
+    consistent : whether the errors of the body's motion are summed, too
     published_ns : stamp of the last transform made of it; None before the first
     """
 
-    def __init__(self, *, subtracted: bool = False) -> None:
+    def __init__(self, *, subtracted: bool = False, consistent: bool = False) -> None:
         self.published_ns: int | None = None
-        self._subtracted = subtracted
+        self._subtracted, self._consistent = subtracted, consistent
         self._stretches: list[_Stretch] = []
         self._count = 0
         self._open = False
@@ -131,17 +177,20 @@ class Curve:
         """Append path samples to the current stretch; time_ns (n,) is the log time at which each became known."""
         if not len(samples):
             return
+        more = 3 if self._consistent else 0
         if not self._open:
             none = np.zeros(0, dtype=np.int64)
             self._stretches.append(
                 _Stretch(
-                    self._count, none, none, np.zeros((0, 3)), samples.sums[:, :0], samples.origin_xy.copy(),
-                    int(samples.stamps_ns[0]), int(time_ns[0]),
+                    self._count, none, none, np.zeros((0, 3)), np.zeros((len(samples.sums) + more, 0)),
+                    samples.origin_xy.copy(), int(samples.stamps_ns[0]), int(time_ns[0]), len(samples.sums),
+                    np.zeros((0, 3)),
                 )
             )  # fmt: skip
             self._count += 1
             self._open = True
-        self._stretches[-1].extend(samples, time_ns, samples.error_xyt if self._subtracted else samples.correction_xyt)
+        xyt = samples.error_xyt if self._subtracted else samples.correction_xyt
+        self._stretches[-1].extend(samples, time_ns, xyt)
 
     def forget(self, before_ns: int) -> None:
         """Drop samples that no message from log time `before_ns` on may use."""
@@ -155,22 +204,14 @@ class Curve:
         """Return the correction at the header stamps (n,) of messages with log times (n,), nanoseconds."""
         if len(self._stretches) == 1:
             return self._stretches[0].at(stamps_ns, time_ns)
-        n = len(stamps_ns)
-        out = Correction(
-            np.zeros((n, 3)),
-            np.zeros((self._stretches[0].sums.shape[0] if self._stretches else SUMS, n)),
-            np.zeros((2, n)),
-            np.zeros(n, dtype=np.int64),
-            np.zeros(n, dtype=bool),
-        )
+        if not self._stretches:
+            n, more = len(stamps_ns), 3 if self._consistent else 0
+            zeros = np.zeros((n, 3)), np.zeros((SUMS, n)), np.zeros((2, n)), np.zeros(n, np.int64), np.zeros(n, bool)
+            return Correction(*zeros, np.zeros((n, more)))
         owner = self._owner(stamps_ns, time_ns)
-        for number, stretch in enumerate(self._stretches):
-            rows = np.flatnonzero(owner == number)
-            if len(rows):
-                part = stretch.at(stamps_ns[rows], time_ns[rows])
-                out.xyt[rows], out.stretch[rows], out.held[rows] = part.xyt, part.stretch, part.held
-                out.sums[:, rows], out.origin_xy[:, rows] = part.sums, part.origin_xy
-        return out
+        rows = [np.flatnonzero(owner == number) for number in np.unique(owner)]
+        parts = [self._stretches[owner[own[0]]].at(stamps_ns[own], time_ns[own]) for own in rows]
+        return Correction.joined(parts).take(np.argsort(np.concatenate(rows)))
 
     def _owner(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the index (n,) of each message's stretch: by log time, near a restart that with the nearer stamp."""

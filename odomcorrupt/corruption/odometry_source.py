@@ -3,33 +3,36 @@
 from __future__ import annotations
 
 import re
+import struct
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns
+from odomcorrupt.bags.messages import TRANSFORMS, gather, gather_stamps_ns, stamps_or_log_ns
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.reorder import Arrivals
-from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, inverted, planar_poses
+from odomcorrupt.corruption.se2_on_se3 import inverted, planar_poses, poses_in
 from odomcorrupt.errors import TopicError
+from odomcorrupt.sensors.consistent import SENSORS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.bags.messages import Item, Layout
 
+
 ODOMETRY = "nav_msgs/msg/Odometry"
-TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 ENCODINGS = frozenset({"cdr", "ros1"})
 
 GLOBAL_FRAMES = frozenset({"map", "world", "earth", "utm"})
 """Frames above odom, whatever namespace they carry: an edge between odom and one of them is localisation."""
 
 Side = Literal["left", "right"]
-_PLANAR = np.array([0, 1, 5])  # x, y and yaw of a twist
+PLANAR = np.array([0, 1, 5])
+"""Where x, y and yaw stand among x, y, z, roll, pitch, yaw."""
 
 
 class Frames(NamedTuple):
@@ -192,7 +195,7 @@ class OdometrySource:
     """Odometry source of a bag: finds its topic and reads its poses.
 
     usual : topic to take where there are several and none was requested
-    topic : its topic, as requested until the first message; None for any TF topic
+    topic : its topic, as requested until the first message (of one publisher as TOPIC@NODE); None for any TF topic
     frames : of its first message, or of the options
     by_edge : whether the source is a TF edge
     zero_stamps : number of zero stamps, replaced by log times
@@ -202,10 +205,11 @@ class OdometrySource:
     def __init__(
         self, topic: str | None, odom_frame: str | None, base_frame: str | None, usual: str | None = None
     ) -> None:
-        self.topic = topic
+        asked, _, node = (topic or "").partition("@")
+        self.topic = self._asked = asked or None
+        self._node = plain(node)
         self._usual = usual
         self.frames: Frames | None = None
-        self._asked = topic
         self._odom_frame = odom_frame
         self._base_frame = base_frame
         self.by_edge = False
@@ -214,6 +218,7 @@ class OdometrySource:
         self._edges: set[str] = set()
         self._edge_topics: set[str] = set()
         self._channels: Mapping[int, Channel] = {}
+        self._node_of: Callable[[Channel], str] = lambda _: ""
 
     @property
     def elsewhere(self) -> str:
@@ -230,7 +235,10 @@ class OdometrySource:
         topics = {c.topic: "" for c in self._channels.values() if c.msgtype == ODOMETRY and c.encoding in ENCODINGS}
         others = ", ".join(topic for topic in topics if self.topic is None or plain(topic) != plain(self.topic))
         named = f"name the odometry of one with --odom-topic ({others}), or " if others else ""
-        return f"{named}record the topic of one node alone (in a ROS 1 bag, filter by the connection's callerid)"
+        nodes = self._publishers()
+        if len(nodes) > 1:
+            return f"{named}choose one of its nodes with --odom-topic {' or '.join(nodes)}"
+        return f"{named}record the topic of one node alone"
 
     @property
     def name(self) -> str:
@@ -248,6 +256,7 @@ class OdometrySource:
             If there is none, or several, or the channels of a pipe do not decide it yet.
         """
         self._channels = reader.channels
+        self._node_of = lambda channel: plain(reader.definition(channel).metadata.get("callerid", ""))
         if self._asked is not None and hasattr(reader, "renamed"):
             self.topic = self._asked = reader.renamed(self._asked)
         if not reader.complete:
@@ -261,6 +270,19 @@ class OdometrySource:
             self._use_edge()
         else:
             self.topic = find_odometry(channels, self._asked, name, self._usual)
+        nodes = self._publishers() if self._node else []
+        if self._node and not any(one.endswith(f"@/{self._node}") for one in nodes):
+            found = f"there are {', '.join(nodes)}" if nodes else "only a ROS 1 bag that is not converted says nodes"
+            raise TopicError(f"{name}: {self.name} has no publisher /{self._node} ({found}); name another one")
+
+    def _publishers(self) -> list[str]:
+        """Return the publishers of the source's topic, as TOPIC@NODE, as far as the bag says."""
+        kinds, topic = TRANSFORMS if self.by_edge else {ODOMETRY}, self._asked if self.by_edge else self.topic
+        own = [c for c in self._channels.values() if c.msgtype in kinds and plain(topic or c.topic) == plain(c.topic)]
+        return sorted({f"{c.topic}@/{node}" for c in own if (node := self._node_of(c))})
+
+    def _is_chosen(self, channel: Channel) -> bool:
+        return not self._node or self._node_of(channel) == self._node
 
     def _only_transforms(self, channels: Iterable[Channel]) -> bool:
         readable = [c for c in channels if c.encoding in ENCODINGS]
@@ -273,7 +295,8 @@ class OdometrySource:
 
     def is_odometry(self, channel: Channel) -> bool:
         """Return whether a channel carries the odometry source."""
-        return channel.msgtype == ODOMETRY and self.topic is not None and plain(channel.topic) == plain(self.topic)
+        own = channel.msgtype == ODOMETRY and self.topic is not None and plain(channel.topic) == plain(self.topic)
+        return own and self._is_chosen(channel)
 
     def shares_tree(self, channel: Channel) -> bool:
         """Return whether a channel's frames are those of the source: of the same TF tree, not of another robot's."""
@@ -291,7 +314,7 @@ class OdometrySource:
         for channel, layout in parts:
             if self.by_edge:
                 self._edges |= {f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}" for item in layout.items}
-                asked = self._asked is None or plain(channel.topic) == plain(self._asked)
+                asked = (self._asked is None or plain(channel.topic) == plain(self._asked)) and self._is_chosen(channel)
                 items = [(number, item) for number, item in enumerate(layout.items) if asked and self._is_edge(item)]
                 if items:
                     self._require_tree(channel)
@@ -339,25 +362,110 @@ class OdometrySource:
 
     def _poses(self, block: Block, layout: Layout, number: int, time_ns: NDArray[np.int64]) -> Arrivals:
         item = layout.items[number]
-        poses = SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+        poses = poses_in(block, layout, item)
         if self.frames is not None and side_of(item.frame_id, item.child_frame_id, self.frames) == "right":
             poses = inverted(poses)
         xyt = planar_poses(poses)
         self.faults.take(poses.position, poses.quat_xyzw)
-        stamps_ns = gather_stamps_ns(block, layout, item)
-        self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(stamps_ns))
-        stamps_ns = _or_log_ns(stamps_ns, block, layout)
+        stamps_ns = stamps_or_log_ns(block, layout, item)
+        self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(gather_stamps_ns(block, layout, item)))
         if "twist" in item.fields:
-            self.faults.twists.take(stamps_ns, xyt, gather(block, layout, item, "twist")[:, _PLANAR])
+            self.faults.twists.take(stamps_ns, xyt, gather(block, layout, item, "twist")[:, PLANAR])
         return Arrivals(stamps_ns, time_ns[layout.rows], xyt)
 
 
-def stamps_or_log_ns(block: Block, layout: Layout, number: int) -> NDArray[np.int64]:
-    """Return header stamps (n,), log times where a stamp is zero."""
-    return _or_log_ns(gather_stamps_ns(block, layout, layout.items[number]), block, layout)
+MOTION_TYPES = frozenset({
+    "DynamicJointState", "EstimatorStates", "GPSFix", "Imu", "JointState", "LinkStates", "MagneticField", "ModelStates",
+    "NavSatFix", "Odometry", "ParticleCloud", "Path", "PointStamped", "Pose", "Pose2D", "PoseArray", "PoseStamped",
+    "PoseWithCovariance", "PoseWithCovarianceStamped", "SensorCombined", "SensorGps", "SensorState", "TransformStamped",
+    "TwistStamped", "TwistWithCovariance", "TwistWithCovarianceStamped", "VehicleAcceleration",
+    "VehicleAngularVelocity", "VehicleAttitude", "VehicleGlobalPosition", "VehicleImu", "VehicleLocalPosition",
+    "VehicleOdometry",
+})  # fmt: skip
+"""Messages that carry motion or poses, of whatever package: last part of the type."""
+
+_WHEELS = re.compile(r"wheel_?(tick|vel|speed|state|stat|odom|enc|rpm|angle|pos|count)|ticks?\b|encoder", re.IGNORECASE)
+"""Types, or topics of plain numbers, that carry the motion of wheels."""
+
+_COMMANDS = re.compile(r"cmd|command|target|setpoint|desired|reference")
+
+SETPOINT_TOPICS = frozenset({"clicked_point", "cmd_vel", "goal", "goal_pose", "initialpose"})
+"""Topics that say where a robot should be, not where it is: last part of the name."""
+
+FRAMED_TYPES = {
+    "sensor_msgs/msg/PointCloud2": 0,
+    "nav_msgs/msg/GridCells": 0,
+    "nav_msgs/msg/OccupancyGrid": 0,
+    "map_msgs/msg/OccupancyGridUpdate": 0,
+    "nav2_msgs/msg/Costmap": 0,
+    "nav2_msgs/msg/VoxelGrid": 0,
+    "geometry_msgs/msg/PolygonStamped": 0,
+    "visualization_msgs/msg/Marker": 0,
+    "visualization_msgs/msg/MarkerArray": 4,
+}
+"""Message types that contain the true motion if given in the odom frame, and the byte of their (first) header."""
 
 
-def _or_log_ns(stamps_ns: NDArray[np.int64], block: Block, layout: Layout) -> NDArray[np.int64]:
-    if stamps_ns.all():
-        return stamps_ns
-    return np.where(stamps_ns == 0, block.table["log_ns"][layout.rows], stamps_ns)
+PLACED_TYPES = FRAMED_TYPES.keys() - {"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid"}
+"""Those that are read for their frame's sake alone."""
+
+
+def can_be_consistent(channel: Channel) -> bool:
+    """Return whether a channel's numbers can be rewritten to the noisy motion: of a known type, and no command."""
+    name = channel.topic.lower()
+    known = channel.msgtype in SENSORS and channel.encoding in ENCODINGS and not says_truth(name)
+    if not known or _COMMANDS.search(name) or name.rsplit("/", 1)[-1] in SETPOINT_TOPICS:
+        return False
+    return not channel.msgtype.startswith("std_msgs") or _of_wheels(channel)
+
+
+def topics_with_true_motion(
+    channels: Iterable[Channel], moved: Iterable[str], frames: Mapping[int, str], odom_frame: str
+) -> list[str]:
+    """Return the unmodified topics with messages that contain the true motion, without those of other robots.
+
+    moved : topics that are moved
+    frames : by channel id, those of `frame_of`
+    """
+    channels, moved = tuple(channels), set(moved)
+    trees = {tree_of(topic, channels) for topic in moved}
+    return sorted({
+        c.topic
+        for c in channels
+        if c.topic not in moved
+        and (not trees or tree_of(c.topic, channels) in trees)
+        and c.topic.rsplit("/", 1)[-1] not in SETPOINT_TOPICS
+        and (
+            c.msgtype.rsplit("/", 1)[-1] in MOTION_TYPES
+            or _of_wheels(c)
+            or frames.get(c.id) == plain(odom_frame)
+            or (c.msgtype in FRAMED_TYPES and "costmap" in c.topic)  # centred on the robot even in the map frame
+        )
+    })  # fmt: skip
+
+
+def _of_wheels(channel: Channel) -> bool:
+    """Return whether a channel carries what wheels did, by its type, or the name of a topic of plain numbers."""
+    package, _, kind = channel.msgtype.rpartition("/")
+    said = channel.topic if package.startswith("std_msgs") else kind
+    return bool(_WHEELS.search(said)) and not _COMMANDS.search(channel.topic.lower())
+
+
+def frame_of(block: Block, channel: Channel) -> str | None:
+    """Return the frame of a channel's first message in a block, without leading slashes.
+
+    None where its type has none, or the message is too short.
+    """
+    offset = FRAMED_TYPES.get(channel.msgtype)
+    rows = np.flatnonzero(block.table["channel"] == channel.id)
+    if offset is None or channel.encoding not in ENCODINGS or not len(rows):
+        return None
+    row = block.table[rows[0]]
+    data = block.data[int(row["offset"]) : int(row["offset"]) + min(int(row["length"]), 1 << 12)].tobytes()
+    # offset: the header's stamp, its sequence number in ROS 1, the four CDR bytes in ROS 2
+    start = offset + 12
+    order = "<" if channel.encoding == "ros1" or data[1:2] == b"\1" else ">"
+    if len(data) < start + 4:
+        return None
+    (length,) = struct.unpack_from(f"{order}I", data, start)
+    return plain(data[start + 4 : start + 4 + length].rstrip(b"\0").decode(errors="replace"))

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_columns, scatter_stamps_ns
-from odomcorrupt.corruption.correction import Correction
+from odomcorrupt.corruption.correction import Correction, body_difference
 from odomcorrupt.corruption.covariance import STEP_SUMS, has_random_part, pose_covariance, twist_covariance
-from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.corruption.odometry_source import ODOMETRY, plain
+from odomcorrupt.corruption.odometry_source import ODOMETRY, PLANAR, plain
 from odomcorrupt.corruption.se2_on_se3 import (
     SpatialPoses,
     finite_rows,
@@ -20,10 +19,12 @@ from odomcorrupt.corruption.se2_on_se3 import (
     from_right,
     in_level_frame,
     planar_poses,
+    poses_in,
     tilted_rows,
     tilts,
 )  # fmt: skip
-from odomcorrupt.geometry.se2 import rotated, wrap
+from odomcorrupt.geometry.se2 import rotated
+from odomcorrupt.sensors.consistent import Rewriter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.odometry_source import Side
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.sensors.consistent import Relations
+    from odomcorrupt.sensors.noise import SensorNoise
 
 _LOSS = 0.3
 """Smallest motion that counts as a restored loss, as a fraction of the pose's: of both wheels, the pose stands; of one,
@@ -113,7 +116,7 @@ class TopicTwist:
             if at.stretch[start] != self._stretch:
                 self._begin(int(at.stretch[start]))
             rows = slice(int(start), int(stop))
-            parts.append(self._within_stretch(own.take(rows), _rows(at, rows)))
+            parts.append(self._within_stretch(own.take(rows), at.take(rows)))
         if len(parts) == 1:
             return parts[0]
         return TwistChange._make(np.concatenate(column) for column in zip(*parts, strict=True))
@@ -153,7 +156,7 @@ class TopicTwist:
         added, rate, swing = np.zeros((count + 1, 3)), np.zeros((count + 1, 3)), np.zeros((count + 1, 2))
         covariance = np.zeros((3, 3, count + 1)).transpose(2, 0, 1)
         added[0], covariance[0], rate[0], swing[0] = self._added, self._covariance, self._rate, self._swing
-        difference, body = _body_difference(clean, correction)
+        difference, body = body_difference(clean, correction)
         for column in range(3):
             added[1 + fresh :, column], rate[1 + fresh :, column] = difference[:, column] / dt_s, body[:, column] / dt_s
         # headings of the clean and of the noisy body at the middle of the interval
@@ -227,28 +230,6 @@ _FITS, _MISFIT = 0.25, 0.01
 """Parts of sums of squares: below the first one axes fit better than others, above the second those do not fit."""
 
 
-def _body_difference(clean_xyt: Array, correction_xyt: Array) -> tuple[Array, Array]:
-    """Return noisy minus clean body increments (n - 1, 3), each at its own mid heading, and the clean ones.
-
-    Only changes of the correction enter: where it is held, the difference is zero to the last bit.
-    """
-    (x, y, heading), (shift_x, shift_y, angle) = clean_xyt.T, correction_xyt.T
-    turn, swing = wrap(np.diff(heading)), np.diff(angle)
-    middle = heading[:-1] + turn / 2.0
-    shift = rotated(np.diff(shift_x), np.diff(shift_y), -angle[:-1])
-    end = x[1:], y[1:]
-    swung = rotated(*end, swing)
-    noisy_less_clean = shift[0] + (swung[0] - end[0]), shift[1] + (swung[1] - end[1])
-    body = rotated(np.diff(x), np.diff(y), -middle)
-    less = rotated(*body, -swing / 2.0)
-    more = rotated(*noisy_less_clean, -middle - swing / 2.0)
-    difference = np.stack((less[0] - body[0] + more[0], less[1] - body[1] + more[1], swing), axis=1)
-    return difference, np.stack((*body, turn), axis=1)
-
-
-PLANAR = np.array([0, 1, 5])
-"""Where x, y and yaw stand among x, y, z, roll, pitch, yaw."""
-
 PLANAR_BLOCK = (6 * PLANAR[:, None] + PLANAR).ravel()
 """Where their covariances stand in a row-major 6 x 6 matrix."""
 
@@ -258,6 +239,7 @@ class Target(NamedTuple):
 
     side : whether the correction multiplies the pose from the left or from the right
     stamps_ns, time_ns : (n,) header stamps, and log times as running maxima
+    follows : how numbers of the messages follow the motion, of another sensor than the odometry; {} if they do not
     """
 
     channel: Channel
@@ -266,6 +248,7 @@ class Target(NamedTuple):
     side: Side
     stamps_ns: NDArray[np.int64]
     time_ns: NDArray[np.int64]
+    follows: Relations | None = None
 
 
 @dataclass(slots=True)
@@ -274,29 +257,35 @@ class Changes:
 
     static : edges on /tf_static, which cannot follow a drift
     odom_axes : topics whose twists are in the axes of the odom frame
+    sensors : topics of other sensors that are rewritten
+    noisy : messages with noise of their own, by topic
     """
 
     odometry: Counter[str] = field(default_factory=Counter)
     edges: Counter[str] = field(default_factory=Counter)
     static: set[str] = field(default_factory=set)
     odom_axes: set[str] = field(default_factory=set)
+    sensors: set[str] = field(default_factory=set)
+    noisy: Counter[str] = field(default_factory=Counter)
     held: int = 0
 
 
 class Patcher:
     """Applies the correction to messages, topic by topic."""
 
-    def __init__(self, model: MotionModel, *, keep_twist: bool, keep_covariance: bool) -> None:
-        self.changes = Changes()
-        self._clocks = tuple(e for e in model.effects if e.clock and acts(e))
+    def __init__(self, model: MotionModel, noise: SensorNoise, *, keep_twist: bool, keep_covariance: bool) -> None:
+        self.changes = Changes(noisy=noise.counts)
+        self._noise = noise
+        self._clocks = tuple(e for e in model.effects if e.clock and e.acts)
         self._steps = model.setup.pose_corrections
-        self._moves = not model.noise.coefficients.noise_free or any(acts(e) for e in model.effects if not e.clock)
+        self._moves = not model.noise.coefficients.noise_free or any(e.acts for e in model.effects if not e.clock)
         self._moves |= self._steps
         self._restores = any(e.restorable for e in model.effects)
         self._twist = not keep_twist
         drawn = any(has_random_part(e, model.track_m) for e in model.effects)
         self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.noise_free)
         self._twists: dict[str, TopicTwist] = {}
+        self._sensors = Rewriter()
 
     @np.errstate(over="ignore", invalid="ignore")  # NaN and infinite poses stay as they are
     def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:
@@ -304,6 +293,12 @@ class Patcher:
         odometry: dict[str, list[tuple[Target, Correction]]] = {}
         for target in targets:
             at = curve.at(target.stamps_ns, target.time_ns)
+            if target.follows is not None:
+                if self._moves and target.follows:
+                    self.changes.sensors.add(target.channel.topic)
+                    own = target.channel.id, target.layout, target.follows, target.stamps_ns
+                    self._sensors.rewrite(block, *own, at.added, at.stretch)
+                continue
             self.changes.held += int(np.count_nonzero(at.held))
             if target.channel.msgtype == ODOMETRY:
                 self.changes.odometry[target.channel.topic] += len(target.stamps_ns)
@@ -315,17 +310,23 @@ class Patcher:
                 if target.channel.topic.endswith("tf_static"):
                     self.changes.static.add(edge)
                 if self._moves:
-                    _move(block, target, at.xyt, _poses(block, target))
+                    _move(block, target, at.xyt, poses_in(block, target.layout, target.item))
             if self._clocks:
                 self._shift_stamps(block, target, first_ns)
         if self._moves:
             for topic, parts in odometry.items():
                 self._patch_odometry(block, topic, parts)
 
+    def add_noise(self, block: Block, targets: list[Target]) -> None:
+        """Add noise to the scans and IMUs among a block's targets in place."""
+        for target in targets:
+            if target.follows is not None:
+                self._noise.add(block, target.channel, target.layout, target.stamps_ns)
+
     def _patch_odometry(self, block: Block, topic: str, parts: list[tuple[Target, Correction]]) -> None:
         motions = []
         for target, at in parts:
-            poses = _poses(block, target)
+            poses = poses_in(block, target.layout, target.item)
             if self._twist:
                 twist = gather(block, target.layout, target.item, "twist")
                 motions.append(Motions(target.stamps_ns, planar_poses(poses), poses.quat_xyzw, twist))
@@ -339,17 +340,13 @@ class Patcher:
         # one topic's messages may have several layouts: twists are processed in the order of arrival
         follower = self._twists.setdefault(topic, TopicTwist())
         if len(parts) == 1:
-            change = follower.change(motions[0], parts[0][1])
-            self._patch_twist(block, parts[0][0], motions[0], change)
+            self._patch_twist(block, parts[0][0], motions[0], follower.change(motions[0], parts[0][1]))
         else:
             order = np.argsort(np.concatenate([target.layout.rows for target, _ in parts]))
-            back = np.argsort(order)
             every = Motions._make(np.concatenate(column) for column in zip(*motions, strict=True))
-            change = follower.change(every.take(order), _rows(_together([at for _, at in parts]), order))
-            start = 0
-            for (target, _), own in zip(parts, motions, strict=True):
-                rows = back[start : start + len(own.stamps_ns)]
-                start += len(rows)
+            change = follower.change(every.take(order), Correction.joined([at for _, at in parts]).take(order))
+            ends = np.cumsum([len(own.stamps_ns) for own in motions])[:-1]
+            for (target, _), own, rows in zip(parts, motions, np.split(np.argsort(order), ends), strict=True):
                 self._patch_twist(block, target, own, change.take(rows))
         if follower.odom_axes:
             self.changes.odom_axes.add(topic)
@@ -365,8 +362,10 @@ class Patcher:
             twist = own.twist
             if self._restores or self._steps:
                 level = np.where(change.odom_axes[:, None], twist, in_level_frame(twist, own.quat_xyzw, yaw))
-                has = _has_already(level[:, PLANAR] - change.clean, added)
-                loss = np.sum(added**2, axis=1) >= _LOSS**2 * np.sum(change.clean**2, axis=1)
+                size2 = np.sum(added**2, axis=1)
+                # twists that, less the pose's rates, already contain the motion
+                has = np.sum((level[:, PLANAR] - change.clean) * added, axis=1) > 0.5 * size2
+                loss = size2 >= _LOSS**2 * np.sum(change.clean**2, axis=1)
                 moved &= ~(has & (loss | self._steps))
             rows = slice(None) if moved.all() else np.flatnonzero(moved)
             more = np.zeros_like(twist)
@@ -389,25 +388,6 @@ class Patcher:
         written = gather_stamps_ns(block, target.layout, target.item)
         # a stamp of zero means "no stamp" and stays zero
         scatter_stamps_ns(block, target.layout, target.item, written + np.where(written == 0, 0, shift_ns))
-
-
-def _rows(at: Correction, rows: slice | NDArray[np.int64]) -> Correction:
-    return Correction(at.xyt[rows], at.sums[:, rows], at.origin_xy[:, rows], at.stretch[rows], at.held[rows])
-
-
-def _together(parts: list[Correction]) -> Correction:
-    return Correction(
-        np.concatenate([at.xyt for at in parts]),
-        np.concatenate([at.sums for at in parts], axis=1),
-        np.concatenate([at.origin_xy for at in parts], axis=1),
-        np.concatenate([at.stretch for at in parts]),
-        np.concatenate([at.held for at in parts]),
-    )
-
-
-def _poses(block: Block, target: Target) -> SpatialPoses:
-    layout, item = target.layout, target.item
-    return SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
 
 
 def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
@@ -433,11 +413,6 @@ def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPos
 def _nonzero(xyt: Array) -> NDArray[np.bool_]:
     """Return a mask (n,) of the rows of (n, 3) that are not all zero."""
     return (xyt[:, 0] != 0.0) | (xyt[:, 1] != 0.0) | (xyt[:, 2] != 0.0)
-
-
-def _has_already(twist: Array, added: Array) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the twists, less the pose's rates, that already contain the motion `added` (n, 3)."""
-    return np.sum(twist * added, axis=1) > 0.5 * np.sum(added**2, axis=1)
 
 
 def _set_planar(block: Block, target: Target, name: str, covariance: Array, which: slice | NDArray[np.bool_]) -> None:

@@ -12,10 +12,17 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from odomcorrupt.corruption.covariance import RANDOM_SUMS, SUMS, NoiseSteps, RandomEffectCovariance, sum_terms
+from odomcorrupt.corruption.covariance import (
+    RANDOM_SUMS,
+    SUMS,
+    NoiseSteps,
+    RandomEffectCovariance,
+    pose_covariance,
+    sum_terms,
+)
 from odomcorrupt.corruption.inverse import Drive, EffectInverse, Slowed, SystematicEffects
 from odomcorrupt.errors import ModelError
-from odomcorrupt.geometry.se2 import Increments, rotated, wrap
+from odomcorrupt.geometry.se2 import Increments, between, rotated, wrap
 from odomcorrupt.model.noise_laws import Variances, variances
 from odomcorrupt.rng import stream
 
@@ -69,37 +76,28 @@ def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGr
 def _within_steps(noise: Noise, step: Step, steps: Increments, growth: StepGrowth) -> GrownVariances:
     gone_m = np.cumsum(np.concatenate(([growth.gone_m], np.hypot(steps.ds_m, steps.dl_m))))
     gone_rad = np.cumsum(np.concatenate(([growth.gone_rad], np.abs(steps.dtheta_rad))))
-    ends = _ends(step, growth, gone_m, gone_rad)
+    increment, at_m, at_rad = _ends(step, growth, gone_m, gone_rad).T
 
     # every increment is divided at the ends of steps inside it
     n = len(steps)
-    owner = np.concatenate((ends.increment, np.arange(n)))
-    order = np.lexsort((np.concatenate((np.zeros(len(ends.increment)), np.ones(n))), owner))
-    upto_m = np.concatenate((ends.at_m, gone_m[1:]))[order]
-    upto_rad = np.concatenate((ends.at_rad, gone_rad[1:]))[order]
-    is_end = order < len(ends.increment)
+    owner = np.concatenate((increment, np.arange(n)))
+    order = np.lexsort((np.concatenate((np.zeros(len(increment)), np.ones(n))), owner))
+    upto_m = np.concatenate((at_m, gone_m[1:]))[order]
+    upto_rad = np.concatenate((at_rad, gone_rad[1:]))[order]
+    is_end = order < len(increment)
     step_of: NDArray[np.int64] = np.cumsum(is_end) - is_end
-    began_m = np.concatenate(([growth.began_m], ends.at_m))[step_of]
-    began_rad = np.concatenate(([growth.began_rad], ends.at_rad))[step_of]
+    began_m = np.concatenate(([growth.began_m], at_m))[step_of]
+    began_rad = np.concatenate(([growth.began_rad], at_rad))[step_of]
     from_m = np.concatenate(([growth.gone_m], upto_m[:-1]))
     from_rad = np.concatenate(([growth.gone_rad], upto_rad[:-1]))
     after = _law_at(noise, upto_m - began_m, upto_rad - began_rad)
     before = _law_at(noise, from_m - began_m, from_rad - began_rad)
 
     first_piece = np.flatnonzero(np.diff(owner[order], prepend=-1))
-
-    def grown(late: Array, early: Array) -> Array:
-        return np.add.reduceat(np.maximum(late - early, 0.0), first_piece)
-
-    total = Variances(
-        grown(after.rot1, before.rot1),
-        grown(after.trans, before.trans),
-        grown(after.across, before.across),
-        grown(after.rot2, before.rot2),
-    )
-    last_m = float(ends.at_m[-1]) if len(ends.at_m) else growth.began_m
-    last_rad = float(ends.at_rad[-1]) if len(ends.at_rad) else growth.began_rad
-    return GrownVariances(total, StepGrowth(float(gone_m[-1]), float(gone_rad[-1]), last_m, last_rad))
+    pairs = zip(after, before, strict=True)
+    total = Variances(*(np.add.reduceat(np.maximum(late - early, 0.0), first_piece) for late, early in pairs))
+    last = (float(at_m[-1]), float(at_rad[-1])) if len(at_m) else growth[2:]
+    return GrownVariances(total, StepGrowth(float(gone_m[-1]), float(gone_rad[-1]), *last))
 
 
 def _law_at(noise: Noise, gone_m: Array, gone_rad: Array) -> Variances:
@@ -111,15 +109,8 @@ _MOST_STEPS = 1e6
 """Largest number of steps in one block; a kilometre of the shortest ones."""
 
 
-class _Ends(NamedTuple):
-    """Ends of steps: index of the increment of each, and metres and radians since the path's start."""
-
-    increment: NDArray[np.int64]
-    at_m: Array
-    at_rad: Array
-
-
-def _ends(step: Step, growth: StepGrowth, gone_m: Array, gone_rad: Array) -> _Ends:
+def _ends(step: Step, growth: StepGrowth, gone_m: Array, gone_rad: Array) -> Array:
+    """Return the ends of k steps: index of the increment of each, metres and radians since the path's start (k, 3)."""
     found: list[tuple[int, float, float]] = []
     began_m, began_rad = growth.began_m, growth.began_rad
     most = (gone_m[-1] - began_m) / step.distance_m + (gone_rad[-1] - began_rad) / step.angle_rad
@@ -128,11 +119,9 @@ def _ends(step: Step, growth: StepGrowth, gone_m: Array, gone_rad: Array) -> _En
     while began_m + step.distance_m <= gone_m[-1] or began_rad + step.angle_rad <= gone_rad[-1]:
         far, turned = began_m + step.distance_m, began_rad + step.angle_rad
         i = min(int(np.searchsorted(gone_m, far)), int(np.searchsorted(gone_rad, turned))) - 1
-        at_m, at_rad = _meet(far, turned, gone_m[i : i + 2], gone_rad[i : i + 2])
-        found.append((i, at_m, at_rad))
-        began_m, began_rad = at_m, at_rad
-    columns = np.array(found, dtype=float).reshape(-1, 3)
-    return _Ends(columns[:, 0].astype(np.int64), columns[:, 1], columns[:, 2])
+        began_m, began_rad = _meet(far, turned, gone_m[i : i + 2], gone_rad[i : i + 2])
+        found.append((i, began_m, began_rad))
+    return np.array(found, dtype=float).reshape(-1, 3)
 
 
 def _meet(far: float, turned: float, span_m: Array, span_rad: Array) -> tuple[float, float]:
@@ -326,3 +315,142 @@ def _cos_less_one(angle_rad: Array) -> Array:
     """Return cos(angle) - 1 without cancellation, exactly zero at zero."""
     half = np.sin(angle_rad / 2.0)
     return -2.0 * half * half
+
+
+LEG_M = 10.0
+"""Length of a leg, metres: the drift of its end pose relative to its start pose is reported."""
+
+MARKS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)
+"""Distances at which the drift of many runs is reported, besides the end, metres."""
+
+
+class Drift(NamedTuple):
+    """Position (m) and heading (rad) errors of a run, expected (standard deviation of the noise) and drawn.
+
+    The leg values are root mean squares over legs of `LEG_M`; None for a shorter path. `slowed_s` and `slowed_to` are
+    the sum and the least of `Slowed`; None if there is no such motion.
+    """
+
+    distance_m: float
+    duration_s: float
+    messages: int
+    jumps: int
+    sideways_m: float
+    end_expected_m: float
+    end_expected_rad: float
+    end_drawn_m: float
+    end_drawn_rad: float
+    leg_expected_m: float | None
+    leg_expected_rad: float | None
+    leg_drawn_m: float | None
+    leg_drawn_rad: float | None
+    slowed_s: float | None = None
+    slowed_to: float | None = None
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Mean message rate, Hz; None for fewer than two messages or no duration."""
+        return (self.messages - 1) / self.duration_s if self.duration_s > 0.0 and self.messages > 1 else None
+
+
+class _Place(NamedTuple):
+    clean_xyt: Array
+    error_xyt: Array
+    sums: Array
+    origin_xy: Array
+    travelled_m: float
+    stamp_ns: int
+
+
+def _place(samples: PathSamples, i: int) -> _Place:
+    return _Place(
+        samples.clean_xyt[i].copy(), samples.error_xyt[i].copy(), samples.sums[:, i].copy(), samples.origin_xy,
+        float(samples.travelled_m[i]), int(samples.stamps_ns[i]),
+    )  # fmt: skip
+
+
+class PathWatcher(Protocol):
+    """Callback that receives the noisy path, part by part."""
+
+    def restart(self) -> None:
+        """Begin a new stretch: the stamps have jumped back."""
+
+    def add(self, samples: PathSamples) -> None:
+        """Process the next part of the path."""
+
+
+class DriftMeter:
+    """Drift of a path that arrives in parts; after a restart of time the end values are those of the last stretch."""
+
+    def __init__(self) -> None:
+        self._messages = self._jumps = 0
+        self._sideways_m = 0.0
+        self._slowed = Slowed()
+        self._distance_m = self._duration_s = 0.0
+        self._legs: list[list[float]] = []
+        self._start: _Place | None = None
+        self._mark: _Place | None = None
+        self._end: _Place | None = None
+
+    def restart(self) -> None:
+        """End the current stretch."""
+        if self._start is not None and self._end is not None:
+            self._distance_m += self._end.travelled_m
+            self._duration_s += (self._end.stamp_ns - self._start.stamp_ns) * 1e-9
+        self._start = self._mark = None
+
+    def add(self, samples: PathSamples) -> None:
+        """Process the next part of the path."""
+        if not len(samples):
+            return
+        self._messages += len(samples)
+        self._jumps += samples.jumps
+        self._sideways_m += samples.sideways_m
+        self._slowed = Slowed(
+            self._slowed.duration_s + samples.slowed.duration_s, min(self._slowed.to, samples.slowed.to)
+        )
+        if self._start is None or self._mark is None:
+            self._start = self._mark = _place(samples, 0)
+        ends: list[int] = []
+        end_m = self._mark.travelled_m + LEG_M
+        while samples.travelled_m[-1] >= end_m:
+            ends.append(int(np.searchsorted(samples.travelled_m, end_m)))
+            end_m = float(samples.travelled_m[ends[-1]]) + LEG_M
+        if ends:
+            self._legs += _legs(self._mark, samples, ends).tolist()
+            self._mark = _place(samples, ends[-1])
+        self._end = _place(samples, len(samples) - 1)
+
+    def result(self) -> Drift | None:
+        """Return the drift so far; None where there was no odometry."""
+        if self._end is None:
+            return None
+        self.restart()
+        end = self._end
+        noisy_xy = end.clean_xyt[:2] + end.error_xyt[:2] - end.origin_xy
+        expected_m, expected_rad = _expected(end.sums[:, None], noisy_xy[:, None])
+        legs = [float(x) for x in np.sqrt(np.mean(np.square(self._legs), axis=0))] if self._legs else [None] * 4
+        return Drift(
+            self._distance_m, self._duration_s, self._messages, self._jumps, self._sideways_m,
+            float(expected_m[0]), float(expected_rad[0]),
+            float(np.hypot(*end.error_xyt[:2])), abs(float(end.error_xyt[2])), *legs,
+            *(self._slowed if self._slowed.duration_s else (None, None)),
+        )  # fmt: skip
+
+
+def _expected(grown: Array, noisy_xy: Array) -> tuple[Array, Array]:
+    """Return expected errors, metres and radians (n,), of increments of the sums (SUMS or more, n) at ends (2, n)."""
+    covariance = pose_covariance(grown[:SUMS], noisy_xy)  # random effects are correlated between legs
+    position, yaw = covariance[:, 0, 0] + covariance[:, 1, 1], covariance[:, 2, 2]
+    return np.sqrt(np.maximum(position, 0.0)), np.sqrt(np.maximum(yaw, 0.0))
+
+
+def _legs(start: _Place, samples: PathSamples, ends: list[int]) -> Array:
+    """Return expected and drawn errors of legs, metres and radians (n, 4); each begins where the one before it ends."""
+    clean = np.concatenate((start.clean_xyt[None], samples.clean_xyt[ends]))
+    error = np.concatenate((start.error_xyt[None], samples.error_xyt[ends]))
+    sums = np.concatenate((start.sums[:, None], samples.sums[:, ends]), axis=1)
+    noisy = clean + error
+    off = between(noisy[:-1], noisy[1:]) - between(clean[:-1], clean[1:])
+    expected = _expected(np.diff(sums, axis=1), (noisy[1:, :2] - samples.origin_xy).T)
+    return np.stack((*expected, np.hypot(off[:, 0], off[:, 1]), np.diff(error[:, 2])), axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -287,27 +288,8 @@ def frame_faults(edges: Iterable[tuple[str, str]], odom: str | None, base: str |
             said.append(
                 f"TF gives {child} {len(above)} parents ({', '.join(sorted(above)[:6])}): a frame can have only one"
             )
-    loop = _loop(parents)
-    if loop:
-        said.append(f"TF has a loop: {' -> '.join(loop)}")
+    try:
+        TopologicalSorter({child: sorted(parents[child]) for child in sorted(parents)}).prepare()
+    except CycleError as error:
+        said.append(f"TF has a loop: {' -> '.join(error.args[1])}")
     return said
-
-
-def _loop(parents: dict[str, set[str]]) -> list[str]:
-    """Return the frames of one loop, the first repeated at the end; empty for a tree."""
-    done: set[str] = set()
-    for first in sorted(parents):
-        path: list[str] = []
-        ways = [iter(sorted(parents.get(first, ())))]
-        path.append(first)
-        while path and first not in done:
-            above = next(ways[-1], None)
-            if above is None:
-                done.add(path.pop())
-                ways.pop()
-            elif above in path:
-                return [above, *reversed(path[path.index(above) :])]
-            elif above not in done:
-                path.append(above)
-                ways.append(iter(sorted(parents.get(above, ()))))
-    return []

@@ -11,10 +11,10 @@ import odomcorrupt
 from odomcorrupt.bags.open import open_reader, open_writer, target_of
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.pipeline import Workers, default_threads
-from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.inverse import changes_nothing
+from odomcorrupt.corruption.odometry_source import topics_with_true_motion
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.transform import Transform
-from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.rng import SEED_LIMIT, stream
 
@@ -25,10 +25,9 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
     from odomcorrupt.bags.convert.message_types import Generation
     from odomcorrupt.bags.open import Form, Target
-    from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.corruption.odometry_source import Frames
     from odomcorrupt.corruption.patch import Changes
-    from odomcorrupt.corruption.path import PathSource
+    from odomcorrupt.corruption.path import Drift, PathSource
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.model.motion_model import MotionModel
 
@@ -180,7 +179,7 @@ class Outcome:
     losses : parts of a damaged input that could not be read, one sentence each
     swapped : odometry messages that arrived after later ones and were sorted
     zero_stamps : odometry stamps that are zero, replaced by log times
-    placed : frame in which a channel's data are given, by channel id, see `unmodified_topics`
+    placed : frame in which a channel's data are given, by channel id, see `frame_of`
     stayed : topics of the TF edges that are not moved, "parent -> child"; true_edges : those with the true motion
     faults : counts of unusable odometry poses
     remarks : what the output's message types cannot hold, in sentences
@@ -218,8 +217,9 @@ class Outcome:
 
     @property
     def moved_topics(self) -> set[str]:
-        """Odometry topics that are moved, of all robots."""
-        return set(self.changes.odometry).union(*(other.changes.odometry for other in self.others))
+        """Topics of odometry and other sensors that are moved, of all robots."""
+        every = [one.changes for one in (self, *self.others)]
+        return {topic for changes in every for topic in (*changes.odometry, *changes.sensors)}
 
 
 def corrupt_bag(
@@ -261,9 +261,11 @@ def corrupt_bag(
     robots = [transform]
     for ordinal, topic in enumerate(also, 1):
         own = int(stream(seed, run, "robot", ordinal).integers(SEED_LIMIT))
-        kept = options._replace(odom_topic=topic, odom_frame=None, base_frame=None, keep_truth=None)
+        kept = options._replace(
+            odom_topic=topic, odom_frame=None, base_frame=None, keep_truth=None, scan_noise=0.0, scan_keep=1.0, imu=None
+        )
         robots.append(Transform(model, own, run, kept))
-    is_identity = model.noise.coefficients.noise_free and not any(acts(effect) for effect in model.effects)
+    is_identity = changes_nothing(model) and not options.degrades
     adds = options.keep_truth is not None or options.new_odom_frame is not None
     tape = TeeReader() if source is None and is_identity and not adds and container.as_it_was else None
     threads = default_threads(source) if container.threads is None else container.threads
@@ -316,29 +318,16 @@ def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, s
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     frames = transform.odometry.frames
     assert frames is not None  # noqa: S101 - as above
+    order, odometry = transform.order, transform.odometry
     return Outcome(
-        model=model,
-        seed=seed,
-        run=run,
-        odometry=transform.odometry.name,
-        frames=frames,
-        changes=transform.changes,
-        drift=drift,
+        model=model, seed=seed, run=run, odometry=odometry.name, frames=frames, changes=transform.changes, drift=drift,
         channels=tuple(reader.channels[number] for number in sorted(transform.seen)),
-        restarts=transform.order.restarts,
-        late=transform.order.late,
-        leaps=transform.order.leaps,
-        unusable=transform.unusable,
-        added=_added(transform),
-        losses=tuple(reader.losses),
-        swapped=transform.order.swapped,
-        zero_stamps=transform.odometry.zero_stamps,
-        placed=transform.placed,
-        stayed=dict(transform.stayed),
-        true_edges=frozenset(transform.true_edges),
-        faults=transform.odometry.faults,
+        restarts=order.restarts, late=order.late, leaps=order.leaps, swapped=order.swapped,
+        unusable=transform.unusable, zero_stamps=odometry.zero_stamps, faults=odometry.faults,
+        added=_added(transform), placed=transform.placed, stayed=dict(transform.stayed),
+        true_edges=frozenset(transform.true_edges), losses=tuple(reader.losses),
         remarks=tuple(getattr(reader, "remarks", ())),
-    )
+    )  # fmt: skip
 
 
 def _added(transform: Transform) -> Mapping[str, int]:

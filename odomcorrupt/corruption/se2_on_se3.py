@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.bags.messages import gather
 from odomcorrupt.geometry.se2 import rotate, rotated, yaw_from_quaternion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.block import Block
+    from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -19,6 +22,11 @@ class SpatialPoses(NamedTuple):
 
     position: Array
     quat_xyzw: Array
+
+
+def poses_in(block: Block, layout: Layout, item: Item) -> SpatialPoses:
+    """Return the poses (n,) of the messages of a layout."""
+    return SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
 
 
 def finite_rows(values: Array) -> NDArray[np.bool_]:

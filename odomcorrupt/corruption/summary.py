@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 import textwrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from odomcorrupt.corruption.drift import LEG_M
-from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.inverse import changes_nothing
 from odomcorrupt.corruption.odometry_source import ODOMETRY, localisation_words, plain, says_truth
+from odomcorrupt.corruption.path import LEG_M
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.model.presets import DEFAULT, suggested
@@ -18,7 +18,7 @@ from odomcorrupt.summary import FOUND, Line, Summary, command_line
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.corruption.drift import Drift
+    from odomcorrupt.corruption.path import Drift
     from odomcorrupt.corruption.run import Outcome
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel, Noise
@@ -47,7 +47,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     target : the output; "-" is a pipe
     remarks : further warnings, such as that the input was corrupted before
     """
-    drift, is_identity = outcome.drift, _is_identity(outcome.model)
+    drift, is_identity = outcome.drift, changes_nothing(outcome.model) and not outcome.changes.noisy
     if is_identity:
         lines = [Line("UNCHANGED", "the model has no noise or effect that changes odometry", "warning")]
     else:
@@ -59,13 +59,8 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     faster = [Line("faster", sentence, "warning") for sentence in _faster(drift)]
     lines[1:1] = [*lost_lines(outcome), *faster, *places_lines(outcome.model, outcome.frames.odom)]
     lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}"))
-    lines.append(
-        Line(
-            "odometry",
-            _counted(outcome) + topic_words(outcome),
-            "plain" if outcome.changes.edges or outcome.added else "warning",
-        )
-    )
+    look: Literal["plain", "warning"] = "plain" if outcome.changes.edges or outcome.added else "warning"
+    lines.append(Line("odometry", _counted(outcome) + topic_words(outcome), look))
     lines += [
         Line("also", f"{_counted(other)}: {size_words(other.drift.end_drawn_m, other.drift.end_drawn_rad)} off")
         for other in outcome.others
@@ -122,6 +117,8 @@ def _counted(outcome: Outcome) -> str:
     """Return the moved topics and edges with their numbers of messages."""
     changes = outcome.changes
     topics = [f"{topic} {count}" for topic, count in sorted(changes.odometry.items())]
+    topics += [f"{topic} consistent with it" for topic in sorted(changes.sensors)]
+    topics += [f"{topic} {count} with noise" for topic, count in sorted(changes.noisy.items())]
     edges = [f"TF {edge} {count}" for edge, count in sorted(changes.edges.items())]
     none = [] if edges or outcome.added else [f"no transform from {outcome.frames.odom}"]
     return ", ".join([*topics, *edges, *none, *(f"{count} {what} added" for what, count in outcome.added.items())])
@@ -129,7 +126,7 @@ def _counted(outcome: Outcome) -> str:
 
 def summary(outcome: Outcome, origin: str) -> str:
     """Return one paragraph: changed topics, model, drift, and topics that are not changed."""
-    is_identity = _is_identity(outcome.model)
+    is_identity = changes_nothing(outcome.model) and not outcome.changes.noisy
     source = f"the poses of {outcome.odometry}{topic_words(outcome)} ({travel_words(outcome)})"
     said = f"{moved_words(outcome)}, computed from {source}"
     parts = [
@@ -153,24 +150,18 @@ def travel_words(outcome: Outcome) -> str:
     return f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
 
 
-def _is_identity(model: MotionModel) -> bool:
-    return model.noise.coefficients.noise_free and not any(acts(effect) for effect in model.effects)
-
-
 def moved_words(outcome: Outcome) -> str:
     """Return the moved topics and TF edges with their numbers of messages, as text."""
     topics = [f"{count} messages on {topic}" for topic, count in sorted(outcome.changes.odometry.items())]
+    topics += [f"{topic} to be consistent" for topic in sorted(outcome.changes.sensors)]
+    topics += [f"{count} messages on {topic} by noise" for topic, count in sorted(outcome.changes.noisy.items())]
     edges = [f"{count} transforms {edge}" for edge, count in sorted(outcome.changes.edges.items())]
-    none = [] if edges else [f"no transform from {outcome.frames.odom}{_stayed(outcome)}"]
+    stayed = sorted(outcome.stayed)
+    more = f" and {len(stayed) - MOST_EDGES} more" if len(stayed) > MOST_EDGES else ""
+    seen = f" (TF has {', '.join(stayed[:MOST_EDGES])}{more})" if stayed else ""  # the odom frame may be wrong
+    none = [] if edges else [f"no transform from {outcome.frames.odom}{seen}"]
     added = [f"{count} {what} added" for what, count in outcome.added.items()]
     return ", ".join([*topics, *edges, *([] if outcome.added and not topics else none), *added])
-
-
-def _stayed(outcome: Outcome) -> str:
-    """Return a warning that lists the TF edges where none was moved: the odom frame may be wrong."""
-    edges = sorted(outcome.stayed)
-    more = f" and {len(edges) - MOST_EDGES} more" if len(edges) > MOST_EDGES else ""
-    return f" (TF has {', '.join(edges[:MOST_EDGES])}{more})" if edges else ""
 
 
 def model_words(model: MotionModel, origin: str) -> str:
@@ -183,7 +174,7 @@ def model_words(model: MotionModel, origin: str) -> str:
         words += f", once per {noise.step}"
     if origin:
         words += f" ({origin})"
-    effects = [effect_words(effect) for effect in model.effects if acts(effect)]
+    effects = [effect_words(effect) for effect in model.effects if effect.acts]
     return words + (f"; effects {', '.join(effects)}" if effects else "")
 
 
@@ -199,7 +190,7 @@ def model_brief(model: MotionModel, origin: str) -> str:
     words += f", angle random walk {noise.coefficients.rot_time:.3g}" if noise.coefficients.rot_time else ""
     words += f", once per {noise.step}" if noise.step is not None else ""
     words += f" ({origin})" if origin else ""
-    return ", ".join([words, *(effect_words(effect) for effect in model.effects if acts(effect))])
+    return ", ".join([words, *(effect_words(effect) for effect in model.effects if effect.acts)])
 
 
 def effect_words(effect: Effect) -> str:
@@ -347,10 +338,5 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
     ]
     remarks = [f"{remark}." for remark in outcome.remarks]
     lost = [f"Lost: {loss}." for loss in outcome.losses]
-    said = [
-        *static,
-        *lost,
-        *remarks,
-        *(sentence for sentence, count in counted.items() if count > 0),
-    ]
+    said = [*static, *lost, *remarks, *(sentence for sentence, count in counted.items() if count > 0)]
     return [*said, *(f"{fault[0].upper()}{fault[1:]}." for fault in outcome.faults.sentences())]

@@ -6,36 +6,39 @@ is held, and counted. Decisions depend on stamps and log times, never on block b
 
 from __future__ import annotations
 
+import math
+import re
+import struct
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.block import joined
-from odomcorrupt.bags.messages import locate
-from odomcorrupt.corruption.additions import CorrectionEdge, TruthTopic
+from odomcorrupt.bags.block import Message, joined
+from odomcorrupt.bags.messages import TRANSFORMS, locate, stamps_or_log_ns
 from odomcorrupt.corruption.correction import PATIENCE_NS, Curve
-from odomcorrupt.corruption.drift import DriftMeter
 from odomcorrupt.corruption.odometry_source import (
     ENCODINGS,
     ODOMETRY,
-    TRANSFORMS,
+    PLACED_TYPES,
     OdometrySource,
+    can_be_consistent,
     contains_truth,
     find_odometry,
+    frame_of,
     localisation_side_of,
     plain,
     says_truth,
     side_of,
-    stamps_or_log_ns,
 )  # fmt: skip
 from odomcorrupt.corruption.patch import Patcher, Target
-from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.path import DriftMeter, NoisyPath
 from odomcorrupt.corruption.pose_faults import FAR_M, W_FIRST, ZERO
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
-from odomcorrupt.corruption.unmodified_topics import frame_of, may_be_placed
 from odomcorrupt.errors import TopicError
+from odomcorrupt.sensors.consistent import find_relations, timed
+from odomcorrupt.sensors.noise import SensorNoise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,11 +47,108 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
     from odomcorrupt.bags.messages import Item, Layout
-    from odomcorrupt.corruption.drift import PathWatcher
     from odomcorrupt.corruption.odometry_source import Frames, Side
     from odomcorrupt.corruption.patch import Changes
-    from odomcorrupt.corruption.path import PathSource
+    from odomcorrupt.corruption.path import PathSource, PathWatcher
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.sensors.consistent import Relations
+    from odomcorrupt.sensors.noise import ImuNoise
+
+
+TOPIC = re.compile(r"[/~]?[A-Za-z_]\w*(/\w+)*", re.ASCII)
+
+TF = "tf2_msgs/msg/TFMessage"
+
+
+@dataclass(slots=True, eq=False, repr=False)
+class TruthTopic:
+    """Copy of the clean odometry on another topic: same bytes, same log times, same QoS."""
+
+    topic: str
+    reader: BagReader
+    writer: BagWriter
+    count: int = 0
+    _channel: Channel | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        if not TOPIC.fullmatch(self.topic):
+            raise TopicError(f"{self.topic!r}: is not a topic name; use letters, digits, _ and /, as in /odom_true")
+        if any(plain(c.topic) == plain(self.topic) for c in self.reader.channels.values()):
+            raise TopicError(f"{self.topic}: is in the bag already; keep the truth under another name")
+
+    def add(self, block: Block, targets: list[Target]) -> None:
+        """Append copies of the targets' messages to a block, before they are patched."""
+        for target in targets:
+            if self._channel is None:
+                self._channel = self.writer.add_channel(self.topic, ODOMETRY, target.channel)
+            for row in block.table[target.layout.rows]:
+                start, stop = int(row["offset"]), int(row["offset"]) + int(row["length"])
+                block.added.append(Message(self._channel.id, int(row["log_ns"]), block.data[start:stop].tobytes()))
+            self.count += len(target.layout.rows)
+
+
+@dataclass(slots=True, eq=False, repr=False)
+class CorrectionEdge:
+    """TF edge from a new frame to odom that carries the correction, one transform for each stamp of the odometry."""
+
+    frame: str
+    reader: BagReader
+    writer: BagWriter
+    count: int = 0
+    _channel: Channel | None = field(default=None, init=False)
+
+    def add(self, block: Block, targets: list[Target], curve: Curve, odom: str) -> None:
+        """Append one transform for each of the targets' messages to a block, those repeated at one stamp left out.
+
+        Raises
+        ------
+        TopicError
+            If the new frame is the odom frame itself, or empty.
+        """
+        if plain(self.frame) in ("", odom):
+            raise TopicError(
+                f"--new-odom-frame {self.frame!r}: must be a new frame, the parent of {odom}; name another one"
+            )
+        for target in targets:
+            if self._channel is None:
+                self._channel = self._open(target.channel)
+            rows = block.table[target.layout.rows]
+            at = curve.at(target.stamps_ns, target.time_ns)
+            for row, stamp_ns, (x, y, turn) in zip(rows, target.stamps_ns.tolist(), at.xyt.tolist(), strict=True):
+                if stamp_ns == curve.published_ns:
+                    continue
+                curve.published_ns = stamp_ns
+                self.count += 1
+                data = pack_transform(self._channel.encoding, stamp_ns, (self.frame, odom), (x, y, turn))
+                block.added.append(Message(self._channel.id, int(row["log_ns"]), data))
+
+    def _open(self, odometry: Channel) -> Channel:
+        """Return the channel of the transforms: with the encoding and QoS of the bag's own /tf, where it has one."""
+        for channel in self.reader.channels.values():
+            if channel.msgtype in TRANSFORMS and "static" not in channel.topic:
+                return self.writer.add_channel(channel.topic, channel.msgtype, channel)
+        return self.writer.add_channel("/tf", TF, odometry)
+
+
+def pack_transform(encoding: str, stamp_ns: int, frames: tuple[str, str], xyt: tuple[float, float, float]) -> bytes:
+    """Return a TFMessage of one planar transform parent -> child, serialised as "ros1" or little-endian "cdr".
+
+    frames : parent and child
+    xyt : pose of the child in the parent, m, m, rad
+    """
+    x, y, turn = xyt
+    numbers = struct.pack("<7d", x, y, 0.0, 0.0, 0.0, math.sin(turn / 2.0), math.cos(turn / 2.0))
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    names = [frame.encode() for frame in frames]
+    if encoding == "ros1":
+        head = struct.pack("<IIII", 1, 0, seconds, nanoseconds)
+        return head + b"".join(struct.pack("<I", len(name)) + name for name in names) + numbers
+    out = bytearray(struct.pack("<IiI", 1, seconds, nanoseconds))
+    for name in names:
+        out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(name) + 1) + name + b"\0"
+    return b"\0\1\0\0" + bytes(out) + b"\0" * (-len(out) % 8) + numbers
+
 
 WAIT_NS = PATIENCE_NS + WINDOW_NS
 """The longest that a block waits, log time."""
@@ -67,6 +167,9 @@ class Options(NamedTuple):
     keep_localisation : move the edges between odom and what lies above it, so that map -> base stays true
     new_odom_frame : change no message, and publish the correction as the TF edge from this frame to odom
     subtracted : publish noisy minus clean there instead, component by component, as the article's listing does
+    consistent : rewrite wheels, twists and gyros to the noisy motion, too
+    scan_noise, scan_keep : noise of the ranges of laser scans, metres, and part of their beams that is kept
+    imu : noise of IMUs
     """
 
     odom_topic: str | None = None
@@ -78,6 +181,15 @@ class Options(NamedTuple):
     keep_localisation: bool = False
     new_odom_frame: str | None = None
     subtracted: bool = False
+    consistent: bool = False
+    scan_noise: float = 0.0
+    scan_keep: float = 1.0
+    imu: ImuNoise | None = None
+
+    @property
+    def degrades(self) -> bool:
+        """Whether scans or IMUs get noise."""
+        return bool(self.scan_noise or self.scan_keep < 1.0 or self.imu is not None)
 
 
 @dataclass(slots=True, eq=False, repr=False)
@@ -97,7 +209,7 @@ class Transform:
 
     path : corrupted path, instead of the noisy path that the model draws
 
-    seen : channels that carried messages; placed : frames in which their data are given, see `unmodified_topics`
+    seen : channels that carried messages; placed : frames in which their data are given, see `frame_of`
     stayed : topics of the TF edges that are not moved; true_edges : those that contain the true motion
     frame_met : whether some odometry message or transform has the odom frame
     """
@@ -128,10 +240,12 @@ class Transform:
         self.truth: TruthTopic | None = None
         self.edge: CorrectionEdge | None = None
         self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
-        self._curve = Curve(subtracted=self.options.subtracted)
+        self._curve = Curve(subtracted=self.options.subtracted, consistent=self.options.consistent)
+        self._follows: dict[int, Relations] = {}
         self._now_ns = -(2**62)
         self._first_ns: int | None = None
-        self._patcher = Patcher(model, keep_twist=self.options.keep_twist, keep_covariance=self.options.keep_covariance)
+        self._noise = SensorNoise(*asked[-3:], seed, run)
+        self._patcher = Patcher(model, self._noise, keep_twist=asked.keep_twist, keep_covariance=asked.keep_covariance)
 
     def require_source(self) -> None:
         """Raise TopicError where the requested frame is nowhere, or the poses read are not those of a planar robot."""
@@ -174,11 +288,13 @@ class Transform:
             self.truth = TruthTopic(self.options.keep_truth, reader, writer)
         if self.options.new_odom_frame is not None and writer is not None:
             self.edge = CorrectionEdge(self.options.new_odom_frame, reader, writer)
+        if self.options.consistent:
+            self._follows = self.relations(reader)
         waiting: deque[_Held] = deque()
         only = None
         if writer is not None and writer.keeps_rest:
             only = {
-                number for number, channel in reader.channels.items() if _may_move(channel) or may_be_placed(channel)
+                n for n, channel in reader.channels.items() if self.may_move(channel) or channel.msgtype in PLACED_TYPES
             }
         given = joined(reader.blocks(only)) if before is None else before
         for block in given:
@@ -195,6 +311,36 @@ class Transform:
             why = f" ({zero} {ZERO})" if zero else ""
             raise TopicError(f"{name}: {self.odometry.name} has no message with a pose{why}{self.odometry.elsewhere}")
 
+    def may_move(self, channel: Channel) -> bool:
+        """Return whether a channel's messages may be changed."""
+        return _has_poses(channel) or channel.id in self._follows or self._is_noisy(channel)
+
+    def _is_noisy(self, channel: Channel) -> bool:
+        return channel.encoding in ENCODINGS and self._noise.concerns(channel.msgtype)
+
+    def relations(self, reader: BagReader) -> dict[int, Relations]:
+        """Return how other sensors follow the odometry, by channel id, from a pass over the bag.
+
+        Raises
+        ------
+        TopicError
+            If that cannot be known.
+        """
+        if not reader.complete:
+            raise TopicError("--consistent: reads the bag beforehand, which is impossible on a pipe; name a file")
+        source = OdometrySource(*self.options[:3], self.model.odometry_topic)
+        source.prepare(reader, reader.name)
+
+        def poses_of(block: Block) -> Array:
+            own = [reader.channels[number] for number in sorted(block.present())]
+            parts = [(c, layout) for c in own if _has_poses(c) for layout in locate(block, c)]
+            found = source.read(block, parts, block.table["log_ns"])
+            return timed(found.stamps_ns, found.xyt)
+
+        channels = reader.channels.values()
+        sensors = [c for c in channels if can_be_consistent(c) and source.shares_tree(c)]
+        return find_relations(reader, sensors, poses_of, {c.id for c in channels if _has_poses(c)})
+
     def _take(self, block: Block, reader: BagReader) -> _Held:
         """Read the odometry of a block and extend C(t)."""
         time_ns = np.maximum.accumulate(np.concatenate(([self._now_ns], block.table["log_ns"])))[1:]
@@ -207,10 +353,11 @@ class Transform:
         parts = []
         for number in sorted(present):
             channel = reader.channels[number]
-            if _may_move(channel):
+            if self.may_move(channel):
                 parts += [(channel, layout) for layout in locate(block, channel)]
-        if parts:
-            self._add(self.odometry.read(block, parts, time_ns))
+        poses = [part for part in parts if _has_poses(part[0])]
+        if poses:
+            self._add(self.odometry.read(block, poses, time_ns))
         if len(time_ns):
             self._now_ns = int(time_ns[-1])
         self._extend(self.order.release(self._now_ns))
@@ -259,8 +406,13 @@ class Transform:
     def _find_targets(self, held: _Held, frames: Frames) -> list[Target]:
         found = []
         for channel, layout in held.parts:
+            if channel.id in self._follows or self._is_noisy(channel):
+                times = stamps_or_log_ns(held.block, layout, layout.items[0]), held.time_ns[layout.rows]
+                follows = self._follows.get(channel.id, {})
+                found.append(Target(channel, layout, layout.items[0], "left", *times, follows))
+                continue
             shares = self.odometry.shares_tree(channel)
-            for number, item in enumerate(layout.items):
+            for item in layout.items:
                 self.frame_met |= shares and frames.odom in (plain(item.frame_id), plain(item.child_frame_id))
                 side = self._side(channel, item, frames) if shares else None
                 if side is None and channel.msgtype in TRANSFORMS:
@@ -269,7 +421,7 @@ class Transform:
                     if shares and contains_truth(channel.topic, item.frame_id, item.child_frame_id, frames):
                         self.true_edges.add(f"{channel.topic} {edge}")
                 if side is not None:
-                    stamps_ns = stamps_or_log_ns(held.block, layout, number)
+                    stamps_ns = stamps_or_log_ns(held.block, layout, item)
                     found.append(Target(channel, layout, item, side, stamps_ns, held.time_ns[layout.rows]))
         return found
 
@@ -311,8 +463,9 @@ class Transform:
             self._patcher.patch(held.block, targets, self._curve, self._first_ns)
         elif self.edge is not None and self.odometry.frames is not None:
             self.edge.add(held.block, driving, self._curve, self.odometry.frames.odom)
+        self._patcher.add_noise(held.block, targets)
         return held.block
 
 
-def _may_move(channel: Channel) -> bool:
+def _has_poses(channel: Channel) -> bool:
     return channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS)

@@ -534,13 +534,7 @@ class CountsLost(Effect):
         "", "travel lost above the speed, over travel counted there", low=0.0, high=20.0, typical=0.3
     )
     speed: float = parameter(
-        "m/s",
-        "rim speed above which they are lost",
-        low=0.02,
-        high=10.0,
-        typical=0.3,
-        identity=0.3,
-        amplitude=False,
+        "m/s", "rim speed above which they are lost", low=0.02, high=10.0, typical=0.3, identity=0.3, amplitude=False
     )
     track: float = track_parameter()
 

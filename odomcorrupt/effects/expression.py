@@ -413,11 +413,7 @@ class _Reader:
         return lambda names: function(*(term(names) for term in terms))
 
 
-def _two(
-    function: Callable[[Array, Array], Array],
-    left: Term,
-    right: Term,
-) -> Term:
+def _two(function: Callable[[Array, Array], Array], left: Term, right: Term) -> Term:
     return lambda names: function(left(names), right(names))
 
 

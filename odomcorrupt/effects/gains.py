@@ -105,8 +105,7 @@ class UnequalWheels(Effect):
         """Return f: the yaw error is proportional to the distance, and changes sign in reverse."""
         track = motion.track_m or 0.0
         return TwistError(
-            stacked(self.curvature * track**2 / 4.0 * motion.omega, 0.0, self.curvature * motion.v, motion.v),
-            state,
+            stacked(self.curvature * track**2 / 4.0 * motion.omega, 0.0, self.curvature * motion.v, motion.v), state
         )
 
 

@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.effects.effect import (
-    About,
-    Effect,
-    Motion,
-    Recorded,
-    State,
-    TwistError,
-    choice,
-    parameter,
-)
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter
 from odomcorrupt.effects.wheels import (
     Rims,
     body_of,

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.drift import MARKS_M
-from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.path import MARKS_M, NoisyPath
 from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message, size_words
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.summary import Line, Summary
@@ -225,7 +223,7 @@ def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int)
 
 
 def _systematic(model: MotionModel) -> bool:
-    return any(acts(effect) and effect.kind != "noise" for effect in model.effects)
+    return any(effect.acts and effect.kind != "noise" for effect in model.effects)
 
 
 def _rate(outlook: Forecast, model: MotionModel) -> list[str]:

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import Layout, gather, gather_stamps_ns, locate
-from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS, plain, stamps_or_log_ns
-from odomcorrupt.corruption.patch import PLANAR
+from odomcorrupt.bags.messages import TRANSFORMS, Layout, gather, gather_stamps_ns, locate, stamps_or_log_ns
+from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, PLANAR, frame_of, plain
+from odomcorrupt.corruption.patch import PLANAR_BLOCK
 from odomcorrupt.corruption.pose_faults import PoseFaults
-from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, planar_poses
-from odomcorrupt.corruption.unmodified_topics import frame_of
-from odomcorrupt.inspection.covariance_check import CovarianceCheck
+from odomcorrupt.corruption.se2_on_se3 import planar_poses, poses_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -23,6 +21,60 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.geometry.se2 import Array
+
+
+HUGE = 1e3
+"""Smallest variance that means "unknown", m^2 or rad^2."""
+
+ROUNDING = 1e-9
+"""Tolerance of the symmetry and positive-semidefiniteness checks, relative to the largest variance."""
+
+
+@dataclass(slots=True)
+class CovarianceCheck:
+    """Faults of many 6 x 6 covariances in x, y and yaw."""
+
+    count: int = 0
+    largest: float = 0.0
+    zero: bool = True
+    senseless: bool = False
+    crooked: bool = False
+    changed: bool = False
+    _first: Array | None = None
+
+    def take(self, flat: Array) -> None:
+        """Check covariances (n, 36), row-major 6 x 6."""
+        planar = flat[:, PLANAR_BLOCK]
+        if not len(planar):
+            return
+        if self._first is None:
+            self._first = planar[0].copy()
+        self.count += len(planar)
+        self.changed |= not bool(np.array_equal(planar, np.broadcast_to(self._first, planar.shape), equal_nan=True))
+        self.zero &= not bool(planar.any())
+        square = planar.reshape(-1, 3, 3)
+        diagonal = np.diagonal(square, axis1=1, axis2=2)
+        if not np.isfinite(planar).all() or (diagonal < 0.0).any():
+            self.senseless = True
+            return
+        self.largest = max(self.largest, float(diagonal.max()))
+        off = np.abs(square - square.transpose(0, 2, 1)).max(axis=(1, 2))
+        allowed = ROUNDING * diagonal.max(axis=1)
+        self.crooked |= bool((off > allowed).any() or (np.linalg.eigvalsh(square)[:, 0] < -allowed).any())
+
+    def oddity(self, *, never_changes: bool) -> str | None:
+        """Return a warning, or None; never_changes: whether constant covariances deserve one."""
+        if self.zero:
+            return "are all zero" if self.count else None
+        if self.senseless:
+            return "are negative or not numbers"
+        if self.largest >= HUGE:
+            return f'mean "unknown" (up to {self.largest:.3g})'
+        if self.crooked:
+            return "are not symmetric, or not positive"
+        if never_changes and self.count > 1 and not self.changed:
+            return "never change"
+        return None
 
 
 @dataclass(slots=True)
@@ -80,7 +132,7 @@ class EdgeRecord:
 
 @dataclass(frozen=True, slots=True)
 class BagScan:
-    """Topics by name, odometry, TF edges and frames by channel id (see `corruption.unmodified_topics`) of a bag."""
+    """Topics by name, odometry, TF edges and frames by channel id (see `frame_of`) of a bag."""
 
     topics: dict[str, TopicRecord]
     odometry: tuple[OdometryRecord, ...]
@@ -127,12 +179,11 @@ def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None)
                     _take_odometry(odometry.setdefault(channel.topic, _Odometry()), block, layout)
             elif channel.msgtype in TRANSFORMS:
                 for layout in locate(block, channel):
-                    for item_number, item in enumerate(layout.items):
+                    for item in layout.items:
                         key = (channel.topic, plain(item.frame_id), plain(item.child_frame_id))
                         zeros = int(np.count_nonzero(gather_stamps_ns(block, layout, item) == 0))
-                        edges[key].append(
-                            (stamps_or_log_ns(block, layout, item_number), _xyt(block, layout, item_number), zeros)
-                        )
+                        stamps_ns = stamps_or_log_ns(block, layout, item)
+                        edges[key].append((stamps_ns, planar_poses(poses_in(block, layout, item)), zeros))
     return BagScan(
         dict(sorted(topics.items())),
         tuple(_odometry(topic, taken) for topic, taken in sorted(odometry.items())),
@@ -161,25 +212,19 @@ def _count(topics: dict[str, TopicRecord], channel: Channel, block: Block) -> No
     record.last_ns = max(record.last_ns, int(times.max()))
 
 
-def _xyt(block: Block, layout: Layout, number: int) -> Array:
-    item = layout.items[number]
-    return planar_poses(
-        SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
-    )
-
-
 def _take_odometry(taken: _Odometry, block: Block, layout: Layout) -> None:
     item = layout.items[0]
     if not taken.columns:
         taken.frame, taken.child = item.frame_id, item.child_frame_id
     columns = taken.columns
-    stamps_ns, xyt = stamps_or_log_ns(block, layout, 0), _xyt(block, layout, 0)
+    poses = poses_in(block, layout, item)
+    stamps_ns, xyt = stamps_or_log_ns(block, layout, item), planar_poses(poses)
     twist = gather(block, layout, item, "twist")[:, PLANAR]
     columns["stamps"].append(stamps_ns)
     columns["zero"].append(gather_stamps_ns(block, layout, item) == 0)
     columns["xyt"].append(xyt)
     columns["twist"].append(twist)
-    taken.faults.take(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+    taken.faults.take(poses.position, poses.quat_xyzw)
     taken.faults.twists.take(stamps_ns, xyt, twist)
     taken.pose_covariance.take(gather(block, layout, item, "pose_covariance"))
     taken.twist_covariance.take(gather(block, layout, item, "twist_covariance"))

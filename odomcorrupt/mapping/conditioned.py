@@ -25,11 +25,18 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.messages import locate
+from odomcorrupt.bags.messages import TRANSFORMS, locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.drift import DriftMeter
-from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS, OdometrySource
-from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED, NoisyPath, PathSamples, StepGrowth, noise_variances
+from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, OdometrySource
+from odomcorrupt.corruption.path import (
+    JUMP_MIN_S,
+    JUMP_SPEED,
+    DriftMeter,
+    NoisyPath,
+    PathSamples,
+    StepGrowth,
+    noise_variances,
+)
 from odomcorrupt.errors import MapError, ModelError, TopicError
 from odomcorrupt.geometry.se2 import Increments, compose, increments, inverse
 from odomcorrupt.mapping.frames import FrameTree

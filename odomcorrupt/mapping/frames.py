@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
-from odomcorrupt.corruption.odometry_source import TRANSFORMS, plain
+from odomcorrupt.bags.messages import TRANSFORMS, gather, gather_stamps_ns, locate
+from odomcorrupt.corruption.odometry_source import plain
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import rotate
 

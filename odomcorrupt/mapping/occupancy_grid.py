@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from odomcorrupt.bags.rosbag2.bounded_yaml import load_plain
 from odomcorrupt.errors import MapError, RecordingError
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.input_files import open_input
+from odomcorrupt.input_files import open_input, read_input
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -139,24 +140,14 @@ def format_map(grid: Grid, image_name: str) -> tuple[bytes, str]:
 
 
 def _keys(path: Path) -> dict[str, str]:
-    """Return the keys of a flat .yaml as text: sufficient for a map, and simple enough to be safe."""
-    with open_input(path, MapError) as file:
-        raw = file.read(_YAML_BYTES + 1)
-    if len(raw) > _YAML_BYTES or b"\0" in raw:
-        raise MapError(f"{path}: is not a map's .yaml; name the .yaml that comes with the image")
-    found: dict[str, str] = {}
-    lines = raw.decode(errors="replace").splitlines()
-    for i, line in enumerate(lines):
-        key, colon, rest = line.partition(":")
-        key, value = key.strip(), rest.partition("#")[0].strip()
-        if not colon:
-            continue
-        if not value:
-            # a list may follow its key, one item per line
-            items = [entry.strip() for entry in lines[i + 1 : i + 4]]
-            value = ",".join(entry[1:] for entry in items if entry.startswith("-"))
-        found[key] = value
-    return found
+    """Return the keys of a map's .yaml, as text."""
+    try:
+        found = load_plain(read_input(path, _YAML_BYTES, "map's .yaml", MapError).decode(errors="replace"))
+    except ValueError as error:
+        raise MapError(
+            f"{path}: is not a map's .yaml of names and numbers: {error}; name the one that comes with the image"
+        ) from error
+    return {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else {}
 
 
 def _image(path: Path, name: str) -> Path:

@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.report.comparison import (
-    HELD,
-    TONES,
-    measures_words,
-    reproduction_sentence,
-    size,
-)
+from odomcorrupt.report.comparison import HELD, TONES, measures_words, reproduction_sentence, size
 from odomcorrupt.report.diagnosis import alternative, contradiction, inseparable_sentence
 from odomcorrupt.report.findings import (
     SIGNIFICANT,

@@ -9,13 +9,7 @@ from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.estimate.random_process import part_name
-from odomcorrupt.study.select.confidence import (
-    Evidence,
-    confidence,
-    evidence_of,
-    may_be_scale_of_truth,
-    noise_evidence,
-)
+from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, may_be_scale_of_truth, noise_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -288,10 +288,7 @@ def test_the_examples_of_the_study_run(tmp_path, monkeypatch):
     [
         (lambda at: oc.corrupt(OFFICE, at / "out.mcap", model=3, seed=1), "model: 3; give a Model"),
         (lambda at: oc.corrupt(OFFICE, at / "out.mcap", model=NOISE, seed=1.5), "seed: 1.5; it must be a whole number"),
-        (
-            lambda at: oc.batch(OFFICE, at / "runs", model=NOISE, runs=2, seed=1, output="foo"),
-            "output: foo; give one",
-        ),
+        (lambda at: oc.batch(OFFICE, at / "runs", model=NOISE, runs=2, seed=1, output="foo"), "output: foo; give one"),
         (lambda at: oc.batch(OFFICE, at / "runs", model=NOISE, runs=0, seed=1), "runs: 0; make one or more"),
         (lambda _: oc.preview(OFFICE, NOISE, runs=1), "runs: 1; draw two or more"),
         (lambda _: oc.density((0, 0, 0), (1, 0, 0), [[1, 0]], model=NOISE), r"shape \(1, 2\); give x, y and heading"),

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from oracles import FIXTURES, OFFICE, mcap_messages, rewritten, ros1_messages
+from oracles import FIXTURES, OFFICE, OFFICE_BAG, OFFICE_MCAP, mcap_messages, rewritten, ros1_messages
 from rosbags.convert.converter import convert as rosbags_convert
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Ros1LibraryWriter
@@ -15,12 +15,13 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2LibraryWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from odomcorrupt.bags.block import Definition
+from odomcorrupt.bags.block import Channel, Definition
 from odomcorrupt.bags.convert.message_types import convert_type, latched_qos, stays_for_late_subscribers
-from odomcorrupt.bags.definition import md5sum_of
+from odomcorrupt.bags.convert.reader import split_edge, without_edges
+from odomcorrupt.bags.definition import md5sum_of, retyped, ros_type, with_common_text
 from odomcorrupt.bags.open import open_reader, target_of
 from odomcorrupt.cli import run
-from odomcorrupt.errors import BagError
+from odomcorrupt.errors import BagError, TopicError
 
 NOETIC, HUMBLE = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 ROS2_NAMES = [".mcap", ".db3", ""]
@@ -323,3 +324,119 @@ def test_publishers_of_one_topic_become_one_topic(tmp_path):
         (channel,) = output.reader.channels.values()
         assert sum(len(block.table) for block in output.reader.blocks()) == 4
         assert stays_for_late_subscribers(output.reader.definition(channel).metadata["offered_qos_profiles"])
+
+
+TF = "tf2_msgs/msg/TFMessage"
+BY_ENCODING = {"ros1": get_typestore(Stores.ROS1_NOETIC), "cdr": get_typestore(Stores.ROS2_HUMBLE)}
+BY_ENCODING["ros1"].register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", TF))
+
+
+def serialised(encoding, edges, order):
+    store = BY_ENCODING[encoding]
+    kinds = {name: store.types[f"geometry_msgs/msg/{name}"] for name in ("Transform", "Vector3", "Quaternion")}
+    seq = {"seq": 7} if encoding == "ros1" else {}
+    transforms = []
+    for number, (parent, child) in enumerate(edges):
+        stamp = store.types["builtin_interfaces/msg/Time"](sec=5 + number, nanosec=number)
+        header = store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=parent, **seq)
+        moved = kinds["Transform"](kinds["Vector3"](number, 2.0, 3.0), kinds["Quaternion"](0.0, 0.0, 0.6, 0.8))
+        transforms.append(store.types["geometry_msgs/msg/TransformStamped"](header, child, moved))
+    message = store.types[TF](transforms)
+    if encoding == "ros1":
+        return bytes(store.serialize_ros1(message, TF))
+    return bytes(store.serialize_cdr(message, TF, little_endian=order == "little"))
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("ros1", "little"), ("cdr", "little"), ("cdr", "big")])
+def test_a_message_without_an_edge_is_the_message_of_the_other_edges(encoding, order):
+    rng = np.random.default_rng(3)
+    channel = Channel(1, "/tf", TF, encoding)
+    for _ in range(60):
+        frames = ["f" * int(n) for n in rng.integers(1, 12, 8)]
+        edges = [(str(rng.choice(frames)), str(rng.choice(frames))) for _ in range(rng.integers(1, 6))]
+        gone = frozenset(edges[i] for i in rng.integers(0, len(edges), rng.integers(1, 3)))
+        after = without_edges(serialised(encoding, edges, order), channel, gone)
+        left = [(i, edge) for i, edge in enumerate(edges) if edge not in gone]
+        if not left:
+            assert after is None
+            continue
+        # the numbers of a transform are those of its place in the message as it was
+        expected = BY_ENCODING[encoding]
+        read = expected.deserialize_ros1 if encoding == "ros1" else expected.deserialize_cdr
+        found = [
+            (int(t.header.stamp.sec) - 5, (t.header.frame_id, t.child_frame_id)) for t in read(after, TF).transforms
+        ]
+        assert found == left
+        assert all(t.transform.translation.x == t.header.stamp.sec - 5 for t in read(after, TF).transforms)
+        if [i for i, _ in left] == list(range(len(left))):
+            assert after.rstrip(b"\0") == serialised(encoding, [edge for _, edge in left], order).rstrip(b"\0")
+    untouched = serialised(encoding, [("map", "odom"), ("odom", "base")], order)
+    assert without_edges(untouched, channel, frozenset({("odom", "map")})) == untouched
+
+
+def test_an_edge_may_have_dots_and_must_be_of_tf():
+    channels = [Channel(1, "/tf", TF, "cdr"), Channel(2, "/a:b.c", "std_msgs/msg/String", "cdr")]
+    assert split_edge("/tf:map.odom", channels) == ("tf", frozenset({("map", "odom")}))
+    assert split_edge("tf:a.b./c", channels)[1] == {("a", "b./c"), ("a.b", "c")}
+    assert split_edge("/a:b.c", channels) == ("a:b.c", frozenset())
+    assert split_edge("/tf:map.odom", None) == ("tf", frozenset({("map", "odom")}))
+    for wrong in ("/tf:map", "/no:map.odom", "/no"):
+        with pytest.raises(TopicError, match="name one of these"):
+            split_edge(wrong, channels)
+
+
+MD5SUMS = {  # as rosmsg prints them
+    "nav_msgs/msg/Odometry": "cd5e73d190d741a2f92e81eda573aca7",
+    "tf2_msgs/msg/TFMessage": "94810edda583a504dfda3829e70d7eec",
+    "tf/msg/tfMessage": "94810edda583a504dfda3829e70d7eec",
+    "geometry_msgs/msg/PoseStamped": "d3812c3cbc69362b77dc0b19b345f8f5",
+}
+HASHES = {  # as ros2 topic info prints them
+    "nav_msgs/msg/Odometry": "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+    "tf2_msgs/msg/TFMessage": "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+}
+
+
+@pytest.mark.parametrize(("msgtype", "md5sum"), MD5SUMS.items())
+def test_ros1_types_have_the_md5sums_of_ros(msgtype, md5sum):
+    kind = ros_type(msgtype, "ros1")
+    assert (kind.name, kind.digest) == (msgtype.replace("/msg", ""), md5sum)
+    assert md5sum_of(msgtype, Definition(kind.name, "ros1msg", kind.text.encode(), {})) == md5sum
+
+
+@pytest.mark.parametrize(("msgtype", "digest"), HASHES.items())
+def test_ros2_types_have_the_hashes_of_ros(msgtype, digest):
+    assert ros_type(msgtype, "cdr").digest == digest
+
+
+def test_md5sums_follow_from_the_definitions_of_bags():
+    with open_reader(OFFICE_BAG) as reader:
+        for channel in reader.channels.values():
+            definition = reader.definition(channel)
+            assert md5sum_of(channel.msgtype, definition) == definition.metadata["md5sum"]
+
+
+def test_no_md5sum_follows_from_an_incomplete_definition():
+    with open_reader(OFFICE_MCAP.with_name("incomplete.mcap")) as reader:
+        (door,) = (channel for channel in reader.channels.values() if channel.topic == "/door")
+        with pytest.raises(BagError, match="office_msgs"):
+            md5sum_of(door.msgtype, reader.definition(door))
+
+
+def test_a_retyped_topic_keeps_its_publisher_and_takes_the_bags_own_definition():
+    with open_reader(OFFICE_MCAP) as reader:
+        topics = {channel.topic: channel for channel in reader.channels.values()}
+        like = reader.definition(topics["/tf_static"])
+        made = retyped(reader, "nav_msgs/msg/Odometry", topics["/tf_static"])
+        odom = reader.definition(topics["/odom"])
+        assert made[:3] == odom[:3]
+        assert made.metadata["offered_qos_profiles"] == like.metadata["offered_qos_profiles"]
+        assert made.metadata["topic_type_hash"] == odom.metadata["topic_type_hash"]
+        with pytest.raises(BagError, match="office_msgs/msg/Window"):
+            retyped(reader, "office_msgs/msg/Window", topics["/tf_static"])
+
+
+def test_a_type_that_is_unknown_stays_without_text():
+    nothing = Definition("office_msgs/msg/Window", "", b"", {})
+    assert with_common_text(nothing, "office_msgs/msg/Window", "cdr") == nothing
+    assert b"geometry_msgs/TransformStamped" in with_common_text(nothing, "tf2_msgs/msg/TFMessage", "cdr").text

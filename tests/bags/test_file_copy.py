@@ -2,17 +2,20 @@
 
 import errno
 import os
+import shutil
 import threading
+import time
 from itertools import count
 
 import pytest
-from mcap.writer import CompressionType, IndexType
+from mcap.writer import CompressionType
 from mcap.writer import Writer as McapLibraryWriter
-from oracles import FIXTURES
+from oracles import FIXTURES, OFFICE, OFFICE_DB
 from rosbags.rosbag1 import Writer as Ros1LibraryWriter
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.bags.output import FileCopy, FileState, Original, Output
+from odomcorrupt.bags.output import FileCopy, Output
+from odomcorrupt.bags.rosbag2 import sqlite_writer
 from odomcorrupt.corruption.run import Container, corrupt_bag
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import BagError
@@ -112,13 +115,6 @@ def test_messages_that_are_added_move_the_rest(bag, options, tmp_path):
     assert one == two
 
 
-@pytest.mark.parametrize("index_types", [IndexType.ALL & ~IndexType.MESSAGE, IndexType.NONE])
-def test_a_bag_without_indexes_gets_them(index_types, tmp_path):
-    source = write_mcap(tmp_path / "in.mcap", index_types=index_types)
-    one, two = (corrupt(source, tmp_path / f"{n}.mcap", n) for n in (1, 2))
-    assert one == two
-
-
 @pytest.mark.parametrize("good", [0, 1])
 def test_a_copy_that_fails_is_made_by_writing(bag, good, tmp_path, monkeypatch):
     one, call, calls = corrupt(bag, tmp_path / f"one{bag.suffix}", 1), os.copy_file_range, count()
@@ -185,15 +181,56 @@ def test_an_interrupt_ends_the_copy(bag, tmp_path, monkeypatch):
     assert threading.active_count() == 1
 
 
-def test_an_output_ends_where_it_was_written_to(tmp_path):
-    source, target = tmp_path / "in", tmp_path / "out"
-    source.write_bytes(bytes(range(200)))
-    with source.open("rb") as stream:
-        original = Original(source, FileState.of(stream.fileno()), 3, [(1, 2)])
-    output = Output(target)
-    output.open()
-    output.write(b"abc")
-    output.write_changed(memoryview(b"\x03!" + bytes(range(5, 13))), 0, original)
-    output.write(b"z")
-    output.commit()
-    assert target.read_bytes() == b"abc\x03!" + bytes(range(5, 13)) + b"z"
+def corrupt_database(source, target, threads, **options):
+    corrupt_bag(source, target, MODEL, seed=7, run=0, options=Options(**options), container=Container(threads=threads))
+    return (target if target.is_file() else target / OFFICE_DB.name).read_bytes()
+
+
+@pytest.mark.parametrize("source", [OFFICE, OFFICE_DB], ids=["directory", "file"])
+@pytest.mark.parametrize("held", [0, 16 << 20])
+@pytest.mark.parametrize("options", [{}, {"keep_truth": "/odom_true"}], ids=["", "keeping truth"])
+@pytest.mark.parametrize("slow", [False, True])
+def test_the_thread_changes_no_byte(source, held, options, slow, tmp_path, monkeypatch):
+    monkeypatch.setattr(sqlite_writer, "_HELD_BYTES", held)
+    one = corrupt_database(source, tmp_path / f"one{source.suffix}", 1, **options)
+    if slow:
+        copy = os.copy_file_range
+        monkeypatch.setattr("os.copy_file_range", lambda *words: (time.sleep(0.1), copy(*words))[1])
+    assert corrupt_database(source, tmp_path / f"two{source.suffix}", 2, **options) == one
+    assert threading.active_count() == 1
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("source", [OFFICE, OFFICE_DB], ids=["directory", "file"])
+def test_a_copy_of_a_database_that_fails_is_a_line(source, threads, tmp_path, monkeypatch):
+    def full(*_words):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.copy_file_range", full)
+    monkeypatch.setattr(shutil, "copyfile", full)
+    with pytest.raises(BagError, match="cannot be written: No space left on device"):
+        corrupt_database(source, tmp_path / f"out{source.suffix}", threads)
+    assert list(tmp_path.iterdir()) == []
+    assert threading.active_count() == 1
+
+
+def test_without_such_a_call_the_copy_is_made_in_python(tmp_path, monkeypatch):
+    one = corrupt_database(OFFICE_DB, tmp_path / "one.db3", 2)
+    monkeypatch.delattr("os.copy_file_range")
+    assert corrupt_database(OFFICE_DB, tmp_path / "two.db3", 2) == one
+
+
+def test_an_interrupt_ends_the_copy_too(tmp_path, monkeypatch):
+    def endless(*_words):
+        time.sleep(0.01)
+        return 1
+
+    def interrupted(*_words):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("os.copy_file_range", endless)
+    monkeypatch.setattr("odomcorrupt.corruption.transform.Transform.blocks", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        corrupt_database(OFFICE_DB, tmp_path / "out.db3", 2)
+    assert list(tmp_path.iterdir()) == []
+    assert threading.active_count() == 1

@@ -11,7 +11,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import lz4.frame
-import numpy as np
 import pytest
 import zstandard
 from oracles import (
@@ -27,8 +26,6 @@ from oracles import (
 from test_recover import recover
 from test_ros1 import packed, rebuilt, records
 
-from odomcorrupt.bags.chunk import record_blocks
-from odomcorrupt.bags.mcap.chunk import record_bytes
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.pipeline import Workers
 from odomcorrupt.errors import BagError
@@ -95,11 +92,7 @@ def test_the_messages_are_the_same_in_several_chunks_for_any_threads_and_through
         piped = copy(None, tmp_path / "piped.bag", stdin=pipe_of(source.read_bytes()))
     assert piped.read_bytes() == out.read_bytes()
     threaded = tmp_path / f"threaded.{kind}"
-    with (
-        Workers(3) as workers,
-        open_reader(source) as reader,
-        open_writer(threaded, reader, workers=workers) as writer,
-    ):
+    with Workers(3) as workers, open_reader(source) as reader, open_writer(threaded, reader, workers=workers) as writer:
         for block in reader.blocks():
             writer.write(block)
     assert threaded.read_bytes() == out.read_bytes()
@@ -176,31 +169,6 @@ def test_without_a_checksum_recovery_keeps_the_messages_before_the_first_record_
 def size_of_ros1(data, at):
     (header,) = struct.unpack_from("<I", data, at)
     return 8 + header + struct.unpack_from("<I", data, at + 4 + header)[0]
-
-
-@pytest.mark.parametrize("sizes", [[10] * 50, [22, 900, 30, 5000, 22], [100], []])
-def test_blocks_are_whole_records_and_the_same_for_any_pieces(sizes, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.bags.chunk._BLOCK_BYTES", 400)
-    data = b"".join(mcap_record(0x80, bytes(size)) for size in sizes)
-    found = set()
-    for piece in (1, 7, 400, 10_000):
-        pieces = iter([data[at : at + piece] for at in range(0, len(data), piece)])
-        blocks = list(record_blocks(pieces, len(data), record_bytes, lambda size: np.empty(size, np.uint8), ""))
-        assert b"".join(block.tobytes() for block in blocks) == data
-        assert all(block.size <= max(400, 9 + max(sizes)) for block in blocks)
-        found.add(tuple(block.size for block in blocks))
-    assert len(found) == 1
-
-
-def test_a_record_for_which_there_is_no_memory_is_a_line():
-    def place(size):
-        if size > 1 << 23:
-            raise MemoryError
-        return np.empty(size, np.uint8)
-
-    data = mcap_record(0x80, bytes(1 << 23))
-    with pytest.raises(BagError, match="not enough memory for a record of 8388617 bytes"):
-        list(record_blocks(iter([data]), len(data), record_bytes, place, "chunk"))
 
 
 MB = 1 << 20

@@ -26,7 +26,6 @@ from rosbags.rosbag2 import Writer as Ros2LibraryWriter
 
 from odomcorrupt.bags.messages import READABLE
 from odomcorrupt.bags.open import open_reader, open_writer
-from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
 from odomcorrupt.errors import BagError
 from recordings import RECORDINGS
 
@@ -319,11 +318,3 @@ def test_recordings_of_others_go_through(path, tmp_path):
 @pytest.mark.recordings
 def test_recordings_of_others_were_read():
     assert DIRECTORIES
-
-
-def test_metadata_that_is_edited_twice_is_edited_from_what_it_was():
-    text = "rosbag2_bagfile_information:\n  # kept\n  version: 5\n  custom_data:\n    a: '1'\n"
-    first = edited(text, lambda info: add_provenance(info, "x", {"k": "1"}))
-    assert first == edited(text, lambda info: add_provenance(info, "x", {"k": "1"}))
-    assert first == text + "    x.k: '1'\n"
-    assert edited(text, dict.copy) == text

@@ -10,9 +10,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.rosbag2 import Writer as Ros2LibraryWriter
 from ruamel.yaml import YAML
 
-from odomcorrupt.bags import budget
-from odomcorrupt.bags.budget import VARIABLE
+from odomcorrupt.bags import source as reading
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.source import VARIABLE
 from odomcorrupt.cli import run
 from odomcorrupt.errors import BagError
 
@@ -144,7 +144,7 @@ def test_what_would_fill_the_disk_is_refused(mode, storage, tmp_path, monkeypatc
         made = writer.add_connection("/zeros", "std_msgs/msg/String", msgdef="string data", rihs01="RIHS01_0")
         writer.write(made, 10**18, bytes(1 << 23))
     monkeypatch.setenv(VARIABLE, "1MB")
-    monkeypatch.setattr(budget, "_TIMES", 10)
+    monkeypatch.setattr(reading, "_TIMES", 10)
     with pytest.raises(BagError, match="ODOMCORRUPT_MAX_UNPACKED=1GiB"):
         ours(bomb)
     assert len(ours(bag)) == len(rows(bag))

@@ -9,8 +9,8 @@ from oracles import OFFICE_BAG, copy, mcap_messages, mcap_record_places, ros1_me
 from test_recover import recover
 from test_ros1 import records
 
-from odomcorrupt.bags.magic import ROS1 as MAGIC
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.source import ROS1 as MAGIC
 
 SCHEMA, CHUNK, INDEX, ROS1_CHUNK = 3, 6, 7, 5
 CHUNK_HEAD = 9 + 40

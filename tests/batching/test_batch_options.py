@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,6 @@ from test_batch_bytes import BAGS, bytes_of, messages_of, records
 import odomcorrupt as oc
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.dispersion import spread_brief
-from odomcorrupt.batching.runner import Watched
 from odomcorrupt.cli import run
 from terminal import on_a_terminal
 
@@ -186,24 +186,6 @@ def test_a_spread_differs_from_the_prediction_by_chance_as_rarely_as_it_says(her
     assert wide.lines[0].label == "WIDER"
 
 
-@pytest.mark.parametrize("name", ["office.mcap", "office.bag", "office_ros2"])
-def test_pass_tells_its_part_in_ascending_order(name, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.batching.runner.PAUSE_S", 0.0)
-    beats = []
-    with open_reader(FIXTURES / name) as reader:
-        watched = Watched(reader, lambda part, past_s: beats.append((part, past_s)))
-        assert watched.channels is reader.channels
-        assert sum(len(block.table) for block in watched.blocks()) > 2000
-    parts, seconds = zip(*beats, strict=True)
-    assert seconds == tuple(sorted(seconds))
-    assert seconds[-1] > 10.0
-    if name == "office_ros2":
-        assert set(parts) == {None}
-    else:
-        assert parts == tuple(sorted(parts))
-        assert 0.9 < parts[-1] <= 1.0
-
-
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_terminal_sees_runs_grow_within_a_pass(jobs, tmp_path):
     program = (
@@ -221,3 +203,37 @@ def test_terminal_sees_runs_grow_within_a_pass(jobs, tmp_path):
     counts = [int(line) for line in lines]
     assert counts == sorted(counts)
     assert counts[-1] == 8
+
+
+ALPHA = ("--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7")
+
+
+@pytest.fixture
+def runs(here):
+    """Make overlays of the office, and whole bags to compare with."""
+    assert run(["batch", "in.mcap", "runs", "--runs", "1", "--output", "overlay", *ALPHA]) == 0
+    assert run(["in.mcap", "whole.mcap", *ALPHA]) == 0
+    return next(Path("runs").glob("run_*"))
+
+
+def refused(capsys, *words):
+    capsys.readouterr()
+    assert run(["assemble", *map(str, words)]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert not Path("out.mcap").exists()
+    return said
+
+
+def test_an_input_that_is_gone_or_another_is_reported(runs, capsys):
+    shutil.move("in.mcap", "moved.mcap")
+    assert "the batch's input is not there; name it with --input" in refused(capsys, runs, "out.mcap")
+    shutil.copy("whole.mcap", "in.mcap")
+    assert "has changed since the batch was made from it" in refused(capsys, runs, "out.mcap")
+    assert run(["assemble", str(runs), "out.mcap", "--input", "moved.mcap"]) == 0
+
+
+def test_an_overlay_does_not_go_into_a_bag_of_other_topics(runs, capsys):
+    said = refused(capsys, "whole.mcap", "out.mcap", "--input", runs)
+    assert "has topics that" in said
+    assert "name the input it was made from" in said

@@ -13,11 +13,10 @@ from pathlib import Path
 import pytest
 from test_batch_bytes import records
 
-from odomcorrupt.bags.placement import beside
+from odomcorrupt.bags.output import beside
 from odomcorrupt.batching import manifest
 from odomcorrupt.batching import runner as making
 from odomcorrupt.cli import run
-from odomcorrupt.commands._progress import left_words
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 TYPED = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7"]
@@ -230,7 +229,7 @@ def test_a_dry_run_foretells_the_bytes_and_makes_nothing(here, capsys):
 
 
 def test_a_full_disk_is_refused_before_anything_is_made(here, monkeypatch, capsys):
-    monkeypatch.setattr("odomcorrupt.batching.estimate.free_bytes", lambda _: 3_000_000)
+    monkeypatch.setattr("odomcorrupt.batching.engine.free_bytes", lambda _: 3_000_000)
     assert batch(10) == 1
     said = capsys.readouterr().err
     assert "10 runs need about" in said
@@ -246,15 +245,6 @@ def test_no_odometry_fails_at_once_and_leaves_nothing(here, capsys):
     assert batch(3, "--odom-topic", "/nowhere") == 1
     assert "/nowhere" in capsys.readouterr().err
     assert not (here / "runs").exists()
-
-
-def test_rate_and_time_left_in_words():
-    assert left_words(10, 40, 5.0) == "10 of 40 runs, 2 a second, 15 s left"
-    assert left_words(10, 1000, 100.0) == "10 of 1000 runs, 0.1 a second, 2.8 h left"
-    assert left_words(1, 11, 60.0) == "1 of 11 runs, 0.0167 a second, 10 min left"
-    assert left_words(0, 5, 1.0) == "0 of 5 runs"
-    # half a pass counts
-    assert left_words(3.5, 10, 7.0) == "3 of 10 runs, 0.5 a second, 13 s left"
 
 
 BROKEN = ["[1]", "5", "null", '"run"', "{}", '{"run": 0}', "\xff\xfe", '{"run": 1e400}', '{"run": 1, "file": 5}']

@@ -7,8 +7,7 @@ from drives import model, office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
-from odomcorrupt.corruption.additions import pack_transform
-from odomcorrupt.corruption.transform import Options, Transform
+from odomcorrupt.corruption.transform import Options, Transform, pack_transform
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import compose, inverse, wrap
 

@@ -359,3 +359,17 @@ def test_every_topic_states_the_same_noisy_motion(kind, tmp_path):
 @pytest.mark.slow
 def test_every_topic_of_500_bags_states_the_same_noisy_motion(tmp_path):
     assert [said for kind in kinds(500) for said in violations(kind, tmp_path)] == []
+
+
+def test_a_batch_of_two_robots_has_the_bytes_of_single_runs(tmp_path):
+    source = tmp_path / "in.mcap"
+    write(Kind(3, "mcap", "two robots", "level", "none", "child"), source)
+    (file,) = source.glob("*.mcap")
+    options = {"seed": 3, "odom_topic": "/robot1/odom", "also": ("/robot2/odom",), "model": "typical"}
+    made = odomcorrupt.batch(file, tmp_path / "runs", runs=2, **options)
+    for number, path in enumerate(made.paths):
+        odomcorrupt.corrupt(file, tmp_path / "one.mcap", run=number, overwrite=True, **options)
+        assert path.read_bytes() == (tmp_path / "one.mcap").read_bytes()
+        assert "--also /robot2/odom" in made.records[number]["command"]
+    with pytest.raises(odomcorrupt.errors.BatchError, match="also"):
+        odomcorrupt.batch(file, tmp_path / "overlays", runs=1, output="overlay", **options)

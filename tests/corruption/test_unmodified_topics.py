@@ -10,8 +10,7 @@ from drives import office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
-from odomcorrupt.corruption.odometry_source import Frames, contains_truth
-from odomcorrupt.corruption.unmodified_topics import frame_of, topics_with_true_motion
+from odomcorrupt.corruption.odometry_source import Frames, contains_truth, frame_of, topics_with_true_motion
 
 
 def channel(number, topic, msgtype, encoding="cdr"):

@@ -2,6 +2,7 @@
 
 import pydoc
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -66,3 +67,14 @@ def _makes(script: str, name: str) -> bool:
     """Return whether a script writes a picture of that name, or names of that beginning."""
     folder, _, rest = name.partition("_")
     return f'"{name}"' in script or (bool(rest) and f'f"{folder}_{{' in script)
+
+
+DOCS = Path(__file__).parents[2] / "docs"
+sys.path.append(str(DOCS))
+
+from make_mistakes import PAGE, page  # noqa: E402 - its folder had to be found first
+
+
+def test_the_page_is_the_table():
+    """Breaks where a row is changed and `python docs/make_mistakes.py` is not run."""
+    assert PAGE.read_text(encoding="utf8") == page()

@@ -14,11 +14,7 @@ RUNS = BENCHMARKS / "laboratory" / "results"
 @pytest.mark.parametrize(
     ("script", "words", "page"),
     [
-        (
-            "hidden_effects.py",
-            ["summary", RUNS / "twentythird.jsonl", "--page"],
-            "hidden_effects.md",
-        ),
+        ("hidden_effects.py", ["summary", RUNS / "twentythird.jsonl", "--page"], "hidden_effects.md"),
         ("ordinary.py", ["page", BENCHMARKS / "ordinary" / "results" / "tenth.jsonl", "-o"], "ordinary.md"),
         ("optiodom.py", [BENCHMARKS / "optiodom.json", "--page"], "optiodom.md"),
     ],

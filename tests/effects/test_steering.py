@@ -68,8 +68,7 @@ def test_a_reversal_between_two_samples_crosses_the_play(phase):
 
 
 @pytest.mark.parametrize(
-    ("limits", "largest_rate", "largest_lag"),
-    [({"rate": 0.05}, 0.05, np.inf), ({"stop": 0.012}, np.inf, 0.012)],
+    ("limits", "largest_rate", "largest_lag"), [({"rate": 0.05}, 0.05, np.inf), ({"stop": 0.012}, np.inf, 0.012)]
 )
 def test_wheels_turn_no_faster_than_their_rate_and_lag_no_further_than_their_stop(limits, largest_rate, largest_lag):
     steps, _ = steered_path()

@@ -6,14 +6,7 @@ from pathlib import Path
 import pytest
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.export import (
-    FLOOR,
-    Steady,
-    amcl_alphas,
-    message_noise,
-    twist_variances,
-    wheel_multipliers,
-)
+from odomcorrupt.export import FLOOR, Steady, amcl_alphas, message_noise, twist_variances, wheel_multipliers
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 

@@ -35,16 +35,15 @@ from smallbags import Small, make_small_bags
 from trials import FoundError, guarded
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
-from odomcorrupt.bags.budget import BufferPool
 from odomcorrupt.bags.chunk import Chunk
 from odomcorrupt.bags.codecs import Packed, beginning, decompress
 from odomcorrupt.bags.mcap import chunk as of_mcap
+from odomcorrupt.bags.mcap.chunk import ChannelRecord, SchemaRecord
 from odomcorrupt.bags.mcap.reader import read_summary
-from odomcorrupt.bags.mcap.records import ChannelRecord, SchemaRecord
 from odomcorrupt.bags.messages import READABLE, gather, gather_stamps_ns, locate, scatter, scatter_stamps_ns
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.ros1 import chunk as of_ros1
-from odomcorrupt.bags.source import Source
+from odomcorrupt.bags.source import BufferPool, Source
 from odomcorrupt.errors import OdomCorruptError
 
 if TYPE_CHECKING:

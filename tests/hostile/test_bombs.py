@@ -14,9 +14,9 @@ import lz4.frame
 import pytest
 import zstandard
 
-from odomcorrupt.bags.budget import VARIABLE, Budget, limited, size_of
 from odomcorrupt.bags.codecs import Packed, beginning
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.source import VARIABLE, Budget, limited, size_of
 from odomcorrupt.cli import cli, run
 from odomcorrupt.errors import BagError
 
@@ -96,7 +96,7 @@ BOMBS = {
 @pytest.mark.parametrize("name", BOMBS)
 def test_what_unpacks_to_more_than_its_budget_is_a_line(name, recover, tmp_path, monkeypatch):
     monkeypatch.setenv(VARIABLE, "8MB" if "lz4" not in name else "2MB")
-    monkeypatch.setattr("odomcorrupt.bags.budget._TIMES", 100)
+    monkeypatch.setattr("odomcorrupt.bags.source._TIMES", 100)
     path = tmp_path / ("in.bag" if "bz2" in name else "in.mcap")
     path.write_bytes(BOMBS[name]())
     if recover:
@@ -130,7 +130,7 @@ def test_sizes_are_written_as_usual(text, size):
 
 
 def test_every_command_that_reads_bags_takes_the_option_and_a_file_of_defaults_may_have_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.bags.budget._DEFAULT", (1 << 30, 8 * MB))
+    monkeypatch.setattr("odomcorrupt.bags.source._DEFAULT", (1 << 30, 8 * MB))
     path = tmp_path / "in.mcap"
     path.write_bytes(mcap_of([message(20 * MB)]))
     monkeypatch.chdir(tmp_path)

@@ -21,8 +21,7 @@ from mcap.stream_reader import StreamReader
 from mutations import ros1_headers
 from rosbags.rosbag1 import Reader as Ros1LibraryReader
 
-from odomcorrupt.bags.layouts import UnreadableEncodingError
-from odomcorrupt.bags.messages import READABLE, locate
+from odomcorrupt.bags.messages import READABLE, UnreadableEncodingError, locate
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.transform import Options, Transform

@@ -18,13 +18,7 @@ from odomcorrupt.mapping.occupancy_grid import (
     read_map,
     traverse,
 )
-from odomcorrupt.mapping.scan_map import (
-    MIN_NEIGHBOURS,
-    WINDOW_M,
-    added_thickness,
-    distance_to_surface,
-    wall_thickness,
-)
+from odomcorrupt.mapping.scan_map import MIN_NEIGHBOURS, WINDOW_M, added_thickness, distance_to_surface, wall_thickness
 
 YAML = "image: m.pgm\nresolution: 0.1\norigin: [-1.0, 2.0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
 PGM = b"P5\n# by a camera\n3 1\n255\n\x00\x80\xfe"

@@ -219,10 +219,7 @@ def test_all_parts_of_the_model_are_named_and_other_dependences_as_far_as_there_
 
 def test_a_dependence_that_is_negligible_is_in_the_model_only_if_it_is(rich, monkeypatch):
     monkeypatch.setattr(Learned, "hardly_moves", lambda *_: True)
-    for laws, said in (
-        (UNKNOWNS[:1], "in the model, but negligible"),
-        ((), "negligible, and not in the model"),
-    ):
+    for laws, said in ((UNKNOWNS[:1], "in the model, but negligible"), ((), "negligible, and not in the model")):
         _, (line,) = _found_lines(replace(rich, unknown=UNKNOWNS[:1], laws=laws), rich.fit, set())
         assert line.text == f"{UNKNOWNS[0].expression}: {said}"
 

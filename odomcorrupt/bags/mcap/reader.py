@@ -11,23 +11,31 @@ import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel, Definition, without
 from odomcorrupt.bags.checksum import combined, crc32
-from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
-from odomcorrupt.bags.magic import MCAP as MAGIC
-from odomcorrupt.bags.magic import ZSTD
-from odomcorrupt.bags.mcap.chunk import Loose, McapFraming, read_chunk_head, read_contents, read_pieces, record_bytes
-from odomcorrupt.bags.mcap.records import RECORD_HEADER_BYTES, ChannelRecord, Fields, Op, SchemaRecord, record, string
-from odomcorrupt.bags.mcap.resync import (
-    loss_of_cut_chunk,
-    next_record,
-    stands_behind,
-    stands_here,
-    whole_records,
+from odomcorrupt.bags.chunk import MOST_RECORDS, Chunk, beginning_of_chunk, read_chunks
+from odomcorrupt.bags.mcap.chunk import (
+    CODECS,
+    MESSAGE_HEADER_BYTES,
+    RECORD_HEADER_BYTES,
+    ChannelRecord,
+    Fields,
+    Loose,
+    McapFraming,
+    Op,
+    SchemaRecord,
+    read_chunk_head,
+    read_contents,
+    read_pieces,
+    record,
+    record_bytes,
+    string,
 )
 from odomcorrupt.bags.record_reader import RecordReader
+from odomcorrupt.bags.source import MCAP as MAGIC
+from odomcorrupt.bags.source import ZSTD
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Container, Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -37,15 +45,208 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.source import Source
 
 
-FOOTER_BYTES = 20
+_WINDOW_BYTES = 1 << 20
+_LOOK_BYTES = 256
+_FARTHEST = 10
+"""Number of following records examined to accept one."""
+_ADDED_BYTES = 32
+"""Fields that later versions may append to a record; no other record has room in them."""
+_SHORTEST_MESSAGE = MESSAGE_HEADER_BYTES - RECORD_HEADER_BYTES
+_FIELDS = {
+    Op.SCHEMA: (2, (4, 4, 4), 0),
+    Op.CHANNEL: (4, (4, 4, 4), 0),
+    Op.MESSAGE_INDEX: (2, (4,), 0),
+    Op.ATTACHMENT: (16, (4, 4, 8), 4),
+    Op.METADATA: (0, (4, 4), 0),
+}
+"""Of a record's content: the bytes before fields with a length of their own, the widths of these, the bytes behind."""
+_EXACT = {Op.DATA_END: 4, Op.FOOTER: 20}
+FOOTER_BYTES = _EXACT[Op.FOOTER]
+_BETWEEN_CHUNKS = (Op.CHUNK, Op.MESSAGE_INDEX, Op.ATTACHMENT, Op.METADATA, Op.DATA_END)
+"""Records that never stand in a chunk, and whose length their fields repeat."""
+_EVERYTHING = range(Op.FOOTER, Op.DATA_END + 1)
+_SUMMARY = (
+    Op.SCHEMA,
+    Op.CHANNEL,
+    Op.CHUNK_INDEX,
+    Op.ATTACHMENT_INDEX,
+    Op.STATISTICS,
+    Op.METADATA_INDEX,
+    Op.SUMMARY_OFFSET,
+)
+PRIVATE = 0x80
+"""Opcodes from here on belong to applications."""
+
+
+def stands_here(source: Source) -> bool:
+    """Return whether the next bytes are a plausible record of the data section, or its end."""
+    head, here = source.sniff(_LOOK_BYTES), source.position
+    if not _believable(head, 0, _left(source)):
+        return False
+    if head[0] < PRIVATE:
+        return True
+    chained = _chained(source, here)
+    source.seek(here)
+    return chained
+
+
+def stands_behind(source: Source, begin: int, *, failed: bool = False) -> bool:
+    """Return whether the next bytes are a plausible successor of the record at byte `begin`.
+
+    If bytes are missing from a chunk, its stated length ends inside the next one, possibly at a message, or at its
+    end.
+
+    failed : whether the record at `begin` could not be read
+    """
+    if not stands_here(source):
+        return False
+    here = source.position
+    if not failed and source.sniff(1)[0] in _BETWEEN_CHUNKS:
+        return True
+    source.seek(begin)
+    claimed = source.sniff(1)[:1] == bytes([Op.CHUNK])
+    swallowed = claimed and any(_leads_to(source, at, here) for at, _ in _found(source, begin + 1, here, (Op.CHUNK,)))
+    source.seek(here)
+    return not swallowed
+
+
+def _leads_to(source: Source, at: int, here: int) -> bool:
+    """Return whether consecutive records lead from byte `at` to or past byte `here`."""
+    while at < here:
+        source.seek(at)
+        head = source.sniff(_LOOK_BYTES)
+        if not _believable(head, 0, _left(source)):
+            return False
+        at += RECORD_HEADER_BYTES + int.from_bytes(head[1:RECORD_HEADER_BYTES], "little")
+    return True
+
+
+def next_record(source: Source, begin: int, kinds: Container[int] = _EVERYTHING) -> bool:
+    """Seek to the first plausible record after byte `begin`, or to the end; return whether there is one.
+
+    Messages inside a chunk do not count, as they have no checksum of their own.
+    """
+    source.seek(begin)
+    if source.sniff(1)[:1] == bytes([Op.CHUNK]) and stands_here(source):
+        kinds = _BETWEEN_CHUNKS
+    size = source.size or 0
+    at, _ = next(_found(source, begin + 1, size, kinds), (size, size))
+    source.seek(at)
+    return at < size
+
+
+def loss_of_cut_chunk(source: Source, length: int, what: str) -> str:
+    """Return a sentence on a chunk of `length` bytes that is truncated by the file's end.
+
+    Raises
+    ------
+    BagError
+        If the chunk is damaged otherwise: its length covers later records.
+    """
+    here, left = source.position, _left(source)
+    lost = f"{source.name}: {what} needs {length} bytes, {left} are left: the bag is truncated in a chunk"
+    if any(_found(source, here, here + left, (Op.CHUNK,))):
+        raise BagError(lost)
+    source.seek(here)
+    return lost
+
+
+def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the bytes (size,) of the intact records before the first damaged one."""
+    view, at = data.data, 0
+    for _ in range(MOST_RECORDS):
+        if at + RECORD_HEADER_BYTES > data.size:
+            break
+        opcode, length = struct.unpack_from("<BQ", view, at)
+        if length > data.size - at - RECORD_HEADER_BYTES or (opcode == Op.MESSAGE and length < _SHORTEST_MESSAGE):
+            break
+        if opcode == 0 or opcode in _BETWEEN_CHUNKS:
+            break
+        at += RECORD_HEADER_BYTES + length
+    return data[:at]
+
+
+def _left(source: Source) -> int:
+    return (source.size or 0) - source.position
+
+
+def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Iterator[tuple[int, int]]:
+    """Yield start and stated end of plausible records of some kinds between bytes `begin` and `end`."""
+    while begin < end:
+        source.seek(begin)
+        window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
+        data, left = np.frombuffer(window, dtype=np.uint8), _left(source)
+        count = min(_WINDOW_BYTES, end - begin, data.size - RECORD_HEADER_BYTES + 1)
+        if count <= 0:
+            return
+        # lengths are less than 2^40, so three of their bytes are zero
+        quiet = (data[6 : 6 + count] | data[7 : 7 + count] | data[8 : 8 + count]) == 0
+        for at in np.flatnonzero(quiet & (data[:count] > 1) & (data[:count] <= Op.DATA_END)).tolist():
+            if window[at] in kinds and _believable(window, at, left - at) and _chained(source, begin + at):
+                yield begin + at, begin + at + RECORD_HEADER_BYTES + int.from_bytes(window[at + 1 : at + 9], "little")
+        begin += _WINDOW_BYTES
+
+
+def _chained(source: Source, at: int) -> bool:
+    """Return whether two more records follow the unknown one at byte `at`; moves the source."""
+    seen, ended = 0, False
+    for _ in range(_FARTHEST):
+        source.seek(at)
+        head, left = source.sniff(_LOOK_BYTES), _left(source)
+        if left < RECORD_HEADER_BYTES:
+            return True
+        opcode, length = struct.unpack_from("<BQ", head)
+        if not (_believable(head, 0, left) or (ended and opcode in _SUMMARY and length < left)):
+            return False
+        # Zeros after a number often resemble a private record, which proves nothing.
+        seen += opcode < PRIVATE
+        if opcode == Op.CHUNK or seen > 2:
+            return True
+        ended = ended or opcode == Op.DATA_END
+        at += RECORD_HEADER_BYTES + length
+    return False
+
+
+def _believable(window: bytes, at: int, left: int) -> bool:
+    if left < RECORD_HEADER_BYTES or len(window) < at + RECORD_HEADER_BYTES:
+        return False
+    opcode, length = struct.unpack_from("<BQ", window, at)
+    head = window[at + RECORD_HEADER_BYTES : at + _LOOK_BYTES]
+    if opcode == Op.CHUNK:
+        return _is_chunk(head, length)
+    if opcode in _EXACT:
+        return bool(0 <= length - _EXACT[opcode] < (_ADDED_BYTES if opcode == Op.DATA_END else 1))
+    if length > left - RECORD_HEADER_BYTES:
+        return False
+    if opcode in _FIELDS:
+        return _adds_up(head, length, *_FIELDS[opcode])
+    return bool(opcode >= PRIVATE or (opcode == Op.MESSAGE and length >= _SHORTEST_MESSAGE))
+
+
+def _adds_up(head: bytes, length: int, before: int, widths: tuple[int, ...], behind: int) -> bool:
+    """Return whether the visible lengths of a record's fields are consistent with its own.
+
+    before, behind : bytes of the fixed fields before and after those with a length prefix
+    widths : sizes of these prefixes, bytes
+    """
+    at = before
+    for width in widths:
+        if at + width > len(head) < length:
+            return True
+        at += width + int.from_bytes(head[at : at + width], "little")
+    return 0 <= length - at - behind < _ADDED_BYTES
+
+
+def _is_chunk(head: bytes, length: int) -> bool:
+    name_length = int.from_bytes(head[28:32], "little")
+    if len(head) < 40 + name_length or name_length > 4:
+        return False
+    (packed,) = struct.unpack_from("<Q", head, 32 + name_length)
+    name = head[32 : 32 + name_length].decode(errors="replace")
+    return 0 <= length - 40 - name_length - packed < _ADDED_BYTES and (name or "none") in CODECS
+
+
 _ADVICE = "outside of its chunks the bag is damaged; --recover saves the intact part"
-
-
-def stated_data_crc(content: bytes, what: str) -> int:
-    """Return the checksum in a DataEnd record's content."""
-    if len(content) < 4:
-        raise BagError(f"{what}: a DataEnd record of {len(content)} bytes is shorter than its checksum; damaged bag")
-    return int.from_bytes(content[:4], "little")
 
 
 def require_data_crc(stated: int, crc: int, length: int, header: bytes, what: str) -> None:
@@ -65,11 +266,6 @@ def require_data_crc(stated: int, crc: int, length: int, header: bytes, what: st
         raise BagError(f"{what}: the checksum of all its data does not match its bytes: {_ADVICE}")
 
 
-def _crc_of_summary(footer: bytes, crc: int) -> int:
-    """Return the checksum that a footer's content should state, of CRC-32 `crc` of the section before it."""
-    return crc32(struct.pack("<BQ", Op.FOOTER, len(footer)) + footer[:16], crc)
-
-
 def require_summary_crc(footer: bytes, crc: int, what: str) -> None:
     """Raise BagError where a footer's content states a checksum that is not that of the section before it.
 
@@ -78,12 +274,10 @@ def require_summary_crc(footer: bytes, crc: int, what: str) -> None:
     what : name in the error
     """
     stated = int.from_bytes(footer[16:FOOTER_BYTES], "little")
-    if stated not in (0, _crc_of_summary(footer, crc)):
+    if stated not in (0, crc32(struct.pack("<BQ", Op.FOOTER, len(footer)) + footer[:16], crc)):
         raise BagError(f"{what}: the checksum of its summary does not match its bytes: {_ADVICE}")
 
 
-PRIVATE = 0x80
-"""Opcodes from here on belong to applications."""
 _END_OF_DATA = struct.pack("<BQI", Op.DATA_END, 4, 0)
 """Of a data section without a checksum."""
 
@@ -214,11 +408,6 @@ class SchemaRegistry:
         msgtype = f"{package}/msg/{leaf}" if leaf and "/" not in leaf else name
         self.channels.setdefault(channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel))
 
-    def defines(self, content: bytes) -> bool:
-        """Return whether the schema of a channel record is known."""
-        schema = ChannelRecord.parse(content, self.name).schema
-        return schema == 0 or schema in self.schemas
-
     def definition(self, channel: Channel) -> Definition:
         """Return the file's definition of a channel's type."""
         raw: ChannelRecord = channel.raw
@@ -310,10 +499,10 @@ class McapReader(RecordReader):
                 # Losses are reported when the blocks are read; this pass is for the channels only.
                 if not recover:
                     raise
-            if self.complete:
-                self._learn_all()
-            else:
+            if not self.complete:
                 source.seek(self._data_start)
+            elif len(self.channels) != self.summary.channel_count:  # its summary lacks some
+                any(len(self.channels) == self.summary.channel_count for _ in self.blocks())
 
     @property
     def packed(self) -> bool:
@@ -442,7 +631,10 @@ class McapReader(RecordReader):
         end = source.position
         length = end - len(content) - RECORD_HEADER_BYTES - self._data_start
         try:
-            stated = stated_data_crc(content, what)
+            if len(content) < 4:
+                said = f"a DataEnd record of {len(content)} bytes is shorter than its checksum; damaged bag"
+                raise BagError(f"{what}: {said}")  # noqa: TRY301
+            stated = int.from_bytes(content[:4], "little")
             if not stated or self.losses or not (source.summing or self._recover):
                 return
             if self._recover:
@@ -477,15 +669,8 @@ class McapReader(RecordReader):
         for schema in self.summary.schemas:
             self._registry.register(Op.SCHEMA, schema)
         for channel in self.summary.channels:
-            if self._registry.defines(channel):
+            if ChannelRecord.parse(channel, self.name).schema in (0, *self.schemas):
                 self._registry.register(Op.CHANNEL, channel)
-
-    def _learn_all(self) -> None:
-        """Register the channels of a file that its summary lacks."""
-        if len(self.channels) != self.summary.channel_count:
-            for _ in self.blocks():
-                if len(self.channels) == self.summary.channel_count:
-                    break
 
     def _read_header(self, source: Source) -> bytes:
         if source.read(len(MAGIC), "magic") != MAGIC:

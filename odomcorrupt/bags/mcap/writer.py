@@ -17,14 +17,15 @@ from odomcorrupt.bags.checksum import CAN_COMBINE, crc32
 from odomcorrupt.bags.chunk import windows
 from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.definition import retyped, with_common_text
-from odomcorrupt.bags.magic import MCAP as MAGIC
-from odomcorrupt.bags.mcap.chunk import CODECS, MESSAGE_HEADER, McapFraming
-from odomcorrupt.bags.mcap.reader import McapReader
-from odomcorrupt.bags.mcap.records import (
+from odomcorrupt.bags.mcap.chunk import (
+    CODECS,
+    INDEX_ENTRY,
+    MESSAGE_HEADER,
     MESSAGE_HEADER_BYTES,
     RECORD_HEADER_BYTES,
     ChannelRecord,
     Fields,
+    McapFraming,
     Op,
     SchemaRecord,
     chunk_head,
@@ -32,8 +33,10 @@ from odomcorrupt.bags.mcap.records import (
     record,
     string,
 )
+from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
+from odomcorrupt.bags.source import MCAP as MAGIC
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -105,7 +108,9 @@ class ChannelTable:
         """Return the schema and channel records that must precede messages of these written ids."""
         needed = self._waiting.intersection(written.tolist()) if self._waiting else set()
         self._waiting -= needed
-        return b"".join(self._pack_schema_of(one) + self._channels[one].pack() for one in sorted(needed))
+        channels = [self._channels[one] for one in sorted(needed)]
+        own = [(self._schemas.get(channel.schema), channel) for channel in channels]
+        return b"".join((schema.pack() if schema else b"") + channel.pack() for schema, channel in own)
 
     def packed(self) -> tuple[list[bytes], list[bytes]]:
         """Return all schema records and all channel records, for the summary."""
@@ -150,13 +155,6 @@ class ChannelTable:
         self._schemas[identifier] = SchemaRecord(identifier, *wanted)
         return identifier
 
-    def _pack_schema_of(self, channel: int) -> bytes:
-        schema = self._schemas.get(self._channels[channel].schema)
-        return schema.pack() if schema else b""
-
-
-_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
-
 
 class ChunkSpan(NamedTuple):
     """A chunk to be written: first and last log time, compression, and bytes before it."""
@@ -165,14 +163,6 @@ class ChunkSpan(NamedTuple):
     end_ns: int
     codec: str
     size: int
-
-
-class ChunkPlace(NamedTuple):
-    """Where a chunk record lies in the file, bytes; packed : those of its compressed records."""
-
-    position: int
-    length: int
-    packed: int
 
 
 class ChunkRows(NamedTuple):
@@ -204,12 +194,16 @@ class Index:
             self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
             self.end_ns = max(self.end_ns, end_ns)
 
-    def add_chunk(self, span: ChunkSpan, place: ChunkPlace, indexes: list[tuple[int, bytes]]) -> bytes:
+    def add_chunk(
+        self, span: ChunkSpan, position: int, length: int, packed: int, indexes: list[tuple[int, bytes]]
+    ) -> bytes:
         """Add a chunk; return the message index records that follow it.
 
+        position, length : where its record begins in the file, and of how many bytes it is
+        packed : bytes of its compressed records
         indexes : channel and whole record, as `message_indexes` gives them
         """
-        at = place.position + place.length
+        at = position + length
         offsets = b""
         for channel, index in indexes:
             offsets += struct.pack("<HQ", channel, at)
@@ -217,11 +211,11 @@ class Index:
         self.chunks.append(
             record(
                 Op.CHUNK_INDEX,
-                struct.pack("<QQQQI", span.start_ns, span.end_ns, place.position, place.length, len(offsets)),
+                struct.pack("<QQQQI", span.start_ns, span.end_ns, position, length, len(offsets)),
                 offsets,
-                struct.pack("<Q", at - place.position - place.length),
+                struct.pack("<Q", at - position - length),
                 string("" if span.codec == "none" else span.codec),
-                struct.pack("<QQ", place.packed, span.size),
+                struct.pack("<QQ", packed, span.size),
             )
         )
         return b"".join(index for _, index in indexes)
@@ -282,7 +276,7 @@ def message_indexes(table: NDArray[np.void], chunks: list[ChunkRows]) -> list[li
     numbers = np.repeat(np.arange(len(chunks)), [chunk.stop - chunk.start for chunk in chunks])
     keys = numbers << 32 | table["channel"]
     order = np.argsort(keys, kind="stable")
-    entries = np.empty(table.size, dtype=_ENTRY)
+    entries = np.empty(table.size, dtype=INDEX_ENTRY)
     entries["log"] = table["log_ns"][order]
     begins = np.array([chunk.begin for chunk in chunks], dtype=np.int64)[numbers]
     entries["offset"] = (table["offset"] - begins)[order] - MESSAGE_HEADER_BYTES
@@ -291,7 +285,7 @@ def message_indexes(table: NDArray[np.void], chunks: list[ChunkRows]) -> list[li
     packed = memoryview(entries.tobytes())
     found: list[list[tuple[int, bytes]]] = [[] for _ in chunks]
     for key, a, b in zip(keys[bounds[:-1]].tolist() if table.size else (), bounds, bounds[1:], strict=False):
-        channel, content = key & 0xFFFFFFFF, packed[a * _ENTRY.itemsize : b * _ENTRY.itemsize]
+        channel, content = key & 0xFFFFFFFF, packed[a * INDEX_ENTRY.itemsize : b * INDEX_ENTRY.itemsize]
         head = struct.pack("<BQHI", Op.MESSAGE_INDEX, 6 + len(content), channel, len(content))
         found[key >> 32].append((channel, head + content))
     return found
@@ -555,7 +549,7 @@ class McapWriter(OutputContext):
             self._output.write_summed(chunk.data, chunk.packed_crc)
         else:
             self._output.write(chunk.data)
-        self._output.write(self._index.add_chunk(span, ChunkPlace(position, len(head) + size, size), indexes))
+        self._output.write(self._index.add_chunk(span, position, len(head) + size, size, indexes))
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
         """Write a record unchanged, or a later piece of one (opcode 0), after all pending writes."""

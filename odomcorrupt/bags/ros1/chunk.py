@@ -2,27 +2,114 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Framing
-from odomcorrupt.bags.chunk import ChunkHead, gaps_between, windows
-from odomcorrupt.bags.ros1.records import Op, number, parse_fields
+from odomcorrupt.bags.chunk import MOST_RECORDS, ChunkHead, gaps_between, windows
+from odomcorrupt.bags.messages import SECOND_NS
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.source import Source
 
 
-MOST_RECORDS = 1 << 22
-"""What a chunk without an index of its messages is walked for: no recorder writes a tenth of it."""
-_INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])
+class Op:
+    """Kinds of records."""
+
+    MESSAGE: Final = 0x02
+    BAG_HEADER: Final = 0x03
+    INDEX: Final = 0x04
+    CHUNK: Final = 0x05
+    CHUNK_INFO: Final = 0x06
+    CONNECTION: Final = 0x07
+
+
+_SIZES: Final = {"op": 1, "time": 8, "index_pos": 8}
+"""Bytes of the numbers in headers, those that are not 4."""
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A topic of one publisher.
+
+    topic : as recorded
+    fields : connection header: type, md5sum, message_definition, callerid, latching, topic
+    header, data : the two parts of the record, unparsed
+    """
+
+    id: int
+    topic: str
+    fields: Mapping[str, bytes]
+    header: bytes
+    data: bytes
+
+    @classmethod
+    def parse(cls, header: bytes, data: bytes, what: str) -> Connection:
+        """Return the connection in a record."""
+        named = parse_fields(header, what)
+        topic = named.get("topic", b"").decode(errors="replace")
+        return cls(number(named, "conn", what), topic, parse_fields(data, what), header, data)
+
+    @classmethod
+    def build(cls, identifier: int, topic: str, fields: Mapping[str, bytes]) -> Connection:
+        """Return a new connection record."""
+        header = {"conn": struct.pack("<I", identifier), "op": bytes([Op.CONNECTION]), "topic": topic.encode()}
+        return cls(identifier, topic, fields, pack_fields(header), pack_fields(fields))
+
+    @property
+    def type(self) -> str:
+        """Message type in ROS 1 notation."""
+        return self.fields.get("type", b"").decode(errors="replace")
+
+    def pack(self) -> bytes:
+        """Return the whole record."""
+        return pack_record(self.header, self.data)
+
+
+def parse_fields(data: bytes, what: str) -> dict[str, bytes]:
+    """Return the named fields of a header, each with its length before it."""
+    fields: dict[str, bytes] = {}
+    at = 0
+    while at < len(data):
+        begin = at + 4
+        at = begin + int.from_bytes(data[at:begin], "little")
+        name, equals, value = data[begin:at].partition(b"=")
+        if at > len(data) or not equals:
+            raise BagError(f"{what}: a header field does not fit its header; the bag is damaged, try --recover")
+        fields[name.decode(errors="replace")] = value
+    return fields
+
+
+def number(fields: Mapping[str, bytes], name: str, what: str) -> int:
+    """Return an unsigned integer field."""
+    value = fields.get(name, b"")
+    if len(value) != _SIZES.get(name, 4):
+        raise BagError(f"{what}: header field {name!r} is {value!r}, not a number; the bag is damaged, try --recover")
+    return int.from_bytes(value, "little")
+
+
+def pack_fields(fields: Mapping[str, bytes]) -> bytes:
+    """Return named fields as a header."""
+    return b"".join(
+        struct.pack("<I", len(name) + 1 + len(value)) + name.encode() + b"=" + value for name, value in fields.items()
+    )
+
+
+def pack_record(header: bytes, data: bytes) -> bytes:
+    """Return a whole record."""
+    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+
+INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])
 _TIME = np.dtype([("s", "<u4"), ("ns", "<u4")])
-_SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +165,9 @@ def record_bytes(data: memoryview, at: int) -> int:
 
 def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
     """Return the content by the index, or None where it is incomplete or wrong."""
-    if not indexes or sum(map(len, indexes)) % _INDEX_ENTRY.itemsize:
+    if not indexes or sum(map(len, indexes)) % INDEX_ENTRY.itemsize:
         return None
-    starts = np.sort(np.frombuffer(b"".join(indexes), dtype=_INDEX_ENTRY)["offset"].astype(np.int64))
+    starts = np.sort(np.frombuffer(b"".join(indexes), dtype=INDEX_ENTRY)["offset"].astype(np.int64))
     template = _template(data, int(starts[0])) if starts.size else None
     if template is None or starts[-1] > data.size - template.head.size - 4:
         return None
@@ -91,7 +178,7 @@ def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
     table = np.empty(starts.size, dtype=TABLE)
     table["channel"] = _column(heads, template.conn, np.dtype("<u4"))
     times = _column(heads, template.time, _TIME)
-    table["log_ns"] = times["s"].astype(np.int64) * _SECOND_NS + times["ns"]
+    table["log_ns"] = times["s"].astype(np.int64) * SECOND_NS + times["ns"]
     table["offset"] = starts + width + 4
     table["length"] = _column(heads, width, np.dtype("<u4"))
     connections = _between(data, gaps_between(starts, table["offset"] + table["length"], data.size))
@@ -164,7 +251,7 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> Contents:
         op = number(fields, "op", what)
         if op == Op.MESSAGE:
             time = number(fields, "time", what)
-            log_ns = (time & 0xFFFFFFFF) * _SECOND_NS + (time >> 32)
+            log_ns = (time & 0xFFFFFFFF) * SECOND_NS + (time >> 32)
             rows.append((number(fields, "conn", what), log_ns, header_end + 4, after - header_end - 4))
             starts.append(at)
         elif op == Op.CONNECTION:

@@ -13,12 +13,12 @@ import numpy as np
 from odomcorrupt.bags.block import TABLE, Block, Channel, Definition, Message, own_framing, require_all
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.definition import md5sum_of, retyped
-from odomcorrupt.bags.magic import ROS1 as MAGIC
+from odomcorrupt.bags.messages import SECOND_NS
 from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
-from odomcorrupt.bags.ros1.chunk import CODECS, Ros1Framing
+from odomcorrupt.bags.ros1.chunk import CODECS, INDEX_ENTRY, Connection, Op, Ros1Framing, pack_fields, pack_record
 from odomcorrupt.bags.ros1.reader import Ros1Reader
-from odomcorrupt.bags.ros1.records import Connection, Op, pack_fields, pack_record
+from odomcorrupt.bags.source import ROS1 as MAGIC
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -29,10 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
-
-
-_INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])
-_SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +74,7 @@ class Framed:
 
 def pack_time(log_ns: int) -> bytes:
     """Return a time in ROS 1's serialisation: seconds and nanoseconds as unsigned 32-bit words."""
-    seconds, nanoseconds = divmod(log_ns, _SECOND_NS)
+    seconds, nanoseconds = divmod(log_ns, SECOND_NS)
     if not 0 <= seconds < 1 << 32:
         raise BagError(f"log time {log_ns} ns: does not fit a ROS 1 bag (0 to 2106); write an MCAP instead")
     return struct.pack("<II", seconds, nanoseconds)
@@ -108,8 +104,8 @@ def indexes(framed: Framed) -> list[tuple[int, int, bytes]]:
     """Return (connection, count, index record) for each connection of a chunk, ascending."""
     order = np.argsort(framed.table["channel"], kind="stable")
     channels = framed.table["channel"][order]
-    entries = np.empty(order.size, dtype=_INDEX_ENTRY)
-    entries["s"], entries["ns"] = np.divmod(framed.table["log_ns"][order], _SECOND_NS)
+    entries = np.empty(order.size, dtype=INDEX_ENTRY)
+    entries["s"], entries["ns"] = np.divmod(framed.table["log_ns"][order], SECOND_NS)
     entries["offset"] = framed.starts[order]
     found: list[tuple[int, int, bytes]] = []
     bounds = [0, *(np.flatnonzero(channels[1:] != channels[:-1]) + 1).tolist(), order.size]
@@ -187,14 +183,10 @@ class Connections:
             "md5sum": (metadata.get("md5sum") or md5sum_of(channel.msgtype, definition)).encode(),
             "message_definition": definition.text,
         }
-        fields |= {key: value.encode() for key, value in _publisher(definition).items()}
+        # what belongs to the publisher, not to the type
+        fields |= {key: metadata[key].encode() for key in ("callerid", "latching") if key in metadata}
         self._made[channel.id] = Connection.build(channel.id, channel.topic, fields)
         self._waiting.add(channel.id)
-
-
-def _publisher(definition: Definition) -> dict[str, str]:
-    """Return the fields of a definition that belong to the publisher (callerid, latching), not to the type."""
-    return {key: definition.metadata[key] for key in ("callerid", "latching") if key in definition.metadata}
 
 
 _HEADER_BYTES = 4104

@@ -11,9 +11,9 @@ import numpy as np
 import zstandard
 
 from odomcorrupt.bags.block import Block, Unframed
-from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
 from odomcorrupt.bags.record_reader import Undecodable, with_readable
+from odomcorrupt.bags.source import Budget
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import Definition
-from odomcorrupt.bags.source import temporary_copy, temporary_folder
+from odomcorrupt.bags.source import SQLITE, temporary_copy, temporary_folder
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -162,7 +161,7 @@ def second_at(path: Path) -> int:
         (page, pages) = struct.unpack(">H10xI", stream.read(32)[16:].rjust(16, b"\0"))
         end = (65536 if page == 1 else page) * pages
         stream.seek(end)
-        return int(end) if end and stream.read(len(magic.SQLITE)) == magic.SQLITE else 0
+        return int(end) if end and stream.read(len(SQLITE)) == SQLITE else 0
 
 
 def harden(connection: sqlite3.Connection, *, defensive: bool = True) -> None:
@@ -273,12 +272,6 @@ def _readable(
         if losses is None:
             raise
         losses.append(f"{path}: sqlite3 reports {' '.join(str(error).split())[:_LONGEST]}: some {what} are lost")
-
-
-def has_packed_messages(connection: sqlite3.Connection) -> bool:
-    """Return whether messages are compressed one by one, as the first one shows: no CDR message begins as zstd does."""
-    first = connection.execute("SELECT substr(data, 1, 4) FROM messages LIMIT 1").fetchone()
-    return first is not None and first[0] == magic.ZSTD
 
 
 def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, bytes]]) -> Topic:

@@ -115,8 +115,12 @@ def _count_topics(info: dict[str, Any], parts: Sequence[PartContents], topics: S
     counts = Counter[str]()
     for part in parts:
         counts.update(part.counts)
-    entries = info.get("topics_with_message_count")
-    if not (isinstance(entries, list) and all(_is_entry(one) for one in entries)):
+    entries: Any = info.get("topics_with_message_count")
+    try:
+        sound = isinstance(entries, list) and all(isinstance(one["topic_metadata"]["name"], str) for one in entries)
+    except (KeyError, TypeError):
+        sound = False
+    if not sound:
         entries = info["topics_with_message_count"] = []
     known = {entry["topic_metadata"]["name"] for entry in entries}
     hashed = not entries or any("type_description_hash" in entry["topic_metadata"] for entry in entries)
@@ -127,11 +131,6 @@ def _count_topics(info: dict[str, Any], parts: Sequence[PartContents], topics: S
     for entry in entries:
         # of a name with two types one entry has the count
         entry["message_count"] = counts.pop(entry["topic_metadata"]["name"], 0)
-
-
-def _is_entry(entry: object) -> bool:
-    metadata = entry.get("topic_metadata") if isinstance(entry, dict) else None
-    return isinstance(metadata, dict) and isinstance(metadata.get("name"), str)
 
 
 def _span(info: dict[str, Any], parts: Sequence[PartContents]) -> None:

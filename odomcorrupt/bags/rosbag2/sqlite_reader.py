@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import TABLE, Block, Channel, Kind
 from odomcorrupt.bags.record_reader import Undecodable, with_readable
 from odomcorrupt.bags.rosbag2.database import (
     Topic,
     columns,
-    has_packed_messages,
     read_only,
     read_topics,
     reported,
@@ -27,7 +25,7 @@ from odomcorrupt.bags.rosbag2.database import (
     second_at,
     settled,
 )
-from odomcorrupt.bags.source import not_the_end, temporary_copy, temporary_folder
+from odomcorrupt.bags.source import ZSTD, not_the_end, temporary_copy, temporary_folder
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -229,10 +227,7 @@ class SqliteReader:
         self._undecodable = Undecodable()
         if self._recover:
             only = with_readable(only, self.channels)
-        with (
-            self._reported(),
-            closing(read_only(self.readable, whole=not self._recover)) as connection,
-        ):
+        with self._reported(), closing(read_only(self.readable, whole=not self._recover)) as connection:
             rows: list[int] = []
             of: list[int] = []
             times_ns: list[int] = []
@@ -334,12 +329,13 @@ def _block(rows: list[int], of: list[int], times_ns: list[int], data: list[bytes
 def _packed(connection: sqlite3.Connection, *, recover: bool) -> bool:
     """Return whether messages are compressed one by one; with recovery as the first readable one shows."""
     try:
-        return has_packed_messages(connection)
+        first = connection.execute("SELECT substr(data, 1, 4) FROM messages LIMIT 1").fetchone()
+        return first is not None and first[0] == ZSTD
     except sqlite3.Error:
         if not recover:
             raise
     _, _, _, data = next(salvaged_rows(connection, "", []), (0, 0, 0, b""))
-    return isinstance(data, bytes) and data.startswith(magic.ZSTD)
+    return isinstance(data, bytes) and data.startswith(ZSTD)
 
 
 def _sound(connection: sqlite3.Connection) -> bool:

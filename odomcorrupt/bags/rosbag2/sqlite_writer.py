@@ -14,8 +14,7 @@ import numpy as np
 
 from odomcorrupt.bags.block import Channel, PartContents, require_all
 from odomcorrupt.bags.definition import retyped, with_common_text
-from odomcorrupt.bags.output import FileCopy
-from odomcorrupt.bags.placement import beside, place, remove, sweep
+from odomcorrupt.bags.output import FileCopy, beside, place, remove, sweep
 from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, read_only, reported, unfinished
 from odomcorrupt.bags.rosbag2.metadata import TopicInfo, add_provenance, edited, generated
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader, copy_tables, kept
@@ -252,7 +251,9 @@ class SqliteWriter(SqliteOutput):
         }
         with reported(self._path, writing=True):
             self._insert("topics", values)
-            if columns(self._connection, "message_definitions") and not self._defines(msgtype):
+            known = "SELECT 1 FROM message_definitions WHERE topic_type = ?"
+            has = columns(self._connection, "message_definitions")
+            if has and self._connection.execute(known, (msgtype,)).fetchone() is None:
                 self._insert(
                     "message_definitions",
                     {
@@ -353,10 +354,6 @@ class SqliteWriter(SqliteOutput):
         statement = f"INSERT INTO {table} ({', '.join(known)}) VALUES ({marks})"  # noqa: S608 - all names are ours
         self._change(statement, [[values[name] for name in known]])
 
-    def _defines(self, msgtype: str) -> bool:
-        query = "SELECT 1 FROM message_definitions WHERE topic_type = ?"
-        return self._connection.execute(query, (msgtype,)).fetchone() is not None
-
     def __enter__(self) -> Self:
         try:
             with reported(self._path, writing=True):
@@ -395,8 +392,11 @@ class SqliteWriter(SqliteOutput):
             complete = self._copying.complete()
             self._copying.require_unchanged()
             self._end_copy()
-            if not complete:
-                self._copy_here()
+            if not complete:  # the kernel's copy is not available or has failed
+                try:
+                    shutil.copyfile(self._reader.readable, self._partial)
+                except OSError as error:
+                    raise BagError(f"{self._path}: cannot be written: {error.strerror}") from error
         self._open = sqlite3.connect(self._partial, isolation_level=None)
         (self._journal,) = self._connection.execute("PRAGMA journal_mode").fetchone()
         # No journal: on any failure the whole file is removed.
@@ -443,10 +443,3 @@ class SqliteWriter(SqliteOutput):
             self._copying.close()
             self._copying = None
             self._copied_to.close()
-
-    def _copy_here(self) -> None:
-        """Copy the file in Python, if the kernel's copy is not available or has failed."""
-        try:
-            shutil.copyfile(self._reader.readable, self._partial)
-        except OSError as error:
-            raise BagError(f"{self._path}: cannot be written: {error.strerror}") from error

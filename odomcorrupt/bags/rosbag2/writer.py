@@ -12,9 +12,8 @@ from odomcorrupt.bags.block import Block, Channel, PartFraming
 from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.writer import McapWriter, ReframedReader
-from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.output import Output, beside, place, sweep
 from odomcorrupt.bags.parts import PartsReader
-from odomcorrupt.bags.placement import beside, place, sweep
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, compress_file, compressed_block
 from odomcorrupt.bags.rosbag2.metadata import TopicInfo, add_provenance, count, edited, generated
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
@@ -168,7 +167,8 @@ class Rosbag2Writer:
         suffix = ".mcap" if self._kind == "mcap" else ".db3"
         if self._old is None:
             return [f"{self._path.name}_0{suffix}"]
-        return [_uncompressed(path).with_suffix(suffix).name for path in self._old.paths[1:]]
+        plain = [path.with_suffix("") if path.suffix.lower() in SUFFIXES else path for path in self._old.paths[1:]]
+        return [path.with_suffix(suffix).name for path in plain]
 
     def _writer(self, part: BagReader, target: Path) -> PartWriter:
         if self._kind == "mcap":
@@ -198,7 +198,3 @@ class Rosbag2Writer:
         finally:
             if self._partial.exists():
                 shutil.rmtree(self._partial)
-
-
-def _uncompressed(path: Path) -> Path:
-    return path.with_suffix("") if path.suffix.lower() in SUFFIXES else path

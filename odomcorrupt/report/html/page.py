@@ -10,11 +10,27 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt import __version__
 from odomcorrupt.report.plots.figure import rendered
+from odomcorrupt.report.plots.score import along, draw_alone, drift, places
+from odomcorrupt.report.score import (
+    METRIC_HEADS,
+    POINT_HEADS,
+    gate_lines,
+    metric_rows,
+    point_rows,
+    run_cells,
+    run_heads,
+    sentences,
+)
+from odomcorrupt.scoring.gate import quantity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.figure import Figure
+
+    from odomcorrupt.scoring.gate import Verdict
+    from odomcorrupt.scoring.run import ScoreReport
+
 
 _HEAVY = 600_000
 """Size of a vector figure, bytes, above which it is rasterised if that is smaller; keeps the page below 3 MB."""
@@ -86,3 +102,67 @@ def _embedded(figure: Figure) -> str:
         pixels = rendered(figure, "png")
         kind, data = ("png", pixels) if len(pixels) < len(data) else (kind, data)
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+_ROWS = 1000
+"""Largest number of runs in the table; the worst ones are listed."""
+
+
+def score_html(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
+    """Return the HTML page."""
+    title = f"Localisation under drift: {report.estimate}, {len(report.runs)} runs"
+    first, *rest = sentences(report)
+    body = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="quiet">Truth: {escape(report.truth)}. Alignment: {escape(report.align)}.</p>',
+        *(f'<p class="verdict{" rejected" if v.failed else ""}">{"<br>".join(map(escape, gate_lines([v])))}</p>'
+          for v in verdicts),
+        f"<p><strong>{escape(first)}</strong></p>",
+        *(f"<p>{escape(sentence)}</p>" for sentence in rest),
+        picture(
+            "drift", "Error against drift", "One mark per run. Line: the drift at which 5 % of runs are lost, band: "
+            "its 95 % interval.", draw_alone(drift, report, 8.0, 4.2),
+        ),
+        picture(
+            "along", "Error along the path", "Position error of each run over the distance driven; lost runs are red.",
+            draw_alone(along, report, 8.0, 4.2),
+        ),
+        picture("places", "Where it fails", "Crosses: where runs were lost.", draw_alone(places, report, 7.0, 6.0)),
+        table(POINT_HEADS, [list(map(escape, row)) for row in point_rows(report)]) if len(report.points) > 1 else "",
+        "<h2>Over runs</h2>",
+        table(METRIC_HEADS, [list(map(escape, row)) for row in metric_rows(report)]),
+        _sections(report),
+        "<h2>Runs</h2>",
+        _runs(report),
+        *(f'<p class="quiet">Note: {escape(note)}.</p>' for note in report.notes),
+    ]  # fmt: skip
+    return page(title, body, _legend(report))
+
+
+def _sections(report: ScoreReport) -> str:
+    rows = [
+        [f"{s.from_m:.1f} to {s.to_m:.1f} m", f"{s.xy_m[0]:.2f}, {s.xy_m[1]:.2f}", str(s.runs),
+         quantity("_m", s.median_m), quantity("_m", s.p90_m), f"!{s.failures}" if s.failures else "0"]
+        for s in report.sections
+    ]  # fmt: skip
+    return table(("along the path", "x, y (m)", "runs", "median error", "p90", "losses begin"), rows, "Along the path")
+
+
+def _runs(report: ScoreReport) -> str:
+    worst = sorted(report.runs, key=lambda run: -run.metrics.get("ate_m", float("inf")))[:_ROWS]
+    rows = []
+    for run in worst:
+        cells = [escape(cell) for cell in run_cells(run)]
+        rows.append([*cells[:-1], cells[-1] if run.status == "ok" else f"!{cells[-1]}"])
+    return table(run_heads(), rows, "The worst first")
+
+
+def _legend(report: ScoreReport) -> str:
+    limits = report.limits
+    return (
+        "ATE and RPE as evo defines them (root mean squares, the truth interpolated at the stamps of the estimate). "
+        f"Lost: more than {limits.lost_m:g} m off for {limits.lost_s:g} s or until the end; diverged: ten times that "
+        f"far. Jump: the error changes by {limits.jump_m:g} m within a second. Intervals of quantiles by order "
+        "statistics, of the break-down point by profile likelihood of a logistic regression on the logarithm of the "
+        "drift."
+    )

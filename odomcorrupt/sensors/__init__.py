@@ -1,0 +1,1 @@
+"""Other sensors of the robot, whose numbers follow its motion."""
