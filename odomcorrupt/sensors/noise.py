@@ -103,12 +103,13 @@ class SensorNoise:
         if topic not in self._keys:
             self._keys[topic] = stream(self._seed, self._run, f"scan {topic}").integers(2**63, size=2).astype(np.uint64)
         ranges, limits = (gather(block, layout, layout.items[0], name) for name in ("ranges", "limits"))
+        limits = np.where(limits[:, 1:] > limits[:, :1], limits, (0.0, np.inf))  # some drivers state none
         stamps = zip(stamps_ns.tolist(), block.table["log_ns"][layout.rows].tolist(), strict=True)
         for own, (low, high), when in zip(ranges, limits, stamps, strict=True):
             counter = np.array([0, 0, *when], dtype=np.int64).view(np.uint64)
             rng = np.random.Generator(np.random.Philox(key=self._keys[topic], counter=counter))
-            # what is no measurement stays: infinite, NaN, or a number beyond the limits
-            measured = np.flatnonzero((own >= low) & (own <= high))
+            # what is no measurement stays: infinite, NaN, zero, or a number beyond the limits
+            measured = np.flatnonzero(np.isfinite(own) & (own > 0.0) & (own >= low) & (own <= high))
             noisy = own[measured] + self._std_m * rng.standard_normal(len(own))[measured]
             noisy[noisy < low], noisy[noisy > high] = -np.inf, np.inf
             noisy[rng.random(len(own))[measured] >= self._keep] = np.nan
@@ -125,8 +126,7 @@ class SensorNoise:
         rng, last_ns, bias = self._imus[key]
         draws = rng.standard_normal((len(stamps_ns), 12))
         dt_s = np.maximum(np.diff(stamps_ns, prepend=last_ns), 0) * 1e-9
-        density = np.repeat((noise.gyroscope_noise_density, noise.accelerometer_noise_density), 3)
-        walk = np.repeat((noise.gyroscope_random_walk, noise.accelerometer_random_walk), 3)
+        density, walk = (np.repeat(np.array(noise[first:4:2], dtype=np.float64), 3) for first in (0, 1))
         biases = np.cumsum(np.concatenate((bias, draws[:, 6:] * walk * np.sqrt(dt_s)[:, None])), axis=0)
         added = biases[1:] + draws[:, :6] * density * np.sqrt(noise.update_rate)
         self._imus[key] = rng, int(stamps_ns[-1]), biases[-1:]
