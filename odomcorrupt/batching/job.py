@@ -340,8 +340,8 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
 
 def _require_inputs(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> None:
     """Raise BatchError for inputs that would share a directory, or do not go with the configuration."""
-    if spec.condition is not None and len(inputs) > 1:
-        raise BatchOptionError("--map: is for one drive; make a batch of each input")
+    if spec.condition is not None and (len(inputs) > 1 or spec.also):
+        raise BatchOptionError("--map: is for one drive; make a batch of each input, and of each robot without --also")
     stems = [source.stem for source in inputs]
     if len(set(stems)) < len(stems):
         twice = next(stem for stem in stems if stems.count(stem) > 1)
@@ -361,7 +361,7 @@ def _require_chunks(source: Path, spec: BatchSpec) -> None:
                 f"{source}: sqlite3 has no chunks for --layout split to divide, and is not recompressed; "
                 "leave --layout out"
             )
-        modes = {getattr(reader, "mode", "none"), spec.container.compression}
+        modes = {getattr(reader, "mode", "none"), spec.container.compression, "file" if spec.also else None}
     c = spec.container
     if spec.to is not None or c.exclude or c.rename or c.ros or c.storage or not modes.isdisjoint(("file", "message")):
         raise BatchError(

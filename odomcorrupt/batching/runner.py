@@ -279,19 +279,14 @@ def _make(
             one.strand.grow(portion.growth)
             data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
             if one.sink is not None:
-                one.sink.write(portion, data, _edges(one, portion, shared))
+                frames = shared.odometry.frames if one.edge is not None else None
+                edges = frames and one.edge and one.strand.edges(portion, one.edge, frames.odom)
+                one.sink.write(portion, data, edges or None)
     shared.require_source()
     for one in runs:
         _put_beside(job, home, one)
     frame = "" if shared.odometry.frames is None else shared.odometry.frames.odom
     return [(_record(job, one.strand, part.losses, frame), one.sink) for one in runs]
-
-
-def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:
-    """Return the transforms that a run adds to each block; None where it adds none."""
-    if one.edge is None or shared.odometry.frames is None:
-        return None
-    return one.strand.edges(portion, one.edge, shared.odometry.frames.odom)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from functools import reduce
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -272,7 +273,7 @@ class OdometrySource:
             self.topic = find_odometry(channels, self._asked, name, self._usual)
         nodes = self._publishers() if self._node else []
         if self._node and not any(one.endswith(f"@/{self._node}") for one in nodes):
-            found = f"there are {', '.join(nodes)}" if nodes else "only a ROS 1 bag that is not converted says nodes"
+            found = f"there are {', '.join(nodes)}" if nodes else "only ROS 1 bags that stay so say nodes"
             raise TopicError(f"{name}: {self.name} has no publisher /{self._node} ({found}); name another one")
 
     def _publishers(self) -> list[str]:
@@ -280,9 +281,6 @@ class OdometrySource:
         kinds, topic = TRANSFORMS if self.by_edge else {ODOMETRY}, self._asked if self.by_edge else self.topic
         own = [c for c in self._channels.values() if c.msgtype in kinds and plain(topic or c.topic) == plain(c.topic)]
         return sorted({f"{c.topic}@/{node}" for c in own if (node := self._node_of(c))})
-
-    def _is_chosen(self, channel: Channel) -> bool:
-        return not self._node or self._node_of(channel) == self._node
 
     def _only_transforms(self, channels: Iterable[Channel]) -> bool:
         readable = [c for c in channels if c.encoding in ENCODINGS]
@@ -296,7 +294,7 @@ class OdometrySource:
     def is_odometry(self, channel: Channel) -> bool:
         """Return whether a channel carries the odometry source."""
         own = channel.msgtype == ODOMETRY and self.topic is not None and plain(channel.topic) == plain(self.topic)
-        return own and self._is_chosen(channel)
+        return own and (not self._node or self._node_of(channel) == self._node)
 
     def shares_tree(self, channel: Channel) -> bool:
         """Return whether a channel's frames are those of the source: of the same TF tree, not of another robot's."""
@@ -314,7 +312,8 @@ class OdometrySource:
         for channel, layout in parts:
             if self.by_edge:
                 self._edges |= {f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}" for item in layout.items}
-                asked = (self._asked is None or plain(channel.topic) == plain(self._asked)) and self._is_chosen(channel)
+                asked = plain(self._asked or channel.topic) == plain(channel.topic)
+                asked &= not self._node or self._node_of(channel) == self._node
                 items = [(number, item) for number, item in enumerate(layout.items) if asked and self._is_edge(item)]
                 if items:
                     self._require_tree(channel)
@@ -324,12 +323,10 @@ class OdometrySource:
         if not found:
             none = np.zeros(0, dtype=np.int64)
             return Arrivals(none, none, np.zeros((0, 3)))
-        poses = found[0][1]
-        for _, more in found[1:]:
-            poses = poses.followed_by(more)
-        if len(found) > 1:
-            poses = poses.take(np.argsort(np.concatenate([rows for rows, _ in found]), kind="stable"))
-        return poses
+        if len(found) == 1:
+            return found[0][1]
+        order = np.argsort(np.concatenate([rows for rows, _ in found]), kind="stable")
+        return reduce(Arrivals.followed_by, [poses for _, poses in found]).take(order)
 
     def _recognise(self, parts: list[tuple[Channel, Layout]]) -> None:
         """Set topic and frames from the first odometry message, or from the TF edge where there is none."""

@@ -12,9 +12,10 @@ from odomcorrupt.bags.open import open_reader, open_writer, target_of
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.corruption.inverse import changes_nothing
-from odomcorrupt.corruption.odometry_source import topics_with_true_motion
+from odomcorrupt.corruption.odometry_source import plain, topics_with_true_motion
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.transform import Transform
+from odomcorrupt.errors import TopicError
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.rng import SEED_LIMIT, stream
 
@@ -277,6 +278,8 @@ def corrupt_bag(
         reader = output.reader
         for robot in robots:
             robot.odometry.prepare(reader, reader.name)
+        if len({plain(topic) for topic in (*also, transform.odometry.topic or "")}) <= len(also):
+            raise TopicError(f"--also {also[0]}: is corrupted already; name the odometry of each robot once")
         writer = container.writer(target, output, workers)
         if is_identity and not adds and container.as_it_was and reader is raw and may_stay(source, reader, output.form):
             blocks = _chained(robots, reader)

@@ -54,8 +54,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
         said = f"{size_words(drift.end_drawn_m, drift.end_drawn_rad)} off after {drift.distance_m:.4g} m"
         if not outcome.model.noise.coefficients.noise_free:
             said += f" (noise: {_expected(drift.end_expected_m, drift.end_expected_rad)})"
-        lines = [Line("MOVED", said, "good")]
-        lines.append(Line("model", model_brief(outcome.model, origin.partition(":")[0])))
+        lines = [Line("MOVED", said, "good"), Line("model", model_brief(outcome.model, origin.partition(":")[0]))]
     faster = [Line("faster", sentence, "warning") for sentence in _faster(drift)]
     lines[1:1] = [*lost_lines(outcome), *faster, *places_lines(outcome.model, outcome.frames.odom)]
     lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}"))
@@ -336,7 +335,6 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
         f"Twists of {topic} are in the axes of {outcome.frames.odom}, not of the child frame: changed in these."
         for topic in sorted(changes.odom_axes)
     ]
-    remarks = [f"{remark}." for remark in outcome.remarks]
-    lost = [f"Lost: {loss}." for loss in outcome.losses]
-    said = [*static, *lost, *remarks, *(sentence for sentence, count in counted.items() if count > 0)]
+    static += [*(f"Lost: {loss}." for loss in outcome.losses), *(f"{remark}." for remark in outcome.remarks)]
+    said = [*static, *(sentence for sentence, count in counted.items() if count > 0)]
     return [*said, *(f"{fault[0].upper()}{fault[1:]}." for fault in outcome.faults.sentences())]

@@ -199,10 +199,6 @@ class _Held:
     time_ns: NDArray[np.int64]
     targets: list[Target] | None = None
 
-    @property
-    def seen_ns(self) -> int:
-        return int(self.time_ns[-1]) if len(self.time_ns) else -(2**62)
-
 
 class Transform:
     """One run of a model over a bag.
@@ -388,7 +384,7 @@ class Transform:
 
     def _ready(self, held: _Held) -> bool:
         """Return whether C(t) at a block's messages is final."""
-        age_ns = self._now_ns - held.seen_ns
+        age_ns = self._now_ns - (int(held.time_ns[-1]) if len(held.time_ns) else -(2**62))
         if age_ns >= WAIT_NS or not held.parts or (self.odometry.frames is not None and not self._targets(held)):
             return True
         until_ns = self._curve.known_until_ns
@@ -450,8 +446,7 @@ class Transform:
     def _patch(self, held: _Held) -> Block:
         targets = self._targets(held)
         # all rows of the patched topics, although a patch may leave some of their bytes unchanged
-        rows = [target.layout.rows for target in targets]
-        own = np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
+        own = np.concatenate([np.empty(0, dtype=np.int64), *(target.layout.rows for target in targets)])
         held.block.changed = own if held.block.changed is None else np.union1d(held.block.changed, own)
         if not targets or self._first_ns is None:
             return held.block
