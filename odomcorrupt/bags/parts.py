@@ -205,7 +205,11 @@ class PartsReader:
 
     def __init__(self, path: Path, *, recover: bool = False) -> None:
         self.name = str(path)
-        found = BagFiles([path], mode=_mode_of(path)) if path.is_file() else find_files(path, recover=recover)
+        if path.is_file():
+            with Source.of_file(path) as source:  # by its first bytes
+                found = BagFiles([path], mode="file" if source.sniff(len(ZSTD)) == ZSTD else "none")
+        else:
+            found = find_files(path, recover=recover)
         self.directory = path if path.is_dir() else None
         self.metadata = found.metadata
         self.mode = found.mode
@@ -318,12 +322,6 @@ class PartsReader:
         self._opened.close()
 
 
-def _mode_of(path: Path) -> Mode:
-    """Return how a single file is compressed, by its first bytes."""
-    with Source.of_file(path) as source:
-        return "file" if source.sniff(len(ZSTD)) == ZSTD else "none"
-
-
 def open_part(path: Path, name: str, *, recover: bool = False) -> SqliteReader | McapReader | Ros1Reader:
     """Return a reader for a file of a bag, by its content; `name` is that in messages."""
     source = Source.of_file(path, name)
@@ -339,4 +337,5 @@ def open_part(path: Path, name: str, *, recover: bool = False) -> SqliteReader |
     source.close()
     if begin.startswith(SQLITE):
         return SqliteReader(path, name, recover=recover)
-    raise unknown(name, begin)
+    advice = "" if any(begin) else "; --recover leaves it out"
+    raise BagError(f"{unknown(name, begin).message}{advice}")
