@@ -205,7 +205,8 @@ class FileState(NamedTuple):
 class FileCopy:
     """Running copy of a file, from one position to its end, to the same position of another file.
 
-    The copy ends early if the system has no such call, or if the call fails.
+    The copy ends early if the system has no such call, or if the call fails. Who holds `turn`, then `pause`, holds it up
+    between two calls: a write meanwhile would wait for the lock of the file, each for a whole call.
 
     source : file to be copied
     target : descriptor of the file that is written. Its file offset does not change
@@ -228,6 +229,7 @@ class FileCopy:
         self._position = begin
         self._ended = self._stopped = False
         self._progress = threading.Condition()
+        self.turn, self.pause = threading.Lock(), threading.Lock()
         self._thread = threading.Thread(target=self._run, name="copy", daemon=True)
         self._thread.start()
 
@@ -268,7 +270,12 @@ class FileCopy:
         with suppress(OSError, AttributeError):
             while not self._stopped and (left := self._state.size - self._position) > 0:
                 at = self._position
-                done = os.copy_file_range(self._source, self._target, min(left, _AT_ONCE_BYTES), at, at)
+                with self.turn:
+                    self.pause.acquire()
+                try:
+                    done = os.copy_file_range(self._source, self._target, min(left, _AT_ONCE_BYTES), at, at)
+                finally:
+                    self.pause.release()
                 if not done:
                     break
                 with self._progress:
@@ -406,7 +413,7 @@ class Output:
         return False
 
     def _write_over(self, position: int, piece: memoryview) -> None:
-        """Write bytes over the copy after its end: an earlier write would wait for the lock of the file."""
+        """Write bytes over the copy, after its end or many at once."""
         if self._kept is None or self._copy is None:
             return
         self._kept.append((position, bytes(piece)))
@@ -415,13 +422,14 @@ class Output:
             self._write_kept()
 
     def _write_kept(self) -> None:
-        """Write the bytes that waited for the end of the copy."""
-        if self._kept is None or self._stream is None:
+        """Write the bytes that waited for the copy."""
+        if self._kept is None or self._stream is None or self._copy is None:
             return
-        for position, piece in self._kept:
-            done = 0
-            while done < len(piece):
-                done += os.pwrite(self._stream.fileno(), piece[done:], position + done)
+        with self._copy.turn, self._copy.pause:
+            for position, piece in self._kept:
+                done = 0
+                while done < len(piece):
+                    done += os.pwrite(self._stream.fileno(), piece[done:], position + done)
         self._kept.clear()
         self._kept_bytes = 0
 
