@@ -81,7 +81,7 @@ class Block:
     raw : format-specific data for writing (compression, record framing, non-message records)
     added : messages to append, in order
     ends : end offsets of the chunks that were joined; empty for a single chunk
-    places : positions in the input file of the data of its chunks, if they are not compressed; else empty
+    sparse : position in the input file and CRC-32 of each chunk, if the data have only messages that were asked for
     changed : (n,) rows of the table; all other messages are as they were read. None if this is not known
     """
 
@@ -90,8 +90,8 @@ class Block:
     raw: Any = None
     added: list[Message] = field(default_factory=list)
     ends: tuple[int, ...] = ()
-    places: tuple[int, ...] = ()
     changed: NDArray[np.int64] | None = None
+    sparse: tuple[tuple[int, int], ...] = ()
 
     def present(self) -> set[int]:
         """Return the ids of the channels of its messages."""
@@ -321,9 +321,8 @@ class _Run:
         table = np.concatenate([block.table.view(np.uint8) for block in self.blocks]).view(TABLE)
         table["offset"] += np.repeat(begins, [len(block.table) for block in self.blocks])
         raw = first.raw.joined([block.raw for block in self.blocks[1:]], begins[1:])
-        places = tuple(place for block in self.blocks for place in block.places)
-        places = places if len(places) == len(ends) else ()
-        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends), places=places)
+        sparse = tuple(one for block in self.blocks for one in block.sparse)  # of all: they lie in the same buffer
+        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends), sparse=sparse)
 
 
 def _address(block: Block) -> int:

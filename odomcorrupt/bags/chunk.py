@@ -61,7 +61,7 @@ class Chunk:
     """A decompressed chunk or a part of one, and the contents of the indexes that follow it.
 
     open : records of a ROS 1 chunk that was never finished
-    place : position of its data in the file, if they are not compressed; else None
+    place, crc : position of its data in the file, and their stated CRC-32, if they are not compressed; else None, 0
     """
 
     data: NDArray[np.uint8]
@@ -70,6 +70,7 @@ class Chunk:
     indexes: list[bytes] = field(default_factory=list)
     open: bytearray = field(default_factory=bytearray)
     place: int | None = None
+    crc: int = 0
 
     def append(self, _opcode: int, content: bytes, _what: str) -> None:
         """Append an index."""
@@ -103,7 +104,7 @@ def read_chunks(source: Source, head: ChunkHead, record_bytes: RecordBytes, *, v
         raise BagError(f"{named}: states {head.size} bytes, but has {head.packed}; the bag is damaged")
     if head.size <= LARGE_BYTES:
         place = source.position if head.codec == "none" else None
-        yield Chunk(_read_whole(source, head, named), head.codec, named, place=place)
+        yield Chunk(_read_whole(source, head, named), head.codec, named, place=place, crc=head.crc)
         return
     budget: Budget | None = source.budget
     if verify and (head.crc or head.codec != "none"):
@@ -137,10 +138,9 @@ def _read_whole(source: Source, head: ChunkHead, named: str) -> NDArray[np.uint8
         packed = source.read_scratch(head.packed, head.what)
         data = decompress(head.codec, packed, head.size, named, source.pool, source.budget)
         actual = crc32(data.data) if head.crc else 0
-    elif head.crc:
-        data, actual = source.read_summed(head.packed, head.what)
     else:
         data = source.read_array(head.packed, head.what)
+        actual = source.crc_of_last if source.summing else crc32(data.data) if head.crc else 0
     source.read(head.behind, head.what)
     _require_crc(head, actual, named)
     return data

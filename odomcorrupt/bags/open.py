@@ -8,9 +8,10 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
+from odomcorrupt.bags.checksum import CAN_COMBINE
 from odomcorrupt.bags.codecs import require_level
 from odomcorrupt.bags.output import Output, is_stream, refuse_target
-from odomcorrupt.bags.record_reader import loss_of
+from odomcorrupt.bags.record_reader import RecordReader, loss_of
 from odomcorrupt.bags.source import MCAP, ROS1, SNIFFED, SQLITE, ZSTD, Source, unknown
 from odomcorrupt.errors import BagError
 
@@ -272,6 +273,11 @@ def open_writer(
         return Rosbag2Writer(
             path, reader, chunks, level, kind=kind, mode=mode, overwrite=overwrite, workers=workers
         )  # fmt: skip
+    beside = workers is not None and workers.threads > 1
+    if isinstance(reader, RecordReader) and path is not None and not is_stream(path) and str(path) != "-":
+        # what the kernel copies in a thread need not be written from memory
+        copied = beside and reader.kind == kind and compression in (None, "none")
+        reader.sparse = copied and CAN_COMBINE and sys.platform == "linux"
     # the reader of a bag's only file of the same kind: this file is rewritten
     part = parts.parts[0] if parts and len(parts.parts) == 1 and parts.kind == kind else None
     if kind == "mcap":
@@ -288,7 +294,6 @@ def open_writer(
     if path is None or is_stream(path):
         raise BagError(f"{path}: a sqlite3 file cannot go through a pipe; name the output .mcap, or a file")
     if isinstance(part, SqliteReader):
-        beside = workers is not None and workers.threads > 1
         return SqliteWriter(path, part, overwrite=overwrite, copying_thread=beside)
     return NewSqliteWriter(path, reader, overwrite=overwrite)
 

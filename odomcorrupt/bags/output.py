@@ -16,7 +16,7 @@ import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, Self
+from typing import BinaryIO, Self
 
 from odomcorrupt.bags.checksum import combined, crc32, crc_of_both
 from odomcorrupt.errors import BagError
@@ -187,26 +187,20 @@ _AT_ONCE_BYTES = 16 << 20
 """Bytes copied by one system call; an interrupt waits for the end of a call."""
 
 
-class FileState(NamedTuple):
-    """Device, inode, size and modification time of a file, which differ after it was replaced or written to."""
+def state_of(descriptor: int) -> list[int]:
+    """Return size, device, inode and modification time of an open file: some differ once it is replaced or changed."""
+    now = os.fstat(descriptor)
+    return [now.st_size, now.st_dev, now.st_ino, now.st_mtime_ns]
 
-    device: int
-    inode: int
-    size: int
-    modified_ns: int
 
-    @classmethod
-    def of(cls, descriptor: int) -> FileState:
-        """Return the state of an open file."""
-        now = os.fstat(descriptor)
-        return cls(now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns)
+_CHANGED = "changed while it was read; the output is discarded, run again once the recording is complete"
 
 
 class FileCopy:
     """Running copy of a file, from one position to its end, to the same position of another file.
 
-    The copy ends early if the system has no such call, or if the call fails. Who holds `turn`, then `pause`, holds it up
-    between two calls: a write meanwhile would wait for the lock of the file, each for a whole call.
+    The copy ends early if the system has no such call, or if the call fails. What is written over it is
+    written between calls, many pieces at once: each would wait for the lock of the file until a call ends.
 
     source : file to be copied
     target : descriptor of the file that is written. Its file offset does not change
@@ -219,34 +213,45 @@ class FileCopy:
         If the source cannot be opened, or is not the file that was read.
     """
 
-    def __init__(self, source: Path, target: int, begin: int = 0, state: FileState | None = None) -> None:
-        self._name = str(source)
+    def __init__(self, source: Path, target: int, begin: int = 0, state: list[int] | None = None) -> None:
+        self._path = source
         self._source, self._target = os.open(source, os.O_RDONLY | getattr(os, "O_BINARY", 0)), target
-        self._state = FileState.of(self._source)
+        self._state = state_of(self._source)
         if state not in (None, self._state):
             os.close(self._source)
-            raise OSError(errno.ESTALE, os.strerror(errno.ESTALE), self._name)
+            raise OSError(errno.ESTALE, os.strerror(errno.ESTALE), str(source))
         self._position = begin
         self._ended = self._stopped = False
         self._progress = threading.Condition()
-        self.turn, self.pause = threading.Lock(), threading.Lock()
+        self._turn, self._pause = threading.Lock(), threading.Lock()
+        self._kept: list[tuple[int, bytes]] = []
+        self._kept_bytes = 0
         self._thread = threading.Thread(target=self._run, name="copy", daemon=True)
         self._thread.start()
 
-    @property
-    def done(self) -> bool:
-        """Whether the copy has ended, completely or early."""
-        return self._ended
-
-    def complete(self) -> bool:
-        """Wait until the copy has ended; return whether all bytes were copied."""
-        return self.reaches(self._state.size)
-
-    def reaches(self, end: int) -> bool:
-        """Wait until the bytes before `end` are copied or the copy has ended; return whether they are copied."""
+    def reaches(self, end: int | None = None) -> bool:
+        """Wait until the bytes before `end`, or all, are copied, or the copy has ended; return whether they are."""
+        end = self._state[0] if end is None else end
         with self._progress:
             self._progress.wait_for(lambda: self._position >= end or self._ended)
         return self._position >= end
+
+    def write(self, position: int, piece: bytes | memoryview) -> None:
+        """Write bytes over the copy, now or later."""
+        self._kept.append((position, bytes(piece)))
+        self._kept_bytes += len(piece)
+        if self._kept_bytes > _KEPT_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the bytes that have waited."""
+        with self._turn, self._pause:
+            for position, piece in self._kept:
+                done = 0
+                while done < len(piece):
+                    done += os.pwrite(self._target, piece[done:], position + done)
+        self._kept.clear()
+        self._kept_bytes = 0
 
     def stop(self) -> None:
         """End the copy early."""
@@ -260,22 +265,19 @@ class FileCopy:
 
     def require_unchanged(self) -> None:
         """Raise BagError if the source was replaced or written to since it was read."""
-        if FileState.of(self._source) != self._state:
-            raise BagError(
-                f"{self._name}: changed while it was read; the output is discarded, run again once the recording is "
-                "complete"
-            )
+        if state_of(self._source) != self._state:
+            raise BagError(f"{self._path}: {_CHANGED}")
 
     def _run(self) -> None:
         with suppress(OSError, AttributeError):
-            while not self._stopped and (left := self._state.size - self._position) > 0:
+            while not self._stopped and (left := self._state[0] - self._position) > 0:
                 at = self._position
-                with self.turn:
-                    self.pause.acquire()
+                with self._turn:
+                    self._pause.acquire()
                 try:
                     done = os.copy_file_range(self._source, self._target, min(left, _AT_ONCE_BYTES), at, at)
                 finally:
-                    self.pause.release()
+                    self._pause.release()
                 if not done:
                     break
                 with self._progress:
@@ -292,23 +294,43 @@ _BUFFER_BYTES = 1 << 16
 _PIECE_BYTES = 1 << 18
 """Bytes of one write of a large piece, which the buffer does not copy; with 1 MB the system may need larger pages."""
 
-_KEPT_BYTES = 16 << 20
-"""Largest number of changed bytes held in memory until the kernel's copy ends."""
+_KEPT_BYTES = 4 << 20
+"""Largest number of changed bytes held in memory: many at once hold up the kernel's copy seldom."""
 
 
 @dataclass(slots=True, eq=False, repr=False)
 class Original:
-    """Bytes of the input file that the output repeats, except for changed spans.
+    """Bytes of the input file that the output repeats, except for changed spans, which alone are in memory.
 
-    path, state : the input file, and its state when it was read
-    position : of the first of these bytes in the file
+    path, descriptor, state : the input file, open, and its state when it was read
+    position, crc : of the first of these bytes in the file, and the CRC-32 of all
     changed : begin and end of each changed span, relative to `position`
     """
 
     path: Path
-    state: FileState
+    descriptor: int
+    state: list[int]
     position: int
+    crc: int
     changed: list[tuple[int, int]]
+
+    def crc_with(self, piece: memoryview) -> int:
+        """Return the CRC-32 of the bytes with the changed spans of a piece: a CRC is affine in the bytes."""
+        crc, last = 0, 0
+        for begin, end in self.changed:
+            before = os.pread(self.descriptor, end - begin, self.position + begin)
+            crc = combined(crc, crc32(before) ^ crc32(piece[begin:end]), end - last)
+            last = end
+        return self.crc ^ combined(crc, 0, len(piece) - last)
+
+    def with_rest(self, piece: memoryview) -> memoryview:
+        """Return a piece with the bytes between its changed spans, which are read again."""
+        whole = memoryview(bytearray(len(piece)))
+        if os.preadv(self.descriptor, [whole], self.position) < len(piece) or crc32(whole) != self.crc:
+            raise BagError(f"{self.path}: {_CHANGED}")
+        for begin, end in self.changed:
+            whole[begin:end] = piece[begin:end]
+        return whole
 
 
 class Output:
@@ -332,8 +354,7 @@ class Output:
         self._partial: Path | None = None
         self._stream = stream
         self._copy: FileCopy | None = None
-        self._kept: list[tuple[int, bytes]] | None = None  # to write over the copy; None without a copy
-        self._kept_bytes = 0
+        self._over: FileCopy | None = None  # the same, as long as bytes are written over it
 
     def open(self) -> None:
         """Open a hidden temporary file in the target's directory, or the stream itself; discard it if that fails."""
@@ -365,105 +386,61 @@ class Output:
         """Begin a CRC of the bytes that follow."""
         self._earlier_crc, self._crc_begin, self.crc = self.crc_of_all or 0, self.position, 0
 
-    def write_summed(self, piece: bytes | memoryview, crc: int) -> None:
-        """Write bytes whose CRC-32 is known."""
-        summing, self.summing = self.summing, False
-        try:
-            self.write(piece)
-        finally:
-            self.summing = summing
-        if summing:
-            self.crc = crc_of_both(self.crc, crc, piece)
-
-    def write_changed(self, piece: memoryview, crc: int, original: Original) -> None:
-        """Write bytes with a known CRC-32; if they are copied from the original, write only the changed spans."""
-        try:
-            if self._stream is None or not self._has_copied(original, len(piece)):
-                self.write_summed(piece, crc)
-                return
-            for begin, end in original.changed:
-                self._write_over(self.position + begin, piece[begin:end])
-            self.position += len(piece)
-        except BagError:
-            raise
-        except OSError as error:
-            raise self._failed(error) from error
-        if self.summing:
-            self.crc = crc_of_both(self.crc, crc, piece)
-
-    def _has_copied(self, original: Original, size: int) -> bool:
-        """Return whether the next `size` bytes were copied to the output; the first call starts the copying thread."""
-        if 2 * sum(end - begin for begin, end in original.changed) > size:
-            return False
-        if self._partial is None or self._stream is None or original.position != self.position:
-            if self._copy is not None:
-                self._copy.stop()
-            self._leave_copy()
-            return False
-        if self._copy is None:
-            try:
-                self._copy = FileCopy(original.path, self._stream.fileno(), self.position, original.state)
-            except OSError:  # the input was moved or replaced; the reader's open file is still valid
-                return False
-            self._stream.flush()
-            self._kept = []
-        if self._kept is not None and self._copy.reaches(self.position + size):
-            return True
-        self._leave_copy()
-        return False
-
-    def _write_over(self, position: int, piece: memoryview) -> None:
-        """Write bytes over the copy, after its end or many at once."""
-        if self._kept is None or self._copy is None:
-            return
-        self._kept.append((position, bytes(piece)))
-        self._kept_bytes += len(piece)
-        if self._kept_bytes > _KEPT_BYTES or self._copy.done:
-            self._write_kept()
-
-    def _write_kept(self) -> None:
-        """Write the bytes that waited for the copy."""
-        if self._kept is None or self._stream is None or self._copy is None:
-            return
-        with self._copy.turn, self._copy.pause:
-            for position, piece in self._kept:
-                done = 0
-                while done < len(piece):
-                    done += os.pwrite(self._stream.fileno(), piece[done:], position + done)
-        self._kept.clear()
-        self._kept_bytes = 0
-
-    def _leave_copy(self) -> None:
-        """End writing over the copy: all later writes go through the stream."""
-        if self._kept is not None and self._stream is not None:
-            self._write_kept()
-            self._kept = None
-            self._stream.seek(self.position)
-
     def write(self, *pieces: bytes | memoryview) -> None:
         """Write bytes, all of them."""
+        for piece in pieces:
+            if self.summing:
+                self.crc = crc32(piece, self.crc)
+            self._put(memoryview(piece))
+
+    def write_summed(self, piece: bytes | memoryview, crc: int, original: Original | None = None) -> None:
+        """Write bytes whose CRC-32 is known; if they are copied from an original, write only the changed spans."""
+        if self.summing:
+            self.crc = crc_of_both(self.crc, crc, piece)
+        self._put(memoryview(piece), original)
+
+    def _put(self, view: memoryview, original: Original | None = None) -> None:
         stream = self._stream
         if stream is None:
             raise BagError(f"{self.name}: is not open")
         try:
-            for piece in pieces:
-                view = memoryview(piece)
-                if self.summing:
-                    self.crc = crc32(view, self.crc)
-                if self._kept is not None and self._copy is not None:
-                    if self._copy.reaches(self.position + len(view)):
-                        self._write_over(self.position, view)
-                        self.position += len(view)
-                        continue
-                    self._leave_copy()
-                # Up to the next border of a piece: what the buffer hands on are then whole pages. An unbuffered stdout
-                # may take a part only.
-                while view:
-                    done = stream.write(view[: _PIECE_BYTES - self.position % _PIECE_BYTES])
-                    self.position += done
-                    view = view[done:]
+            over = self._over if original is None else self._copied(original, stream)
+            if over is not None and over.reaches(self.position + len(view)):
+                for begin, end in [(0, len(view))] if original is None else original.changed:
+                    over.write(self.position + begin, view[begin:end])
+                self.position += len(view)
+                return
+            self._leave_copy()
+            view = view if original is None else original.with_rest(view)
+            # Up to the next border of a piece: what the buffer hands on are then whole pages. An unbuffered stdout may
+            # take a part only.
+            while view:
+                done = stream.write(view[: _PIECE_BYTES - self.position % _PIECE_BYTES])
+                self.position += done
+                view = view[done:]
+        except BagError:
+            raise
         except OSError as error:
             raise self._failed(error) from error
+
+    def _copied(self, original: Original, stream: BinaryIO) -> FileCopy | None:
+        """Return the copy that is written over, if an original's bytes are here in it; the first call starts it."""
+        if self._partial is None or original.position != self.position:
+            if self._copy is not None:
+                self._copy.stop()
+            return None
+        if self._copy is None:
+            stream.flush()
+            with suppress(OSError):  # the input was moved or replaced; the reader's open file is still valid
+                self._copy = self._over = FileCopy(original.path, stream.fileno(), self.position, original.state)
+        return self._over
+
+    def _leave_copy(self) -> None:
+        """End writing over the copy: all later writes go through the stream."""
+        if self._over is not None and self._stream is not None:
+            self._over.flush()
+            self._over = None
+            self._stream.seek(self.position)
 
     def rewrite(self, position: int, data: bytes) -> None:
         """Overwrite bytes of a file, then seek to its end."""

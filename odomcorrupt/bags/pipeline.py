@@ -143,11 +143,6 @@ class OrderedResults:
         self._waiting: deque[tuple[Callable[[], None], Callable[[], bool], int]] = deque()
         self._bytes = 0
 
-    @property
-    def beside(self) -> bool:
-        """Whether calls run in threads other than the submitting one."""
-        return self._workers is not None
-
     def put(self, call: Callable[[], T], then: Callable[[T], None], size: int, *, worth: bool = True) -> None:
         """Submit a call, and a function to process its result.
 

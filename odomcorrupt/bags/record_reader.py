@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block, without
+from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.messages import READABLE, undecodable
-from odomcorrupt.bags.output import Original
-from odomcorrupt.bags.source import Source
+from odomcorrupt.bags.output import Original, state_of
+from odomcorrupt.bags.source import BufferPool, Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
-    from odomcorrupt.bags.output import FileState
 
 
 _ADVICE = re.compile(r"[;,]? *(?:try )?--recover\b.*\Z", re.DOTALL)
@@ -79,6 +80,7 @@ class RecordReader(ABC):
 
     losses : parts that could not be read, one sentence each, with recovery
     count : number of messages of the last pass
+    sparse : whether blocks of uncompressed chunks need not have the bytes of messages that are not asked for
     """
 
     channels: Mapping[int, Channel]
@@ -94,25 +96,36 @@ class RecordReader(ABC):
         self._recover = recover
         self._source = self._reading = source
         self._undecodable = Undecodable()
-        self._state: FileState | None = None
+        self._state: list[int] = []
         self._begun = False
         self._first_losses = 0  # those of the header
         self._data_start = 0
+        self.sparse = False
+        self._only: NDArray[np.bool_] | None = None
+        self._unmet: set[int] = set()
+        self._sparse_pool = BufferPool(sparse=True)
 
     @property
     def part_read(self) -> float | None:
         """Part of the file's bytes read in this pass, 0 to 1; None where its size is unknown."""
         return self._reading.position / self._reading.size if self._reading.size else None
 
-    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
-        """Yield the blocks in file order; repeatable for a file, once for a pipe."""
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
+        """Yield the blocks in file order; repeatable for a file, once for a pipe.
+
+        only : ids of channels; if `sparse`, most bytes of other messages may be missing
+        """
         del self.losses[self._first_losses :]
         self._undecodable = Undecodable()
         self.count = 0
         if self.complete:
             with Source.of_file(self.paths[0], self.name) as source:
                 self._reading = source
-                self._state = source.state()
+                self._state, self._only, self._unmet = state_of(source.descriptor), None, set(self.channels)
+                same = self._state == state_of(self._source.descriptor)
+                if only is not None and self.sparse and same and not self._recover:
+                    self._only = np.ones(1 << 16, dtype=bool)  # with channels of which the bag does not tell at its end
+                    self._only[[number for number in self.channels if number not in only and number < 0xFFFF]] = False
                 source.seek(self._data_start)
                 yield from self._pass(source)
         else:
@@ -133,11 +146,15 @@ class RecordReader(ABC):
             )
 
     def originals(self, block: Block) -> list[Original]:
-        """Return the input bytes of each chunk of a block, with their changes; empty if the changes are unknown."""
-        if self._state is None or block.changed is None or block.added or not block.places:
+        """Return the input bytes of each chunk of a block, with their changes; empty if the block has all its bytes."""
+        if not block.sparse:
             return []
-        spans = zip(block.places, _changed_spans(block, block.changed), strict=True)
-        return [Original(self.paths[0], self._state, place, changed) for place, changed in spans]
+        assert block.changed is not None and not block.added  # noqa: S101, PT018 - so are those read for what changes
+        is_changed = np.zeros(len(block.table), dtype=bool)  # np.unique would import numpy.ma
+        is_changed[block.changed] = True
+        spans = _changed_spans(block, is_changed)
+        source = (self.paths[0], self._source.descriptor, self._state)
+        return [Original(*source, *place, changed) for place, changed in zip(block.sparse, spans, strict=True)]
 
     def _pass(self, source: Source) -> Iterator[Block]:
         """Yield the blocks of a source, and register channels on the way."""
@@ -156,7 +173,29 @@ class RecordReader(ABC):
         if self._recover:
             block = without(block, self._undecodable.find(block, self.channels))
         self.count += len(block.table)
-        return block
+        place = getattr(part, "place", None)
+        return block if self._only is None or place is None else self._thinned(block, place, part.crc, self._only)
+
+    def _thinned(self, block: Block, place: int, crc: int, only: NDArray[np.bool_]) -> Block:
+        """Return a chunk with only the messages of some channels, and each channel's first one.
+
+        place, crc : position of its data in the file, and the stated CRC-32, 0 if there is none
+        only : (n,) whether channel i is one of them; the last is true, and stands for those beyond
+        """
+        wanted = only.take(block.table["channel"], mode="clip")
+        for number in self._unmet & block.present() if self._unmet else ():
+            self._unmet.remove(number)
+            wanted[np.argmax(block.table["channel"] == number)] = True
+        rows = block.table[wanted]
+        if 2 * rows["length"].sum() > block.data.size:
+            return block
+        data, end = self._sparse_pool.place(block.data.size), 0
+        to, source = data.data, block.data.data
+        # with what lies between close ones, as it may be written with them
+        for begin, length in zip(rows["offset"].tolist(), rows["length"].tolist(), strict=True):
+            begin, end = end if end <= begin <= end + _CLOSE_BYTES else begin, begin + length  # noqa: PLW2901
+            to[begin:end] = source[begin:end]
+        return replace(block, data=data, sparse=((place, crc or crc32(source)),))
 
     def _lose(self, error: BagError) -> None:
         """Record a loss with recovery, else raise the error."""
@@ -196,10 +235,8 @@ class RecordReader(ABC):
         self._source.close()
 
 
-def _changed_spans(block: Block, changed: NDArray[np.int64]) -> list[list[tuple[int, int]]]:
-    """Return the spans (begin, end) of changed messages (n,) in each chunk of a block, bytes; close ones are merged."""
-    is_changed = np.zeros(len(block.table), dtype=bool)  # np.unique would import numpy.ma
-    is_changed[changed] = True
+def _changed_spans(block: Block, is_changed: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
+    """Return the spans (begin, end) of changed messages in each chunk of a block, bytes; close ones are merged."""
     rows = block.table[is_changed]
     chunk_ends = np.array(block.ends or (block.data.size,))
     spans: list[list[tuple[int, int]]] = [[] for _ in chunk_ends]

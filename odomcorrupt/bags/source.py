@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import re
 import weakref
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, Self
 import numpy as np
 
 from odomcorrupt.bags.checksum import crc32, crc_of_both
-from odomcorrupt.bags.output import FileState
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -132,16 +132,20 @@ ARENA_BYTES = 8 << 20
 
 
 class BufferPool:
-    """Allocator of chunk buffers."""
+    """Allocator of chunk buffers.
 
-    def __init__(self) -> None:
+    sparse : whether few bytes of each are written to, so that more lie side by side: only these pages take memory
+    """
+
+    def __init__(self, *, sparse: bool = False) -> None:
+        self._sparse = sparse
         self._free: list[NDArray[np.uint8]] = []
         self._buffer: NDArray[np.uint8] = np.empty(0, dtype=np.uint8)
         self._used = 0
 
     def place(self, size: int) -> NDArray[np.uint8]:
         """Return a writable buffer (size,), placed directly after the previous one if there is room."""
-        if size > ARENA_BYTES:
+        if size > ARENA_BYTES and not self._sparse:
             return np.empty(size, dtype=np.uint8)
         if size > self._buffer.size - self._used:
             self._take_buffer()
@@ -149,13 +153,17 @@ class BufferPool:
         return self._buffer[self._used - size : self._used]
 
     def _take_buffer(self) -> None:
-        self._buffer = np.empty(0, dtype=np.uint8)
+        self._buffer, self._used = np.empty(0, dtype=np.uint8), 0
+        if self._sparse:
+            pages = mmap.mmap(-1, 16 * ARENA_BYTES)
+            pages.madvise(mmap.MADV_NOHUGEPAGE)
+            self._buffer = np.frombuffer(pages, dtype=np.uint8)
+            return
         # not zeroed: a short bag never touches most of it
         memory = self._free.pop() if self._free else np.empty(ARENA_BYTES, dtype=np.uint8)
         self._buffer = np.frombuffer(memory.data, dtype=np.uint8)
         # All buffers are views of this array: without the last of them, the memory is free.
         weakref.finalize(self._buffer, self._free.append, memory).atexit = False
-        self._used = 0
 
 
 MCAP: Final = b"\x89MCAP0\r\n"
@@ -245,7 +253,7 @@ class Source:
     size : file size in bytes, or None for a pipe
     position : bytes read so far
     summing : whether the CRC is computed
-    crc : CRC-32 of the bytes read since it was last set to 0
+    crc : CRC-32 of the bytes read since it was last set to 0; crc_of_last : of those last read into a buffer
     pool : allocator of chunk buffers
     budget : limit of decompressed bytes
     """
@@ -257,7 +265,7 @@ class Source:
         self.size: int | None = None
         self.position = 0
         self.summing = False
-        self.crc = 0
+        self.crc = self.crc_of_last = 0
         self._ahead = b""
         self._scratch = np.empty(0, dtype=np.uint8)
         self.pool = BufferPool()
@@ -275,9 +283,10 @@ class Source:
         source.size = path.stat().st_size if stream.seekable() else None
         return source
 
-    def state(self) -> FileState:
-        """Return the state of the open file, to detect later changes."""
-        return FileState.of(self._stream.fileno())
+    @property
+    def descriptor(self) -> int:
+        """Descriptor of the open file."""
+        return self._stream.fileno()
 
     def spooled(self) -> Self:
         """Return the rest of a pipe as a source on a temporary, seekable file, removed once it is closed."""
@@ -376,16 +385,9 @@ class Source:
                 )
             pieces.append(np.empty(min(_TRUSTED_BYTES, size - begin), dtype=np.uint8))
             self._fill(pieces[-1].data, what)
-        return np.concatenate(pieces)
-
-    def read_summed(self, size: int, what: str) -> tuple[NDArray[np.uint8], int]:
-        """Return exactly `size` bytes in a new writable array, with their CRC-32."""
-        summing, before = self.summing, self.crc
-        self.summing, self.crc = True, 0
-        data = self.read_array(size, what)
-        crc, self.summing = self.crc, summing
-        self.crc = crc_of_both(before, crc, data.data) if summing else before
-        return data, crc
+        data = np.concatenate(pieces)
+        self.crc_of_last = crc32(data.data) if self.summing else 0
+        return data
 
     def read_scratch(self, size: int, what: str) -> memoryview:
         """Return exactly `size` bytes in a buffer that the next call overwrites."""
@@ -412,7 +414,8 @@ class Source:
             raise self.cut(what, len(view), begin)
         self.position += begin
         if self.summing:
-            self.crc = crc32(view, self.crc)
+            self.crc_of_last = crc32(view)
+            self.crc = crc_of_both(self.crc, self.crc_of_last, view)
 
     def close(self) -> None:
         """Close a file; a pipe is left to the caller."""

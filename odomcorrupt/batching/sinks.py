@@ -209,7 +209,7 @@ class MultiSink:
 
     def __init__(self, writers: Sequence[BagWriter]) -> None:
         self._writers = writers
-        self.keeps_rest = all(writer.keeps_rest for writer in writers)
+        self.keeps_rest = all(writer.keeps_rest and not isinstance(writer, OutputContext) for writer in writers)
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel to every run; its id is the same in all of them."""

@@ -288,7 +288,9 @@ class Transform:
             self._follows = self.relations(reader)
         waiting: deque[_Held] = deque()
         only = None
-        if writer is not None and writer.keeps_rest:
+        # a transform of another robot behind this one changes sensors that this one does not know
+        whole = self.truth or self.edge or self.options.consistent
+        if writer is not None and writer.keeps_rest and (reader.kind == "sqlite3" or not whole):
             only = {
                 n for n, channel in reader.channels.items() if self.may_move(channel) or channel.msgtype in PLACED_TYPES
             }

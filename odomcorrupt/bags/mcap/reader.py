@@ -420,8 +420,7 @@ class SchemaRegistry:
             contents = read_contents(part.data, part.indexes, part.what)
             for other in contents.others:
                 self._learn_within(part.data, other)
-            places = () if part.place is None else (part.place,)
-            block = Block(part.data, contents.table, McapFraming("chunk", part.codec), places=places)
+            block = Block(part.data, contents.table, McapFraming("chunk", part.codec))
             what = part.what
         else:
             for opcode, content in part.others:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from odomcorrupt import __version__
-from odomcorrupt.bags.block import TABLE, Channel, Message, PartContents, PartFraming, require_all
+from odomcorrupt.bags.block import TABLE, Channel, PartContents, PartFraming, require_all
 from odomcorrupt.bags.checksum import CAN_COMBINE, crc32
 from odomcorrupt.bags.chunk import windows
 from odomcorrupt.bags.codecs import compress, require_level
@@ -384,16 +384,6 @@ def _moved(chunks: tuple[int, ...], table: NDArray[np.void], ends: NDArray[np.in
     return tuple(np.concatenate(([0], ends))[rows].tolist()) if chunks else ()
 
 
-def frame_added(messages: list[Message], sequences: Sequences) -> Framed:
-    """Return records of added messages."""
-    table = np.empty(len(messages), dtype=TABLE)
-    table["channel"] = [message.channel for message in messages]
-    table["log_ns"] = [message.log_ns for message in messages]
-    table["length"] = [len(message.data) for message in messages]
-    table["offset"] = np.cumsum(table["length"]) - table["length"]
-    return frame(np.frombuffer(b"".join(message.data for message in messages), dtype=np.uint8), table, sequences)
-
-
 class Packed(NamedTuple):
     """A chunk's compressed data.
 
@@ -419,15 +409,13 @@ def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
 class McapWriter(OutputContext):
     """An MCAP being written from the blocks of a reader of any format.
 
-    keeps_rest : whether messages not passed to `write` are in the output (False)
+    keeps_rest : whether only messages that may change need to be read of chunks that the kernel can copy
     codec : compression of the chunks; None keeps each chunk's own
     level : compression level; None is the default of the codec
     workers : threads for compression; written blocks must then not change
     whole : whether the output must contain all messages of the reader, which is then checked
     pack : compression function of chunks, default `packed`; a batch compresses common chunks once
     """
-
-    keeps_rest = False
 
     def __init__(
         self,
@@ -444,6 +432,7 @@ class McapWriter(OutputContext):
         super().__init__(output)
         self._results = OrderedResults(workers)
         self._reader = reader
+        self.keeps_rest = isinstance(reader, McapReader) and reader.sparse
         self._codec = codec
         self._level = level
         self.pack = packed
@@ -486,9 +475,7 @@ class McapWriter(OutputContext):
         else:
             codec = getattr(framing, "codec", "zstd")
             codec = self._codec or (codec if codec in CODECS else "zstd")
-            native = self._results.beside and framing is block.raw and isinstance(self._reader, McapReader)
-            originals = self._reader.originals(block) if native and codec == "none" else []  # type: ignore[attr-defined]
-            self._write_chunks(framed, codec, originals)
+            self._write_chunks(framed, codec, self._reader.originals(block) if self.keeps_rest else [])  # type: ignore[attr-defined]
 
     def settle(self) -> None:
         """Wait until all blocks passed to `write` are written and may change."""
@@ -509,9 +496,14 @@ class McapWriter(OutputContext):
 
     def _added(self, block: Block) -> Framed:
         """Return records of a block's added messages, after those of the channels they need."""
-        messages = [one._replace(channel=self._channel_table.written_id(one.channel)) for one in block.added]
-        framed = frame_added(messages, self._sequences)
-        self._added_count += len(messages)
+        table = np.empty(len(block.added), dtype=TABLE)
+        table["channel"] = [self._channel_table.written_id(one.channel) for one in block.added]
+        table["log_ns"] = [one.log_ns for one in block.added]
+        table["length"] = [len(one.data) for one in block.added]
+        table["offset"] = np.cumsum(table["length"]) - table["length"]
+        data = np.frombuffer(b"".join(one.data for one in block.added), dtype=np.uint8)
+        framed = frame(data, table, self._sequences)
+        self._added_count += len(table)
         return self._records(framed.table["channel"]).followed_by(framed)
 
     def _records(self, channels: NDArray[np.uint32]) -> Framed:
@@ -529,8 +521,12 @@ class McapWriter(OutputContext):
         for chunk, indexes, original in zip(chunks, message_indexes(framed.table, chunks), same, strict=True):
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
             span = ChunkSpan(*span_ns(framed.table[chunk.start : chunk.stop]), codec, data.size)
+            pack = partial(self.pack, codec, data, self._level)
+            if original is not None:
+                crc = original.crc_with(data.data)
+                pack = partial(Packed, data.data, crc, crc)
             self._results.put(
-                partial(self.pack, codec, data, self._level),
+                pack,
                 partial(self._write_chunk, span, indexes, original),
                 data.size,
                 worth=codec != "none",
@@ -543,12 +539,10 @@ class McapWriter(OutputContext):
         position, size = self._output.position, len(chunk.data)
         head = chunk_head(span.start_ns, span.end_ns, size=span.size, crc=chunk.crc, codec=span.codec, packed=size)
         self._output.write(head)
-        if original is not None:
-            self._output.write_changed(memoryview(chunk.data), chunk.crc, original)
-        elif chunk.packed_crc is not None:
-            self._output.write_summed(chunk.data, chunk.packed_crc)
-        else:
+        if chunk.packed_crc is None:
             self._output.write(chunk.data)
+        else:
+            self._output.write_summed(chunk.data, chunk.packed_crc, original)
         self._output.write(self._index.add_chunk(span, position, len(head) + size, size, indexes))
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
@@ -586,16 +580,7 @@ class ReframedReader:
     def __init__(self, reader: BagReader) -> None:
         ros1 = all(channel.encoding == "ros1" for channel in reader.channels.values())
         self.kind: Kind = "ros1" if ros1 else "sqlite3"
-        self.name, self.paths, self.channels = reader.name, reader.paths, reader.channels
-        self.definition, self.blocks = reader.definition, reader.blocks
         self._reader = reader
 
-    @property
-    def count(self) -> int:
-        """Number of messages of the last pass."""
-        return self._reader.count
-
-    @property
-    def losses(self) -> list[str]:
-        """Parts that could not be read, one sentence each."""
-        return self._reader.losses
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)

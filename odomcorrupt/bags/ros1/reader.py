@@ -346,8 +346,7 @@ class Ros1Reader(RecordReader):
         contents = read_contents(data, chunk.indexes, chunk.what)
         for header, fields in contents.connections:
             self._learn(header, fields)
-        places = () if chunk.place is None else (chunk.place,)
-        block = Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts), places=places)
+        block = Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
         unknown = block.present() - self.channels.keys()
         if unknown:
             raise BagError(f"{chunk.what}: messages of connection {min(unknown)}, which is not defined; damaged bag")

@@ -198,14 +198,12 @@ _CHUNK_LIMIT = 1 << 32
 class Ros1Writer(OutputContext):
     """A ROS 1 bag being written from the blocks of a reader.
 
-    keeps_rest : whether messages not passed to `write` are in the output (False)
+    keeps_rest : whether only messages that may change need to be read of chunks that the kernel can copy
     codec : compression of the chunks; None keeps each chunk's own
     level : compression level; None is the default of the codec
     workers : threads for compression; written blocks must then not change
     pack : compression function of chunks, default `compress_for_ros1`; a batch compresses common chunks once
     """
-
-    keeps_rest = False
 
     def __init__(
         self,
@@ -221,6 +219,7 @@ class Ros1Writer(OutputContext):
         self._codec = codec
         self._level = level
         self.pack = compress_for_ros1
+        self.keeps_rest = isinstance(reader, Ros1Reader) and reader.sparse
         self._connections = Connections(reader)
         self._reader = reader
         self._infos: list[bytes] = []
@@ -251,8 +250,7 @@ class Ros1Writer(OutputContext):
         if added.data.size:
             framed = framed.followed_by(added)
         codec = self._codec or codec
-        native = self._results.beside and isinstance(framing, Ros1Framing) and isinstance(self._reader, Ros1Reader)
-        originals = self._reader.originals(block) if native and codec == "none" else []  # type: ignore[attr-defined]
+        originals = self._reader.originals(block) if self.keeps_rest else []  # type: ignore[attr-defined]
         if framed.data.size:
             for chunk, original in zip_longest(framed.chunks(), originals):
                 self._write_chunk(chunk, codec, original)
@@ -300,10 +298,7 @@ class Ros1Writer(OutputContext):
             {"compression": codec.encode(), "op": bytes([Op.CHUNK]), "size": struct.pack("<I", framed.data.size)}
         )
         self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)))
-        if original is None:
-            self._output.write(packed)
-        else:
-            self._output.write_changed(memoryview(packed), 0, original)
+        self._output.write_summed(packed, 0, original)
         self._output.write(b"".join(index for _, _, index in found))
         times = framed.table["log_ns"]
         info = pack_fields(

@@ -302,7 +302,7 @@ class SqliteWriter(SqliteOutput):
                 [(one.channel, one.log_ns, one.data) for one in block.added],
             )
             self._held_bytes += block.data.size
-            if self._copying is not None and (self._copying.done or self._held_bytes > _HELD_BYTES):
+            if self._copying is not None and self._held_bytes > _HELD_BYTES:
                 self._begin_changes()
         for one in block.added:
             self._expect(one.channel, len(one.data))
@@ -389,7 +389,7 @@ class SqliteWriter(SqliteOutput):
     def _begin_changes(self) -> None:
         """Wait for the copy, begin the transaction, and make the changes that have waited."""
         if self._copying is not None:
-            complete = self._copying.complete()
+            complete = self._copying.reaches()
             self._copying.require_unchanged()
             self._end_copy()
             if not complete:  # the kernel's copy is not available or has failed

@@ -98,7 +98,7 @@ class Rosbag2Writer:
         """Write a block to the file it came from, its added messages last."""
         part, own = (block.raw.part, block.raw.own) if isinstance(block.raw, PartFraming) else (0, block)
         messages = [one._replace(channel=self._written_id(part, one.channel)) for one in block.added]
-        written = Block(block.data, own.table, own.raw, messages, own.ends, own.places, block.changed)
+        written = Block(block.data, own.table, own.raw, messages, own.ends, block.changed)
         if self._mode == "message" and (len(own.table) or messages):
             written = compressed_block(written, self._level)
         self._writers[part].write(written)
