@@ -30,7 +30,7 @@ from odomcorrupt.simulation import CAUSES, OUTSIDE, simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_every_law, fit_robot
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.pipeline import learn_robot
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -74,6 +74,14 @@ RULES = {
     "study.estimate.robust_errors:with_robust_errors": "fitted",
     "study.estimate.tails:heavy_tails": "None",
     "study.io.encoders:restore_lost": "recording",
+    "study.select.confidence:_may_be_dead_band": "False",
+    "study.select.confidence:_may_be_filter": "False",
+    "study.select.confidence:_may_be_misfit": "False",
+    "study.select.confidence:_may_be_of_wheels": "False",
+    "study.select.confidence:may_be_scale_of_truth": "False",
+    "study.select.dictionary:_patch_of": "[]",
+    "study.select.random_effects:_in_both_halves": "True",
+    "study.select.selection:_Selection._drop_misfits": "None",
 }
 """Rules of single kinds of drives, each `module:function` with the expression that it returns if it is switched off."""
 
@@ -317,7 +325,7 @@ def row_of(one: Drive) -> dict[str, Any]:
     from laboratory.answer import plain_answer  # noqa: PLC0415
     from laboratory.cases import same_class  # noqa: PLC0415
 
-    from odomcorrupt.study.select.stepwise import learn  # noqa: PLC0415
+    from odomcorrupt.study.select.selection import learn  # noqa: PLC0415
 
     learned = learn(one.recordings)
     answer = plain_answer(learned)

@@ -17,7 +17,7 @@ import numpy as np
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording

@@ -30,7 +30,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import time_windows
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.compare import compare
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 

@@ -28,7 +28,7 @@ from odomcorrupt.report.findings import value_text
 from odomcorrupt.report.plots.figure import BLACK, RED, SKY, drawing, new_figure
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.compare import compare
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 from odomcorrupt.study.validate.predictive_check import Replay, replay

@@ -13,7 +13,7 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 
 if TYPE_CHECKING:
-    from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.select.result import Learned, Step
 
 __all__ = ["errors_of", "plain_answer"]
 

@@ -18,12 +18,12 @@ from laboratory.sham import sham
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.simulation import OUTSIDE
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 if TYPE_CHECKING:
     from laboratory.cases import Case
     from odomcorrupt.study.io.recording import Recording
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
 
 __all__ = ["ask"]
 

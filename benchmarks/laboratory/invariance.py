@@ -15,7 +15,7 @@ from sourcebags import topic, write
 from laboratory.answer import plain_answer
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

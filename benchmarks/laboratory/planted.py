@@ -19,7 +19,7 @@ from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 if TYPE_CHECKING:
     from pathlib import Path

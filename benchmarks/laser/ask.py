@@ -19,7 +19,7 @@ from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
 from odomcorrupt.simulation import simulate
 from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.design.identifiability import is_untestable
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from laser.drives import Seen
     from odomcorrupt.study.io.laser_truth import LaserRun
     from odomcorrupt.study.io.recording import Recording
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
 
 __all__ = ["ask"]
 

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Mistake
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
     from odomcorrupt.study.validate.compare import Comparison, JudgedOn, ModelEvaluation
     from odomcorrupt.study.validate.predictive_check import Reproduction
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
-    from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.select.result import Learned, Step
     from odomcorrupt.study.validate.compare import ModelEvaluation
     from odomcorrupt.study.validate.predictive_check import Reproduction
 

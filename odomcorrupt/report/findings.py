@@ -160,9 +160,9 @@ class FoundDependence(NamedTuple):
     @property
     def expression(self) -> str:
         """Expression of the dependence, with its coefficients if it was fitted."""
-        if self.law.best is None or not self.numbers:
+        if not self.numbers:
             return self.law.expression
-        return self.law.best.term.expression([number.value for number in self.numbers.values()])
+        return self.law.term.expression([number.value for number in self.numbers.values()])
 
 
 def dependences_found(learned: Learned, fit: Fit | None = None) -> list[FoundDependence]:
@@ -174,7 +174,7 @@ def dependences_found(learned: Learned, fit: Fit | None = None) -> list[FoundDep
     found = []
     for law in learned.unknown:
         numbers = {}
-        if law in learned.laws and law.best is not None and law.name in own:
+        if law in learned.laws and law.name in own:
             effect, errors = own[law.name]
             pairs = zip(amplitudes(effect), errors, strict=True)
             numbers = {p.name: LawNumber(getattr(effect, p.name), error, p.unit) for p, error in pairs}

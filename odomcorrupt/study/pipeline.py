@@ -20,7 +20,7 @@ from odomcorrupt.study.io.message_rate import thinned
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.compare import Comparison, compare, sequence_comparison
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.decisions import Decisions
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
 
 LAW = "diffusion"
 """Noise law of learned models: the only law whose drift does not depend on the message rate."""

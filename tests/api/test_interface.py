@@ -348,7 +348,7 @@ def test_a_notebook_shows_the_numbers_of_a_model():
 
 def test_other_thresholds_of_the_selection_give_another_result():
     # diagnose finds the wheelbase with the thresholds of the package; see its example
-    mystery, none = ROOT / "fixtures" / "mystery.mcap", replace(DECISIONS, max_effects=0)
+    mystery, none = ROOT / "fixtures" / "mystery.mcap", replace(DECISIONS, term_nats=1e9)
     assert oc.diagnose(mystery, decisions=none).missing == ()
     learned = oc.learn(mystery, decisions=none)
     assert (learned.missing, learned.result.search.decisions) == ((), none)

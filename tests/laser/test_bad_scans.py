@@ -17,7 +17,7 @@ from odomcorrupt.laser.scans import read_sweeps
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.laser_truth import alerts_of, laser_run, truth_of
 from odomcorrupt.study.io.reader import read_odometry
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 
 def read(path, scan=None):

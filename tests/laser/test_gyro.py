@@ -14,9 +14,9 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.outliers import single_events, slip_bursts
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.gyro import SCALE_ACCURACY as GYRO_SCALE
-from odomcorrupt.study.select.candidates import library_candidates
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import outlier_effects
+from odomcorrupt.study.select.selection import learn
 
 EXACT = Tracker(rate_hz=100.0, sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)
 GAIN, BIAS, NOISE = 1.004, 0.01, 0.002
@@ -105,9 +105,10 @@ def test_a_gain_of_turns_of_four_errors_of_the_gyros_scale_is_evidence_of_either
     noise = 0.02 * np.sqrt(turned) * np.random.default_rng(1).standard_normal(len(turned))
     simulated.odom_xyt[1:, 2] += np.cumsum(noise)
     runs = list(read_runs(Source(bag(tmp_path / "run.mcap", simulated))))
-    best = library_candidates(fit(runs, approach=choose_approach(runs)), DECISIONS)[0]
-    assert (best.name, best.refused) == ("wheelbase", "")
-    assert 4.0 < best.gain < 0.5 * (abs(best.fit.effects[0].e) / GYRO_SCALE + 1.0) ** 2
+    learned = learn(runs)
+    assert learned.added == ("wheelbase",)
+    own = learned.steps[0].candidates[0]
+    assert 2.0 < own.gain < 0.5 * (abs(own.fitted.e) / GYRO_SCALE + 1.0) ** 2
 
 
 def jumped(fitted, jump, weights):

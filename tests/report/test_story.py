@@ -30,7 +30,7 @@ from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.drive_type import DriveType
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.confidence import Evidence, confidence
-from odomcorrupt.study.select.dependence import BasisScore, Dependence
+from odomcorrupt.study.select.dependence import Dependence
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 from odomcorrupt.study.select.result import Learned
 from odomcorrupt.study.select.score import Score
@@ -65,26 +65,20 @@ ADVICE = Advice(CHOICES, UNTESTABLE, LIMITS, PLAN)
 NONE = Advice((), (), (), None)
 
 
-def unknown(channel, regressor, *, per="m", wavelength_m=None):
+def unknown(channel, regressor, *, per="m", wavelength_m=0.0):
+    """Say that a basis function explains 40 nats of a channel's error."""
     places = {"position": np.array([[0.0, 0.0], [1.0, 0.5], [2.0, -1.0]]), "heading": np.arange(3.0)}
     centres = places.get(regressor, np.linspace(-1.0, 1.0, 9))
-    wave = BasisFunction("distance", "k * cos(distance)", (lambda m: m.distance,), 1, wavelength_m)
-    return Dependence(
-        channel=channel, regressor=regressor, per=per, centres=centres, curve=0.01 * np.sin(np.arange(len(centres))),
-        curve_error=np.full(len(centres), 0.002), p=1e-6, nats=40.0,
-        best=None if wavelength_m is None else found_as(wave, channel),
-        expression=f"{channel} += v * (0.01 * {regressor})",
-    )  # fmt: skip
-
-
-def found_as(function, channel):
-    """Say that a basis function explains 40 nats of a channel's error per metre."""
+    function = BasisFunction(regressor, f"k * cos({regressor})", (lambda m: m.distance,), 1, wavelength_m)
+    term = BasisTerm(function, Action(channel, "v" if per == "m" else "omega"))
     score = Score(
         estimate=np.array([0.01]), standard_error=np.array([0.001]), statistic=100.0, inflation=1.0, p=1e-6,
-        separable=True, held_out_nats=30.0, held_out_error=3.0, term=BasisTerm(function, Action(channel, "v")),
-        penalty=10.0,
+        separable=True, held_out_nats=30.0, held_out_error=3.0, term=term, penalty=10.0,
     )  # fmt: skip
-    return BasisScore(score)
+    return Dependence(
+        channel=channel, regressor=regressor, per=per, centres=centres, curve=0.01 * np.sin(np.arange(len(centres))),
+        curve_error=np.full(len(centres), 0.002), p=1e-6, nats=40.0, term=term, score=score,
+    )  # fmt: skip
 
 
 UNKNOWNS = (
@@ -411,7 +405,8 @@ def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(sequence):
 
 
 def test_an_included_law_is_reported_with_the_numbers_of_the_model(searched):
-    found = replace(UNKNOWNS[0], best=found_as(BasisFunction("acceleration", "k * a", (lambda m: m.a,)), "yaw"))
+    function = BasisFunction("acceleration", "k * a", (lambda m: m.a,))
+    found = replace(UNKNOWNS[0], term=BasisTerm(function, Action("yaw", "v")))
     effect = user_effect("yaw_over_acceleration", "yaw += v * (k * a)", {"k": 0.0123})
     fit = SimpleNamespace(effects=(effect,), standard_errors=np.array([0.001]))
     learned = replace(searched, unknown=(found,), laws=(found,))
@@ -460,7 +455,7 @@ def test_a_picture_is_the_same_file_every_time(draw):
 
 def test_candidates_that_were_refused_are_drawn_with_their_reason(rich):
     first = rich.rounds[0]
-    refused = replace(first.candidates[-1], gain=30.0, fit=first.candidates[0].fit, refused="it says nothing held out")
+    refused = replace(first.candidates[-1], gain=30.0, refused="it says nothing held out")
     look = replace(first, candidates=(*first.candidates[:3], refused))
     assert b"it says nothing" in rendered(draw_candidates(replace(rich, rounds=(look,))), "svg")
 

@@ -13,6 +13,11 @@ from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.recording import Recording
+from odomcorrupt.study.select.candidates import tested_candidates
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.dependence import dependence_of
+from odomcorrupt.study.select.dictionary import Dictionary
+from odomcorrupt.study.select.score import score_terms
 
 if TYPE_CHECKING:
     from odomcorrupt.simulation import SimulatedRun
@@ -45,3 +50,20 @@ def ten_second_error(runs, effects=(), clock: Clock = Clock()) -> float:  # noqa
     """RMS position error at the end of non-overlapping 10 s windows, each started at the truth pose, in metres."""
     parts = [time_windows(undo(aligned(run, clock), effects)) for run in runs]
     return rmse(join(parts, [0] * len(parts)))
+
+
+def library_candidates(fitted):
+    """Return the tests of all library effects beside a fit, the most significant first."""
+    dictionary = Dictionary(DECISIONS)
+    dictionary.extend(fitted)
+    return tested_candidates(fitted, dictionary.library.values(), DECISIONS)
+
+
+def basis_dependences(fitted):
+    """Return the significant basis functions on the residual of a fit as dependences, the largest gain first."""
+    dictionary = Dictionary(DECISIONS)
+    dictionary.extend(fitted)
+    scores = score_terms(fitted, list(dictionary.basis.values()), DECISIONS, family=1)
+    clear = [one for one in scores if one.robust_nats > 0.0 and one.significant(DECISIONS.level)]
+    clear.sort(key=lambda one: -one.robust_nats)
+    return [dependence_of(fitted, one.term, one.robust_nats, DECISIONS) for one in clear]

@@ -15,7 +15,7 @@ from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.ambiguities import open_ambiguities
 from odomcorrupt.study.design.drives import Drives, most_useful
 from odomcorrupt.study.design.plan import STEP_S
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 
 class Told:
@@ -107,13 +107,14 @@ def test_a_name_that_does_the_same_with_one_number_more_is_a_choice_too():
     options = {"parameters": {"x": -0.024}, "robot_seed": 3}
     learned = learn([on_the_way(as_recording(simulate(3, "icr_shift", route=route, duration_s=124.0, **options)))])
     (named,) = learned.added
-    assert named in {"side_slip", "mount_yaw"}
+    assert named in {"side_slip", "mount_yaw", "lever_arm"}
     look = learned.rounds[0]
     dear = [replace(c, gain=look.candidates[0].gain - 5.0) if c.gain > 0.0 else c for c in look.candidates[1:]]
     look = replace(look, candidates=(look.candidates[0], *dear))
-    assert look.alternatives == ()
+    assert set(look.alternatives) <= {"icr_shift"}  # another name of the lever arm
     choices = {choice.names: choice.plan for choice in open_ambiguities(Drives(learned), look)[0]}
-    assert choices[named, "lever_arm"] is not None
+    other = "side_slip" if named == "lever_arm" else "lever_arm"
+    assert choices[named, other] is not None
     assert ("lever_arm", "icr_shift") in choices
 
 

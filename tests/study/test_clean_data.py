@@ -12,10 +12,10 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.select.candidates import library
 from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.dictionary import families
 from odomcorrupt.study.select.score import score_terms
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 SEEDS = range(12)
 
@@ -23,7 +23,7 @@ SEEDS = range(12)
 def z_scores(run) -> dict[str, float]:
     """Return estimate over error of every effect, each tried alone."""
     fitted = fit([run], approach=choose_approach([run]))
-    scores = score_terms(fitted, [family[0] for family in library(fitted) if len(family) == 1], DECISIONS)
+    scores = score_terms(fitted, [family[0] for family in families(fitted) if len(family) == 1], DECISIONS)
     return {s.effect.name: float(np.max(np.abs(s.estimate / s.standard_error))) for s in scores if s.separable}
 
 

@@ -9,15 +9,9 @@ import pytest
 from hidden import as_recording, ten_second_error
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.elimination import backward_eliminate
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)
 K, M, TAU_S = 0.09, -0.05, 3.0
@@ -44,19 +38,6 @@ def test_a_filtered_compass_is_found_with_its_time_constant_and_corrected_on_ano
     assert compass.time_constant == pytest.approx(TAU_S, rel=0.1)
     after, floor = ten_second_error([drive(501)], [compass]), ten_second_error([drive(501, deflected=False)])
     assert after < 1.1 * floor < 0.5 * ten_second_error([drive(501)])
-
-
-def test_a_wave_of_the_heading_that_would_have_to_be_larger_than_any_compass_is_dropped():
-    """On one line any amplitude fits, and a later term may drive it to its bound."""
-    turned = np.linspace(0.0, 6.0 * np.pi, 6001)
-    steps = Increments(np.full(6000, 0.01), np.zeros(6000), np.diff(turned + 0.6 * np.cos(turned)))
-    made = recording(steps, noisy_path(replace(steps, dtheta_rad=np.diff(turned)), QUIET, 3), truth_mm=2.0, seed=3)
-    wave, scale = effect_from_values("hard_iron", {"k": 0.3}), effect_from_values("wheelbase", {})
-    fitted = fit([made], [wave, scale], approach=choose_approach([made]))
-    assert fitted.wald["hard_iron"] > 20.0 * DECISIONS.drop_nats
-    assert abs(fitted.by_name["hard_iron"].k) == 0.35
-    assert "hard_iron" not in backward_eliminate(fitted, (), DECISIONS).by_name
-    assert "hard_iron" in backward_eliminate(fitted, ("hard_iron",), DECISIONS).by_name
 
 
 @pytest.mark.slow

@@ -12,8 +12,7 @@ from wandering import recording, wander
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.design.advise import advise
-from odomcorrupt.study.select.confidence import confidence, evidence_of
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 
 @pytest.mark.slow
@@ -35,16 +34,12 @@ def test_a_track_that_is_wrong_is_not_doubted_for_turns_that_hardly_turn():
 
 @pytest.mark.slow
 def test_scrub_in_fast_turns_is_a_rival_of_the_track_where_all_turns_are_equally_fast():
-    # breaks where a function of the yaw rate that equals a constant on this drive alone counts as a copy of the track
     run = simulate(331_410, "turn_scrub", duration_s=600.0, route="umbmark", size=2.0)
     learned = learn([as_recording(run)])
     assert learned.added == ("wheelbase",)
-    (rival,) = learned.unknown
-    assert (rival.channel, rival.regressor, rival.instead_of) == ("yaw", "yaw_rate", ("wheelbase",))
     (step,) = learned.steps
-    evidence = evidence_of(step, learned)
-    assert confidence(evidence) < confidence(replace(evidence, margin=np.inf))
-    choice = next(one for one in advise(learned).choices if "a dependence of yaw on yaw rate" in one.names)
+    assert "turn_scrub" in step.alternatives
+    choice = next(one for one in advise(learned).choices if "turn_scrub" in one.names)
     assert choice.plan is not None
     assert choice.nats > 8.0
 

@@ -13,7 +13,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 STEADY = Coefficients(0.0015, 0.0015, 0.001, 0.0005)
 RATE_S = 0.4

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden import as_recording, ten_second_error
+from hidden import as_recording, basis_dependences, ten_second_error
 from wandering import RATE_HZ, recording, wander
 
 from odomcorrupt.effects.compensation import error_of
@@ -17,10 +17,7 @@ from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import driving_motion
-from odomcorrupt.study.select import dependence
-from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.dependence import basis_scores, dependences
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import every_action, views
 from odomcorrupt.study.terms.term import BasisTerm
@@ -31,13 +28,9 @@ def _fitted(seed: int, cause: str | None, **options):
     return run, fit([run], approach=choose_approach([run]))
 
 
-def _dependences(fitted):
-    return dependences(fitted, basis_scores(fitted, DECISIONS), DECISIONS)
-
-
 def _looked(seed: int, cause: str | None, **options):
     _, fitted = _fitted(seed, cause, **options)
-    return _dependences(fitted)
+    return basis_dependences(fitted)
 
 
 def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted():
@@ -46,20 +39,6 @@ def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted(
     fitted = fit([run], [fixed], approach=choose_approach([run]))
     assert fitted.effects == (fixed,)
     assert len(fitted.standard_errors) == 0
-
-
-def test_a_function_that_is_zero_but_for_rounding_is_no_dependence(monkeypatch):
-    """Its coefficient was 9e21, more than an effect may have, which ended `learn` on a mower."""
-    _, fitted = _fitted(93, "side_slip")
-    assert basis_scores(fitted, DECISIONS)
-    scored = dependence.score_terms
-
-    def steep(*given, **options):
-        return [replace(one, estimate=1e22 + one.estimate) for one in scored(*given, **options)]
-
-    monkeypatch.setattr(dependence, "score_terms", steep)
-    monkeypatch.setattr(BasisTerm, "share", lambda *_: 0.0)
-    assert basis_scores(fitted, DECISIONS) == []
 
 
 def test_a_wheel_that_ran_backwards_only_in_turns_on_the_spot_was_not_seen_in_reverse():
@@ -114,18 +93,18 @@ def test_a_strip_is_refined_to_where_it_lies_wheel_by_wheel():
     run = simulate(79, "wet_strip", duration_s=300.0)
     recording = as_recording(run)
     fitted = fit([recording], approach=choose_approach([recording]))
-    found = _dependences(fitted)[0]
+    found = basis_dependences(fitted)[0]
     assert (found.regressor, found.wheels) == ("position", "wheels")
     strip = run.answer["parameters"]
     away = np.exp(-1j * strip["direction"]) * (
         run.truth_xyt[:, 0] - strip["x"] + 1j * (run.truth_xyt[:, 1] - strip["y"])
     )
-    angle, x, y, half = found.best.term.function.shape
+    angle, x, y, half = found.term.function.shape
     found_away = np.cos(angle) * (run.truth_xyt[:, 0] - x) + np.sin(angle) * (run.truth_xyt[:, 1] - y)
     wet = np.abs(away.imag) < 0.5 * strip["width"]
     assert 0.02 < wet.mean() < 0.8
     assert np.mean(wet == (np.abs(found_away) < half)) > 0.97
-    assert found.best.score.estimate[0] == pytest.approx(-strip["slip"], rel=0.15)
+    assert found.score.estimate[0] == pytest.approx(-strip["slip"], rel=0.15)
 
 
 @pytest.mark.slow

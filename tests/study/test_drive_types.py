@@ -18,7 +18,7 @@ from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
 from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.io import Source
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.library import library_families
 
 OFFSET_RAD, BAND_MPS, SAG_PER_S, LIMIT_MPS, PLAY_M = 0.02, 0.03, 2.5e-4, 0.2, 0.008

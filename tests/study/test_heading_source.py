@@ -15,7 +15,7 @@ from odomcorrupt.effects.effect import choices
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.heading_source import turns_at_rest
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.testing import contract_drive
 
 OF_WHEELS = ["accel_slip", "backlash", "battery_sag", "region_slip", "scale_drift", "speed_scale", "wheel_scale"]

@@ -29,7 +29,8 @@ from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.contribution import Contribution, Span
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
-from odomcorrupt.study.select.stepwise import Learned, Step, learn
+from odomcorrupt.study.select.result import Learned, Step
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate import held_out
 from odomcorrupt.study.validate.evaluation import Evaluation
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
@@ -220,15 +221,6 @@ def test_what_a_far_plainer_lag_leaves_is_no_sure_slip():
         beside = replace(learned, rounds=(plainer, slip))
         assert (confidence(evidence_of(slip, beside)) > 0.9) == sure
         assert confidence(evidence_of(plainer, beside)) > 0.9
-
-
-def test_what_truncated_velocities_may_leave_is_no_sure_scale():
-    learned = learned_with(with_truth(drive(4, scale=1.02), 5), "wheel_scale")
-    for step, sure in ((0.002, True), (0.1, False)):
-        cut = effect_from_values("truncated_velocity", {"step": step, "turn": step})
-        problem = replace(learned.fit.problem, effects=(*learned.fit.effects, cut))
-        beside = replace(learned, fit=replace(learned.fit, problem=problem))
-        assert (confidence(evidence_of(learned.rounds[0], beside)) > 0.9) == sure
 
 
 def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():

@@ -12,7 +12,7 @@ from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.diagnosis import found_text
 from odomcorrupt.study.design.advise import advise
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 NOISE = Coefficients(0.01, 0.01, 0.01, 0.005)
 

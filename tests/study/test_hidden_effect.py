@@ -8,7 +8,7 @@ from hidden import as_recording, ten_second_error
 
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 SEEDS = (*range(100, 109), 113)
 """These draw every cause but unequal wheels, which test_library.py has."""

@@ -7,7 +7,7 @@ from hidden import as_recording
 
 from odomcorrupt.effects import registry
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 SYSTEMATIC = (
     "accel_slip", "backlash", "gyro_scale", "icr_shift", "region_slip", "scale_drift", "slope", "speed_scale",

@@ -11,7 +11,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.geometry.se2 import Increments, accumulate, compose
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 CURVATURE = -0.02
 

@@ -20,7 +20,7 @@ from odomcorrupt.study.estimate.intervals import Intervals
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.candidates import drop_term
 
 if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording

@@ -15,7 +15,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 TRACK_M = 0.4
 STRENGTHS = {

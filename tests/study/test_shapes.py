@@ -17,16 +17,12 @@ from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.robust_errors import between_blocks, inflation, shared_variance, with_robust_errors
-from odomcorrupt.study.select.candidates import with_shape_refined
-from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.elimination import drop_term
-from odomcorrupt.study.select.score import score_terms
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.select.shape_search import maximise, starts
-from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.basis.motion import functions_of_motion
 from odomcorrupt.study.terms.basis.place import _box, _strip
 from odomcorrupt.study.terms.channels import Action
-from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
+from odomcorrupt.study.terms.term import BasisTerm
 
 FAR_AWAY = np.array([512_345.0, 4_998_765.0, 0.0])
 """Where a map in UTM may begin, m."""
@@ -125,17 +121,6 @@ def test_no_basis_function_hangs_on_an_acceleration_that_is_noise():
     ]
     assert len(written) > 20
     assert min(map(abs, written)) >= 0.1
-
-
-def test_words_that_need_a_track_are_passed_over_where_it_is_not_known():
-    recording = as_recording(simulate(7, "accel_slip", duration_s=90.0), track=False)
-    approach = choose_approach([recording])
-    fitted = fit([recording], [effect_from_values("accel_slip", {"k": 0.02})], approach=approach)
-    (effect,) = fitted.effects
-    term = LibraryTerm.of(effect, fitted.problem.motions)
-    (score,) = score_terms(drop_term(fitted, effect), [term], DECISIONS)
-    again, _ = with_shape_refined(fitted, score, DECISIONS)
-    assert [e.name for e in again.effects] == ["accel_slip"]
 
 
 def test_no_hinge_and_no_step_hangs_on_the_last_of_a_range():

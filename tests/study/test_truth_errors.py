@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from dense_covariance import dense_covariance
 from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.effects import registry
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
@@ -28,8 +27,6 @@ from odomcorrupt.study.estimate.whitener import interval_covariance, map_axes, w
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.reader import recordings_of
-from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.random_effects import explained_by
 from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.validate.calibration import HORIZONS_M
 from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
@@ -199,15 +196,6 @@ def test_sliding_in_turns_to_one_side_is_no_error_of_the_headings():
     run = undo(run, [registry()["icr_shift"](x=0.05)])
     (found,) = with_correlation_lengths([run], Approach(spacing_s=4.0))
     assert found.truth is run.truth
-
-
-def test_a_course_of_the_yaw_rates_bias_over_time_is_a_walk_unless_much_likelier():
-    over_time, over_speed = (SimpleNamespace(title=f"yaw over {regressor}") for regressor in ("time", "speed"))
-    walk, gain = (effect_from_values(name, {}) for name in ("gyro_bias_walk", "gauss_markov"))
-    assert explained_by([(over_time, 80.0), (over_speed, 75.0)], walk, DECISIONS) == 75.0
-    assert explained_by([(over_time, 80.0)], walk, DECISIONS) == 80.0 - DECISIONS.replacement_nats
-    assert explained_by([(over_time, 80.0)], gain, DECISIONS) == 80.0
-    assert explained_by([], walk, DECISIONS) == 0.0
 
 
 def test_noise_beside_a_localisation_of_high_rate_is_a_bound():

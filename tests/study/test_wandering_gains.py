@@ -15,7 +15,7 @@ from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 pytestmark = pytest.mark.slow
 

@@ -17,7 +17,7 @@ from odomcorrupt.simulation import read_commands, simulate
 from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.plan import drive_bag
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 if TYPE_CHECKING:
     from laboratory.advice.cases import AdviceCase

@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.report.findings import FoundDependence, FoundEffect, FoundNoise
     from odomcorrupt.study.design.advise import Advice
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
     from odomcorrupt.study.validate.calibration import Horizon
     from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation

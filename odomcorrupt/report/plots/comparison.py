@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.select.result import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure

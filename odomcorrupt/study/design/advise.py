@@ -25,7 +25,7 @@ from odomcorrupt.study.design.identifiability import (
 
 if TYPE_CHECKING:
     from odomcorrupt.study.design.plan import Plan
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
 
 __all__ = ["Advice", "Ambiguity", "DetectionLimit", "UntestableEffect", "advise"]
 

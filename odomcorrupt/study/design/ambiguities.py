@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.information import Field
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.stepwise import Step
+    from odomcorrupt.study.select.result import Step
 
 TOO_FEW_NATS = 3.0
 """If ten minutes of the best drive yield less, nats, no drive is recommended."""
@@ -127,9 +127,9 @@ def dependence_ambiguities(drives: Drives) -> tuple[list[Ambiguity], list[Gain]]
     found, gains_found = [], []
     for rival in drives.learned.unknown:
         one = [effect for effect in effects if effect.name in rival.instead_of]
-        if not one or rival.best is None or rival.regressor not in VALUES.keys() - {"time", "distance"}:
+        if not one or rival.regressor not in VALUES.keys() - {"time", "distance"}:
             continue
-        gain = _gain_of(drives, one, (rival.best.score.estimated,), rival.best.score.inflation)
+        gain = _gain_of(drives, one, (rival.score.estimated,), rival.score.inflation)
         plan, nats = best_plan(drives, gain)
         if nats >= TOO_FEW_NATS:
             words = f"a dependence of {rival.channel} on {rival.regressor.replace('_', ' ')}"

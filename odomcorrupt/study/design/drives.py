@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.study.design.information import Field
     from odomcorrupt.study.design.plan import Plan
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
 
 _MOVING_MPS = 0.05
 _TURNING_RADPS = 0.1

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.information import Field
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.select.result import Learned, Step
 
 FOUND = 4.2
 """Size in standard errors at which an effect is found nearly always."""

@@ -32,6 +32,9 @@ Side = Literal["odometry", "truth"]
 
 TRUTH_SMOOTHING_S = (0.5, 2.0)
 """Least and largest smoothing window of the truth: as short as its noise allows, because it blurs starts and stops."""
+_HEADING_S = 20.0
+"""Window, s, over which the odometry's headings are corrected by those of the truth: it turns by about a degree less or
+more in that time."""
 _SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
 """Noise allowed in a smoothed speed, m/s and rad/s; more would look like motion of a robot at rest."""
 _JITTER_S = 0.2  # least time step for estimates of the odometry's noise, s
@@ -85,7 +88,15 @@ class MotionSmoother:
         )
         at = np.concatenate([path.at(part, whole.origin_ns) for path, part in begins])
         self._x, self._y = np.ascontiguousarray(at[:, 0]), np.ascontiguousarray(at[:, 1])
-        self._theta = np.concatenate([path.heading_at(part, whole.origin_ns) for path, part in means])
+        headings = [path.heading_at(part, whole.origin_ns) for path, part in means]
+        if side == "odometry":
+            own = np.split(whole.odometry.heading_at(middle, whole.origin_ns), np.cumsum([*map(len, headings)])[:-1])
+            measured = [
+                (r.truth_s[0] <= part) & (part <= r.truth_s[-1]) for r, part in _by_truth(self.stretches, middle)
+            ]
+            parts = [part for _, part in means]
+            headings = [_without_noise(*each) for each in zip(headings, own, parts, measured, strict=True)]
+        self._theta = np.concatenate(headings)
         if side == "odometry":
             self._slopes = [self.odometry.slopes]
         else:
@@ -206,6 +217,23 @@ class _Slopes:
     def twist(self, path: Trajectory) -> Array:
         """Return the twist (m, 3) of a path with the same stamps."""
         return self.lines.twist(path.xyt, path.headings_between(self.left, self.fraction))
+
+
+def _without_noise(truth: Array, odometry: Array, t_s: Array, measured: NDArray[np.bool_]) -> Array:
+    """Return headings (n,) with the odometry's turns, whose slow deviation from the truth's headings is removed.
+
+    A regressor that contained the truth's turns would contain its noise, and the error of the odometry that is to be
+    explained.
+
+    measured : (n,) whether a time is between the first and the last truth; other times have the nearest deviation
+    """
+    if not measured.any():
+        return truth
+    at_s, t_s = t_s, t_s[measured]
+    apart = np.unwrap((truth - odometry)[measured])
+    first, last = np.searchsorted(t_s, (t_s - _HEADING_S / 2.0, t_s + _HEADING_S / 2.0))
+    summed = np.concatenate(([0.0], np.cumsum(apart)))
+    return odometry + np.interp(at_s, t_s, (summed[last] - summed[first]) / (last - first))
 
 
 def _by_truth(stretches: Sequence[Recording], at_s: Array) -> list[tuple[Recording, Array]]:

@@ -1,9 +1,9 @@
-"""Model selection: stepwise inclusion of the terms that a model lacks.
+"""Model selection: the terms that a model lacks, found by their joint evidence on left-out data.
 
-In the order of the procedure: `stepwise` (the loop), `screening` and `shape_search` (approximate gains of all terms and
-their best shapes), `score` (tests), `candidates` (refits, admission and refusal), `dependence` and `periodic` (basis
-functions for causes outside the library), `random_effects` (correlated noise and outliers), `model_comparison` (effects
-against basis functions), `elimination` (redundant terms), `heterogeneity` (differences between recordings),
-`confidence` (probabilities), and `decisions` (thresholds and their reasons). Terms are defined in
-`odomcorrupt.study.terms`.
+In the order of the procedure: `selection` (rounds), `dictionary` (terms that compete, and their columns), `evidence`
+(sets of terms, by sums of matrices over folds). They use `screening` and `shape_search` (approximate gains of all terms
+and their best shapes), `periodic` (waves over the distance) and `random_effects` (correlated noise and outliers). The
+result is `result`, with tests of single effects (`score`, `candidates`), curves (`dependence`), probabilities
+(`confidence`), sizes (`contribution`) and differences between recordings (`heterogeneity`). Prior odds and thresholds,
+with their reasons, are in `decisions`. Terms are defined in `odomcorrupt.study.terms`.
 """

@@ -33,7 +33,7 @@ from odomcorrupt.study.select.decisions import DECISIONS, equal_candidates
 if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import PriorOdds
     from odomcorrupt.study.select.random_effects import DetectedRandomEffect
-    from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.select.result import Learned, Step
 
 _SHORT_ARM_M = 0.005
 """Largest lever arm, m, that errors of single wheels can imitate."""
@@ -142,7 +142,7 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
             _may_be_dead_band(name, learned),
             _may_be_of_wheels(name, learned),
             learned.may_be_losses(name),  # lost increments have the same mean error
-            _may_be_remainder(name, learned) or _may_be_misfit(step, learned),
+            _may_be_misfit(step, learned),
         )
     )
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
@@ -205,16 +205,6 @@ def _may_be_dead_band(name: str, learned: Learned) -> bool:
     if effect is None or not _loses_slow_turns(learned):
         return False
     return any(error_of(effect, motion)[:, 2].any() for motion in learned.fit.problem.motions)
-
-
-def _may_be_remainder(name: str, learned: Learned) -> bool:
-    """Return whether an effect may be the remainder of another one in the model, see `Effect.remainder`."""
-    effect = learned.fit.by_name.get(name)
-    if effect is None or max(effect.remainder) > 0.0:
-        return False
-    error = np.concatenate([error_of(effect, m)[:, [0, 2]] for m in learned.fit.problem.motions])
-    most = np.sum([e.remainder for e in learned.fit.effects], axis=0)
-    return bool(np.any(most > 0.0) and np.all(np.sqrt(np.mean(error**2, axis=0)) <= most))
 
 
 def _may_be_misfit(step: Step, learned: Learned) -> bool:

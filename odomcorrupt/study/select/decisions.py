@@ -61,41 +61,37 @@ class Practical:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decisions:
-    """Thresholds of one selection.
+    """Prior odds and thresholds of one selection.
 
-    max_effects, max_correlated, max_dependences : largest number of library effects, of kinds of correlated noise and
-        of basis functions in a model; mixtures of more than three causes were never separable in ten minutes
+    term_nats, clock_nats, basis_nats : gain on left-out data at which a term, a clock, and a basis function (in
+        addition) break even: minus the logarithm of their prior odds, beside those of `penalty`
+    clear_errors : least gain of a term in standard errors over folds
+    far_clock_s : shift of stamps by a clock's offset, or its rate over a recording, from which on the clock is free in
+        any case: its errors are not linear, and no other term has them
+    max_correlated, max_dependences : largest number of kinds of correlated noise and of basis functions in a model
 
-    level : probability of including any library effect on data without one, by the larger p of two tests (under the
-        noise model, and cluster-robust). In the benchmark's 200 drives without a fault one effect was included
-    shortlist : largest number of candidates, and of dependences, that are refitted in one step
-    shortlist_share : a candidate or dependence with less than this fraction of the best robust gain is not refitted,
-        because the refit would not change the order
+    level : probability of an effect's score on data without one, by the larger p of two tests (under the noise model,
+        and cluster-robust), from which on it is reported as evidence
     testable_errors : an effect is testable if half of its physical range exceeds this many standard errors; the
         benchmark detects effects from about 4 to 5 standard errors on
-    max_share : largest fraction of the robot's own motion that a basis function may explain as odometry error
 
     alternative_nats : effects within this gain of the best one are alternatives that the data do not separate; 3 nats
-        are odds of 20 to 1. Correlated noise needs this much more than the best effect and dependence
+        are odds of 20 to 1
     rival_nats : a dependence is listed beside a name that gains at most this much more. Of 39 names in the benchmark's
         runs nine to fifteen that gained up to 8 nats more than the best basis function, 14 were wrong
-    replacement_nats : additional gain required of a basis function that replaces a library effect, because a known
-        cause is likelier a priori
-    copy_share : a basis function is a copy of an effect, and no replacement, if it explains more than this fraction of
-        the effect's fitted contribution; functions of other causes explained at most 0.96. With 0.97 a strip of
-        floor lost its name
-    form_share : other forms of a dependence are fitted too if they reach this fraction of the best form's gain
+    replacement_nats : gain from which on an effect of an impossible sign is reported
     reshape_nats : gain in log likelihood of a refit that a refined shape requires
     common, rare_nats : effects that nearly every robot has, and the lower prior log probability of all others (2 nats
         are 7 to 1): nominal radii and tracks are never exact (Borenstein & Feng 1996), gyros have bias and scale
         errors, steerings have zero and ratio errors
     commanded, commanded_nats : effects of odometry computed from commands or from incomplete encoder counts, and their
         additional prior penalty (6 nats are 400 to 1): most odometry comes from encoders
-    unusual_nats : additional gain required of a gyro as the source of the heading, for a model or a basis function
-    unusual_shape_nats : the same for any word-valued parameter in the shape search of one effect, before its refit
+    unusual_nats : additional gain required of a gyro as the source of the heading of a basis function
+    unusual_shape_nats : the same for each word-valued parameter that is not the usual one, such as a gyro as the
+        source of the heading
     related_nats, related_share : rectangles are tried if a disc has this gain and this fraction of the largest gain
 
-    drop_nats : an effect whose Wald statistic is less than twice this is dropped: the 1 % level for one parameter
+    drop_nats : log likelihood that a model may lose with a random process that is dropped
     correlated_nats : gain required of correlated noise; on clean data the largest gain was 3.4
     mean_reverting_nats : gain required of a mean-reverting bias; errors of a SLAM truth are correlated over seconds
         and gain 20
@@ -105,12 +101,6 @@ class Decisions:
         a lower probability
     counted_nats : gain assigned to lost increments and ticks, which are counted in the odometry
 
-    curve_nats : gain required to report a curve for which no basis function was found
-    curve_of_turns_nats : the same for the yaw error over a regressor of turning: tight heading control (3 per second)
-        responds to the noise within an interval and bends such curves by 5 to 24 nats on data without an error
-    tilt_nats : the same for an error of travel over the acceleration with a truth by laser, which tilts when the robot
-        brakes: exact odometry gained 8.5 nats
-    exact_nats : screening gain minus penalty above which a basis function is scored exactly
 
     least_confidence : an effect with a lower probability is removed, unless held-out data support it
     heterogeneity_level : probability of reporting any difference between recordings of an unchanged robot
@@ -118,20 +108,19 @@ class Decisions:
     practical : limits of practical significance
     """
 
-    max_effects: int = 6
+    term_nats: float = 4.0
+    clock_nats: float = 2.0
+    basis_nats: float = 3.0
+    clear_errors: float = 1.5
+    far_clock_s: float = 0.025
     max_correlated: int = 2
     max_dependences: int = 2
     level: float = 0.01
-    shortlist: int = 4
-    shortlist_share: float = 0.25
     testable_errors: float = 4.2
-    max_share: float = 0.5
     alternative_nats: float = 3.0
-    rival_nats: float = 7.0
+    rival_nats: float = 6.0
     replacement_nats: float = 8.0
-    copy_share: float = 0.985
-    form_share: float = 0.7
-    reshape_nats: float = 1.0
+    reshape_nats: float = 0.1
     common: tuple[str, ...] = (
         "wheel_scale",
         "unequal_wheels",
@@ -154,10 +143,6 @@ class Decisions:
     map_nats: float = 20.0
     least_chance: float = 0.05
     counted_nats: float = 100.0
-    curve_nats: float = 4.0
-    curve_of_turns_nats: float = 25.0
-    tilt_nats: float = 20.0
-    exact_nats: float = 3.0
     least_confidence: float = 0.1
     heterogeneity_level: float = 1e-3
     prior: PriorOdds = field(default_factory=PriorOdds)
@@ -177,21 +162,6 @@ def penalty(term: Term, count: int, decisions: Decisions) -> float:
     rare = _rare_nats(term.name, decisions)
     rare += decisions.commanded_nats if term.name in decisions.commanded else 0.0
     return 0.5 * term.charged * float(np.log(count)) + float(np.log(term.trials)) + unusual + rare
-
-
-def error_shares(names: Sequence[str], decisions: Decisions) -> list[float]:
-    """Return the fraction (n,) of the total false-inclusion probability allotted to each term of a joint test.
-
-    Fractions are proportional to prior probabilities: weighted Bonferroni (Genovese, Roeder & Wasserman, Biometrika 93,
-    2006). With equal fractions every rare effect added to the library would make the common ones harder to find.
-
-    Parameters
-    ----------
-    names : names (n,) of the tested library effects, all separable from the model
-    decisions : names of the common effects, and the prior penalty of the others
-    """
-    weights = [float(np.exp(-_rare_nats(name, decisions))) for name in names]
-    return [weight / sum(weights) for weight in weights]
 
 
 def equal_candidates(names: Sequence[str], decisions: Decisions) -> float:

@@ -21,6 +21,7 @@ from odomcorrupt.study.estimate.gauss_newton import orthonormal
 from odomcorrupt.study.estimate.heading_source import sees_travel, stands_still
 from odomcorrupt.study.estimate.outliers import slip_bursts
 from odomcorrupt.study.estimate.random_process import (
+    CORRELATED_NOISE,
     FINELY,
     bias_of,
     processes,
@@ -34,7 +35,7 @@ from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.random_process import Knots, Process
     from odomcorrupt.study.select.decisions import Decisions
-    from odomcorrupt.study.select.dependence import Dependence
 
 _LEAST_SCALE = 1e-6
 """Smallest standard deviation of a gain that is tried; the largest is the bound of the effect's parameter."""
@@ -70,18 +70,13 @@ _BIAS, _WHEELS = ("gyro_bias_walk", ""), ("gauss_markov", "wheels")
 """Name and channel of a bias that varies, and of a difference between the wheels that does."""
 _REFIT_NATS = 15.0
 """Largest gain by fitting the noise again, nats, once a process has its own parameters; at most 10 was observed."""
-_SEEN_NATS = 1.0
-"""Gain in the test from which a random walk of the bias is refitted: the smallest of nine drives with one was 3.6."""
+_ITERATIONS, _ALIKE, _SETTLED_NATS = 6, 0.03, 0.5
+"""Largest number of iterations between a random coefficient and the other noise; they end if the coefficient changes by
+less than the second value, and the log likelihood rises by less than the third, nats."""
 
 
-def random_coefficients(
-    fit: Fit, decisions: Decisions, *, last: bool = True, least_nats: float = 0.0
-) -> list[DetectedRandomEffect]:
-    """Return the random coefficients detected in the residual of a fit, in decreasing order of their gains.
-
-    last : whether no effect is admitted, so that there may be no later step that tests them
-    least_nats : gain below which none is tested further or returned
-    """
+def random_coefficients(fit: Fit, decisions: Decisions) -> list[DetectedRandomEffect]:
+    """Return the random coefficients detected in the residual of a fit, in decreasing order of their gains."""
     log_count = float(np.log(len(fit.problem.intervals)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found: dict[tuple[str, str], tuple[DetectedRandomEffect, float]] = {}
@@ -112,28 +107,24 @@ def random_coefficients(
     for key, (one, least) in found.items():
         if key in have:
             continue
-        needed = max(least, least_nats)
-        beside, measured = _measured(fit, one, needed, last=last)
-        if measured.nats > needed and _in_both_halves(beside, measured.effect, decisions):
+        beside, measured = _measured(fit, one, least)
+        if measured.nats > least and _in_both_halves(beside, measured.effect, decisions):
             named.append(measured)
     return sorted(named, key=lambda one: one.nats, reverse=True)
 
 
-def _measured(fit: Fit, one: DetectedRandomEffect, least: float, *, last: bool) -> tuple[Fit, DetectedRandomEffect]:
+def _measured(fit: Fit, one: DetectedRandomEffect, least: float) -> tuple[Fit, DetectedRandomEffect]:
     """Return a fit with its noise re-estimated beside a random bias, and the bias with its gain in the refit.
 
     If intervals last seconds, as with poses of a localisation, or if the angle random walk of a gyro is fitted, the
     fitted noise absorbs most of a random walk of the bias, and a test beside that noise has little power. Otherwise,
-    and if no refit is likely to gain `least` nats, both are returned unchanged. With intervals of half a second that
-    test keeps some power: below a gain of `_SEEN_NATS`, the refit waits for the `last` step.
+    and if no refit is likely to gain `least` nats, both are returned unchanged.
     """
     (process,) = processes_like(one.effect)
     approach = fit.problem.approach
     if process.unit is not bias_of or not (approach.gyro_noise or approach.spacing_s > INTERVAL_S):
         return fit, one
     paid = 0.5 * process.numbers * float(np.log(len(fit.problem.intervals)))
-    if not last and approach.spacing_s <= INTERVAL_S and one.nats + paid < _SEEN_NATS:
-        return fit, one
     (usual,) = (p.typical for p in parameters(process.kind) if p.name == process.scale)
     start = process.kind(**{process.scale: max(getattr(one.effect, process.scale), usual), **process.fixed})
     least = max(one.nats, least) + paid
@@ -204,16 +195,6 @@ def gain_in_refit(one: DetectedRandomEffect, without: Fit, with_it: Fit) -> floa
     return max(one.nats, refitted)
 
 
-def explained_by(gains: Iterable[tuple[Dependence, float]], effect: Effect, decisions: Decisions) -> float:
-    """Return the largest gain of a dependence, nats, that a random coefficient has to exceed.
-
-    The course of a yaw rate's bias in one drive is also a function of time. That would be no model of another drive,
-    and needs the additional gain of any function that replaces a known cause.
-    """
-    known = decisions.replacement_nats if effect.name == "gyro_bias_walk" else 0.0
-    return max((nats - known * (one.title == "yaw over time") for one, nats in gains), default=0.0)
-
-
 def remeasured(fit: Fit, effect: Effect) -> tuple[Effect, float]:
     """Return a random coefficient of a fit with its parameters re-estimated beside the noise, and what that gains."""
     evidence = _Evidence(_beside(fit, effect))
@@ -244,6 +225,31 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Dete
     corrected = any(r.in_map for r in fit.problem.recordings)  # in steps, which make tails
     heavy = heavy_tails(fit) if tails and not corrected and not _matched(fit) else None
     return [DetectedRandomEffect(*heavy)] if heavy is not None else []
+
+
+def eliminate_random(
+    named: list[DetectedRandomEffect], fit: Fit, decisions: Decisions
+) -> tuple[list[DetectedRandomEffect], Fit]:
+    """Return named random effects and the fit, both without random coefficients that a later term made redundant."""
+    if not fit.random:
+        return named, fit
+    calm = fit.refit(random=())
+    least = decisions.drop_nats + decisions.correlated_nats * len(fit.random)
+    if fit.log_likelihood - calm.log_likelihood >= least:
+        return named, fit
+    return [one for one in named if one.effect.name not in CORRELATED_NOISE], calm
+
+
+def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:
+    """Return a fit and its random coefficient after alternating re-estimation of both until convergence."""
+    for _ in range(_ITERATIONS):
+        new, _ = remeasured(fit, effect)
+        alike = all(np.isclose(getattr(new, p.name), getattr(effect, p.name), rtol=_ALIKE) for p in parameters(new))
+        calmer = fit.refit(random=[new if e is effect else e for e in fit.random])
+        if alike and calmer.log_likelihood < fit.log_likelihood + _SETTLED_NATS:
+            break
+        fit, effect = calmer, new
+    return fit, effect
 
 
 class _Evidence:

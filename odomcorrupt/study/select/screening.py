@@ -44,12 +44,6 @@ _MEAN = np.tile(np.eye(3) / _SAMPLES, (_SAMPLES, 1))
 """Matrix (3 samples, 3) that converts rows of rates of several samples to their means."""
 _KEPT = 20
 """Number of basis functions of each regressor and action that are whitened."""
-_SHARE_OF_PLACE, _SHARE = 0.03, 0.25
-"""Fraction of the gain of an effect that screening finds, at least, of a basis function that explains it nearly.
-The least in 24 searches was 0.07 for a place, which a coarse grid may miss, and 0.4 for any other regressor."""
-_SHARE_APART = 0.005
-"""Fraction of a gain that remains, at least, if intervals were independent and nothing else free. 0.07 is usual for the
-least of a thousand functions, less beside an effect that is nearly the same function."""
 
 
 class Screened(NamedTuple):
@@ -201,22 +195,14 @@ def coarse_gains(fit: Fit, rest: Projection, columns: Array, counts: Sequence[in
     return gains
 
 
-def least_screened(regressor: str, against_nats: float) -> float:
-    """Return the least approximate gain, nats, of a basis function that competes with an effect of a given gain."""
-    return (_SHARE_OF_PLACE if regressor == "position" else _SHARE) * against_nats
-
-
-def promising_terms(fit: Fit, rest: Projection, design: CoarseDesign, against_nats: float) -> list[Screened]:
-    """Return the best basis functions of every regressor for every action, with their approximate gains.
-
-    against_nats : gain that they compete with; of those that can hardly reach it, the best of each action is returned
-    """
+def promising_terms(fit: Fit, rest: Projection, design: CoarseDesign) -> list[Screened]:
+    """Return the best basis functions of every regressor for every action, with their approximate gains."""
     found: list[Screened] = []
     pull = fit.noise.whitener.pulled(rest.residual)
     for action in design.actions:
         functions = design.reaching(action)
         means = [design.means_of_all(view, action) for view, _ in design.units(action)]
-        kept = _best_apart(fit, design, action, means, pull, against_nats)
+        kept = _best_apart(fit, design, action, means, pull)
         first = _first_of([len(function.parts) for function in functions])
         columns = np.concatenate([np.arange(first[i], first[i + 1]) for i in kept])
         counts = [len(functions[i].parts) for i in kept]
@@ -225,9 +211,7 @@ def promising_terms(fit: Fit, rest: Projection, design: CoarseDesign, against_na
     return found
 
 
-def _best_apart(
-    fit: Fit, design: CoarseDesign, action: Action, means: Sequence[Array], pull: Array, against_nats: float
-) -> list[int]:
+def _best_apart(fit: Fit, design: CoarseDesign, action: Action, means: Sequence[Array], pull: Array) -> list[int]:
     """Return the indices of functions to whiten: the best of each regressor if intervals were independent.
 
     Only the normalisation assumes independence; the scores are exact, from one back-substitution for all functions.
@@ -243,10 +227,9 @@ def _best_apart(
     )
     apart = np.asarray(score) ** 2 / np.maximum(np.asarray(length), 1e-300)
     gains = 0.5 * np.add.reduceat(apart, _first_of([len(function.parts) for function in functions])[:-1])
-    kept, most = list[int](), float(gains.max(initial=0.0))
+    kept = list[int]()
     for regressor in dict.fromkeys(function.regressor for function in functions):
-        least = min(_SHARE_APART * least_screened(regressor, against_nats), most)
-        own = [i for i, f in enumerate(functions) if f.regressor == regressor and gains[i] >= least]
+        own = [i for i, f in enumerate(functions) if f.regressor == regressor]
         kept += sorted(own, key=lambda i: -gains[i])[:_KEPT]
     return kept
 

@@ -8,7 +8,7 @@ all its shape parameters jointly, because the likelihood may have ridges.
 from __future__ import annotations
 
 from operator import itemgetter
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from scipy.optimize import minimize
@@ -17,7 +17,7 @@ from odomcorrupt.effects.effect import choices
 from odomcorrupt.errors import EffectError
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.score import project_out
-from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_gains, least_screened, promising_terms
+from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_gains, promising_terms
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, Term, neighbours
 
 if TYPE_CHECKING:
@@ -46,20 +46,6 @@ _REFINED, _REFINED_NATS = 1.5, 5.0
 """Factor and nats by which exact columns may raise the gain of a family; the largest rise observed was a quarter."""
 
 T = TypeVar("T", bound=Term)
-
-
-class Located(NamedTuple):
-    """A term near the best of its family.
-
-    exact : whether its shape is also refined with exact columns
-    """
-
-    term: LibraryTerm
-    exact: bool
-
-    def at_most(self, nats: float) -> float:
-        """Return a likely upper bound on the gain of the best of the family, given the gain of this member, nats."""
-        return nats if self.exact else _REFINED * nats + _REFINED_NATS
 
 
 class ShapeSearch:
@@ -134,33 +120,28 @@ class ShapeSearch:
         count = len(self._fit.problem.intervals)
         return penalty(term, count, self._decisions) - penalty(than, count, self._decisions)
 
-    def located(self, family: Sequence[LibraryTerm]) -> Located:
-        """Return a member near the best of a family: its shape refined with approximate columns, its gain exact.
-
-        This is much cheaper than `best`, for families with small gains: see `Located.at_most`.
-        """
+    def located(self, family: Sequence[LibraryTerm]) -> LibraryTerm:
+        """Return a member near the best of a family, its shape refined with approximate columns."""
         if not any(len(term.shape) for term in family) or (len(family) == 1 and not choices(family[0].start)):
-            return Located(self.best(family), exact=True)
+            return self.best(family)
         penalty_nats = self._decisions.unusual_shape_nats
         usual = self._nearly(family)
         unusual = [self._nearly(others) for others in zip(*(t.with_words(("heading",)) for t in family), strict=True)]
         most, best = max([usual, *((nats - penalty_nats, other) for nats, other in unusual)], key=itemgetter(0))
         words = [word for word in choices(best.start) if word != "heading"]
         others = [(self.gain(other) - penalty_nats, other) for other in best.with_words(words)]
-        return Located(max([(most, best), *others], key=itemgetter(0))[1], exact=False)
+        return max([(most, best), *others], key=itemgetter(0))[1]
 
-    def promising(self, against_nats: float = 0.0) -> list[Screened]:
+    def promising(self) -> list[Screened]:
         """Return the best basis functions of every regressor and action, on the grid of their families.
 
         Rectangles are too many to try everywhere; they are tried around the best disc, if its gain is large.
-
-        against_nats : gain that they compete with, see `promising_terms`
         """
-        found = promising_terms(self._fit, self._rest, self._design, against_nats)
+        found = promising_terms(self._fit, self._rest, self._design)
         disc = max((s for s in found if s.term.function.related), key=lambda s: s.nats, default=None)
         decisions = self._decisions
         most = max((s.nats for s in found), default=0.0)
-        least = max(decisions.related_nats, least_screened("position", against_nats), decisions.related_share * most)
+        least = max(decisions.related_nats, decisions.related_share * most)
         if disc is None or disc.nats < least:
             return found
         place = self.climb(disc.term)
@@ -171,10 +152,6 @@ class ShapeSearch:
             turned = self.climb(tried[int(np.argmax(self.coarse_gains(tried)))])
             related.append(Screened(turned, float(self.coarse_gains([turned])[0])))
         return [*found, max(related, key=lambda s: s.nats)]
-
-    def forms(self, ranked: Sequence[Screened]) -> list[BasisTerm]:
-        """Return the best of ranked terms with its shape refined and, if its gain is large, other nearby maxima."""
-        return [self.climb(term) for term in starts([s.term for s in ranked], ranked[0].nats)]
 
     def climb(self, term: T) -> T:
         """Return the term at the nearest maximum of the approximate gain; unchanged if it is an effect with memory."""

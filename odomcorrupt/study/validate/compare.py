@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.io.recording import Recording
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
     from odomcorrupt.study.validate.cross_validation import Fold
     from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.clock import Clock
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.result import Learned
     from odomcorrupt.study.validate.evaluation import Evaluation
 
 _SIGNIFICANT = 2.0

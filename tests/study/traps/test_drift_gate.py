@@ -6,7 +6,7 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 
 MIXED = {"mount_yaw": {"yaw": -0.02}, "unequal_wheels": {"curvature": -0.01}}
 

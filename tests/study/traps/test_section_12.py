@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden import as_recording, ten_second_error
+from hidden import as_recording, library_candidates, ten_second_error
 from wandering import RATE_HZ
 
 from odomcorrupt.effects import registry
@@ -17,11 +17,11 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
 from odomcorrupt.study.io.recording import Recording
-from odomcorrupt.study.select.candidates import library, library_candidates
 from odomcorrupt.study.select.decisions import DECISIONS, penalty
+from odomcorrupt.study.select.dictionary import families
 from odomcorrupt.study.select.score import score_columns
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.select.shape_search import ShapeSearch
-from odomcorrupt.study.select.stepwise import learn
 
 
 @pytest.mark.slow
@@ -118,10 +118,10 @@ def test_8_who_scans_many_shapes_is_charged_for_them():
     # breaks where a disc is judged as if it had been the only one looked at
     run = as_recording(simulate(54, None, duration_s=300.0))
     fitted = fit([run], approach=choose_approach([run]))
-    family = next(f for f in library(fitted) if f[0].name == "region_slip")
+    family = next(f for f in families(fitted) if f[0].name == "region_slip")
     best = ShapeSearch(fitted, DECISIONS).best(family)
     (alone,) = score_columns(fitted, [best.columns(fitted.problem)])
-    charged = next(c for c in library_candidates(fitted, DECISIONS) if c.name == "region_slip")
+    charged = next(c for c in library_candidates(fitted) if c.name == "region_slip")
     assert len(family) > 10
     assert charged.score.p >= min(1.0, len(family) * alone.p)
     assert charged.refused
@@ -141,7 +141,7 @@ def test_9_stamps_since_1970_keep_their_nanoseconds_and_a_truth_may_have_holes()
     holed = Recording("holed", run.odometry, Trajectory(run.truth.stamps_ns[keep], run.truth.xyt[keep]),
                       run.origin_ns, run.track_m)  # fmt: skip
     approach = choose_approach([run])
-    kind = next(f[0].start for f in library(fit([run], approach=approach)) if f[0].name == "wheelbase")
+    kind = next(f[0].start for f in families(fit([run], approach=approach)) if f[0].name == "wheelbase")
     values = [fit([r], [kind], approach=approach).effects[0].e for r in (run, holed)]
     assert values == pytest.approx([0.04, 0.04], rel=0.1)
 

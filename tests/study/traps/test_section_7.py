@@ -21,7 +21,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.windows import time_windows
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.score import score_terms
-from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.term import LibraryTerm
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)

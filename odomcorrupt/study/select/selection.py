@@ -1,0 +1,478 @@
+"""Selection of a model, in rounds of one linearisation, one search over sets of terms, and one non-linear refit.
+
+    fit -> dictionary of terms -> columns, whitened once -> held-out evidence of sets -> the best set, refitted
+
+Rounds end when the best set is that of the model. Then a random process may be included, and the rounds go on with its
+covariance in the whitening: what only imitated it leaves the model, what it had hidden enters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.errors import EffectError, FitError
+from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
+from odomcorrupt.study.estimate.drift_error import ten_second_error
+from odomcorrupt.study.estimate.extrinsics import mounting_of
+from odomcorrupt.study.estimate.gauss_newton import Fit, fit
+from odomcorrupt.study.estimate.gyro_walk import with_bias_walks
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
+from odomcorrupt.study.estimate.robust_errors import with_robust_errors
+from odomcorrupt.study.io.clock import Clock, clock_leaders
+from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
+from odomcorrupt.study.select.candidates import drop_term, tested_candidates
+from odomcorrupt.study.select.decisions import DECISIONS, Decisions
+from odomcorrupt.study.select.dependence import Dependence, dependence_of
+from odomcorrupt.study.select.dictionary import (
+    ClockChoice,
+    ClockTerm,
+    Competing,
+    Dictionary,
+    cost_of,
+    linearised,
+    started,
+)
+from odomcorrupt.study.select.evidence import Evidence, Search, Subset
+from odomcorrupt.study.select.heterogeneity import disagreements
+from odomcorrupt.study.select.random_effects import (
+    DetectedRandomEffect,
+    eliminate_random,
+    gain_in_refit,
+    iterate,
+    outlier_effects,
+    random_coefficients,
+)
+from odomcorrupt.study.select.result import Learned, Step
+from odomcorrupt.study.select.shape_search import ShapeSearch
+from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
+from odomcorrupt.study.work import Work
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.estimate.clocks import Clocks
+    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.select.candidates import Candidate
+
+_ROUNDS, _TRIES = 5, 3
+"""Largest number of rounds, and of sets that are refitted in a round."""
+_OF_TIME = ("scale_drift",)
+"""Effects that are a course over time, as that of a random process may be by chance."""
+_SEVERAL = 3
+"""Number of terms from which on a random process may be simpler."""
+_SLIGHT = 0.02
+"""Fraction of the gain of a model below which a term may be the misfit of another one's shape."""
+
+
+def learn(
+    recordings: Sequence[Recording],
+    start: Sequence[Effect] = (),
+    *,
+    law_name: str = "diffusion",
+    decisions: Decisions = DECISIONS,
+    work: Work | None = None,
+) -> Learned:
+    """Return the model selected from recordings of one robot, beginning with the given effects.
+
+    Parameters
+    ----------
+    recordings : odometry and truth of one robot
+    start : effects that are in the model from the beginning and are not dropped
+    law_name : the noise law, see `odomcorrupt.model.noise_laws`
+    decisions : prior odds and thresholds of the selection
+    work : progress callbacks of the stages
+    """
+    (work := work or Work()).begin_clocks()
+    start = (*start, *mounting_of(recordings, start))
+    as_given, encoders = recordings, encoder_effects(recordings[0])
+    recordings = [restore_lost(recording, encoders) for recording in recordings]
+    approach = choose_approach(recordings, law_name)
+    recordings = with_bias_walks(with_correlation_lengths(recordings, approach), approach)
+    clocks = find_clocks(recordings, approach)
+    same_data = all(one is other for one, other in zip(recordings, as_given, strict=True))
+    recordings = levelled(recordings, clocks)
+    choice = _clock_choice(clocks, recordings, decisions)
+    far = [
+        Clock(c.offset_s if held[0] else 0.0, c.rate if held[1] else 0.0)
+        for c, held in zip(clocks.clocks, choice.held, strict=True)
+    ]
+    first = fit(
+        recordings,
+        [e for e in start if e.kind != "noise"],
+        clocks=far,
+        free_clocks=choice.free((), clock_leaders(recordings)),
+        approach=approach,
+        random=[e for e in start if e.name in CORRELATED_NOISE],
+    )
+    noise = [DetectedRandomEffect(e, decisions.counted_nats) for e in encoders]
+    found = _Selection(first, {e.name for e in start}, choice, decisions, work, noise).run()
+    return replace(
+        found.result(clocks),
+        first_clocks=clocks if same_data else None,
+        hides_losses=hides_losses(as_given[0]),
+    )
+
+
+def _clock_choice(clocks: Clocks, recordings: Sequence[Recording], decisions: Decisions) -> ClockChoice:
+    """Return which clock numbers are free in any case, and which ones compete with other terms.
+
+    A clock that is far off has errors that are not linear in it, and that no other term has.
+    """
+    leaders = np.array(clock_leaders(recordings))
+    free = np.array(clocks.free, dtype=bool).reshape(-1, 2)
+    lasts_s = np.array([float(r.truth_s[-1] - r.truth_s[0]) for r in recordings])
+    shift_s = np.array([(abs(c.offset_s), abs(c.rate) * t) for c, t in zip(clocks.clocks, lasts_s, strict=True)])
+    held = free & (shift_s > decisions.far_clock_s)
+    leading = (leaders == np.arange(len(leaders)))[:, None]
+    return ClockChoice(held, free & ~held & leading)
+
+
+@dataclass(slots=True)
+class _Selection:
+    """State of a selection in progress.
+
+    fit, noise : the current model, and its random effects
+    given : names of effects that are not dropped
+    clocks, ticking : the clocks that may be terms, and the names of those in the model
+    dictionary, terms : all terms so far, and those of the effects in the model by name
+    at : the fit that was linearised last
+    competing, evidence, search, chosen : terms on that linearisation, their evidence, the search in it, and its own set
+    """
+
+    fit: Fit
+    given: set[str]
+    clocks: ClockChoice
+    decisions: Decisions
+    work: Work
+    noise: list[DetectedRandomEffect]
+    ticking: tuple[str, ...] = ()
+    dictionary: Dictionary = field(init=False)
+    terms: dict[str, LibraryTerm | BasisTerm] = field(default_factory=dict)
+    at: Fit | None = None
+    competing: list[Competing] = field(init=False)
+    evidence: Evidence = field(init=False)
+    search: Search = field(init=False)
+    chosen: Subset = ()
+
+    def __post_init__(self) -> None:
+        self.dictionary = Dictionary(self.decisions)
+
+    @property
+    def selected(self) -> list[Effect]:
+        """Effects of the model that were not given."""
+        return [effect for effect in self.fit.effects if effect.name not in self.given]
+
+    def run(self) -> _Selection:
+        """Select terms and random processes in turn until neither changes; return self."""
+        self._select()
+        if self._contradicts_physics():
+            self.fit, self.terms = self.fit.refit([e for e in self.fit.effects if e.name in self.given]), {}
+            return self
+        self._compare_with_process()
+        while self._include_process():
+            self._select()
+        self.noise, self.fit = eliminate_random(self.noise, self.fit, self.decisions)
+        tails = not (self.noise or any(isinstance(term, BasisTerm) for term in self.terms.values()))
+        outliers = outlier_effects(self.fit, self.decisions, tails=tails)
+        self.noise += outliers
+        effects = [effect.continued(self.fit.problem.motions) for effect in self.fit.effects]
+        bursts = [one.effect for one in outliers if one.effect.name == "slip_burst"]
+        if bursts or effects != list(self.fit.effects):
+            # the error of bursts is an effect, and not noise of every step
+            self.fit = self.fit.refit((*effects, *bursts))
+        return self
+
+    def _contradicts_physics(self) -> bool:
+        """Return whether one effect with an impossible sign or size gains more than the whole model."""
+        unbounded = np.full(len(self.evidence.low), np.inf)
+        evidence = replace(self.evidence, low=-unbounded, high=unbounded)
+        library = [(j,) for j, t in enumerate(self.competing) if isinstance(t, LibraryTerm) and j not in self.chosen]
+        score = evidence.gains([self.chosen, *library]).score
+        return bool(np.any(score[1:] > score[0] + self.decisions.replacement_nats))
+
+    def _select(self) -> None:
+        """Take rounds until the best set of terms is that of the model."""
+        for _ in range(_ROUNDS):
+            self.work.begin_step()
+            self._linearise()
+            self.work.within_step("refits")
+            if not self._refit_best():
+                break
+        self._drop_misfits()
+
+    def _linearise(self) -> None:
+        """Compute the evidence of all terms beside the current model, and search for the best set."""
+        if self.at is self.fit:
+            return
+        self.at = self.fit
+        self.dictionary.extend(self.fit)
+        present = self.selected
+        own = [self.terms[e.name] for e in present]
+        terms = self.dictionary.beside(own)
+        self.competing, self.evidence = linearised(self.fit, present, terms, self.clocks, self.dictionary)
+        ticking = [i for i, t in enumerate(self.competing) if isinstance(t, ClockTerm) and t.name in self.ticking]
+        self.chosen = (*range(len(present)), *ticking)
+        self.search = Search.of(self.evidence, self.chosen)
+
+    def _refit_best(self) -> bool:
+        """Refit the model with the best set of terms whose refit gains as well; return whether the model changed."""
+        for _ in range(_TRIES):
+            best = self.search.clear_parts(self.decisions.clear_errors)
+            if set(best) == set(self.chosen):
+                return False
+            paid = self.evidence.cost[list(best)].sum() - self.evidence.cost[list(self.chosen)].sum()
+            try:
+                larger = self._refitted(best, weights_of=self.fit)
+            except (FitError, EffectError):
+                larger = None
+            if larger is not None and larger.log_likelihood - self.fit.log_likelihood > paid:
+                terms = [self.competing[i] for i in best]
+                self.terms = {t.name: t for t in terms if not isinstance(t, ClockTerm)}
+                self.ticking = tuple(t.name for t in terms if isinstance(t, ClockTerm))
+                self.fit = self._with_shapes(larger.refit())
+                return True
+            self.search.refuse(best)
+        return False
+
+    def _refitted(self, subset: Subset, weights_of: Fit | None = None) -> Fit:
+        """Return the refit with a set of terms, started at their linear estimates."""
+        theta = self.evidence.estimate(subset)
+        effects, names, at = [e for e in self.fit.effects if e.name in self.given], list[str](), 0
+        for i in subset:
+            term = self.competing[i]
+            own, at = theta[at : at + term.width].tolist(), at + term.width
+            if isinstance(term, ClockTerm):
+                names.append(term.name)
+            elif isinstance(term, BasisTerm):
+                effects.append(term.effect(own))
+            else:
+                effects.append(started(self.fit, term.start, own))
+        free = self.clocks.free(names, clock_leaders(self.fit.problem.recordings))
+        clocks = [
+            Clock(clock.offset_s * offset, clock.rate * rate)
+            for clock, (offset, rate) in zip(self.fit.problem.clocks, free, strict=True)
+        ]
+        return self.fit.refit(effects, clocks=clocks, free_clocks=free, weights_of=weights_of)
+
+    def _with_shapes(self, fitted: Fit) -> Fit:
+        """Return a fit with the shape of each of its terms at the maximum of the likelihood, beside all others."""
+        for effect in fitted.effects:
+            term = self.terms.get(effect.name)
+            if term is None or not len(term.shape):
+                continue
+            own = fitted.by_name[effect.name]
+            moved = ShapeSearch(drop_term(fitted, own), self.decisions).maximise(term)
+            if np.allclose(moved.shape, term.shape, rtol=1e-3):
+                continue
+            shaped = moved.effect([getattr(own, p.name) for p in amplitudes(own)])
+            try:
+                other = fitted.refit([shaped if e is own else e for e in fitted.effects], weights_of=fitted)
+            except FitError:  # too far off to start from
+                continue
+            if other.log_likelihood > fitted.log_likelihood + self.decisions.reshape_nats:
+                fitted, self.terms[effect.name] = other.refit(), moved
+        return fitted
+
+    def _drop_misfits(self) -> None:
+        """Drop slight terms without which other shapes of the others fit as well, or that have no practical size.
+
+        In the search shapes are held and columns are linear: a slight error of a large effect's shape, or the square
+        of its size, is explained by a further term.
+        """
+        gains = {self.competing[i].name: more for i, more in self._gains().items()}
+        least = _SLIGHT * sum(gains.values())
+        slight = sorted((gains[name], name) for name in self.terms if gains.get(name, np.inf) < least)
+        for _, name in slight:
+            kept, before = dict(self.terms), self.fit
+            del self.terms[name]
+            others = [e for e in self.fit.effects if e.name != name]
+            self.fit = self._with_shapes(self.fit.refit(others, weights_of=self.fit))
+            compared = before.refit(weights_of=before), self.fit.refit(weights_of=before)
+            index = next(i for i in self.chosen if self.competing[i].name == name)
+            gained = compared[0].log_likelihood - compared[1].log_likelihood > 2.0 * self.evidence.cost[index]
+            size = ten_second_error(self.fit) / ten_second_error(before) - 1.0
+            if gained and size > self.decisions.practical.share:
+                self.terms, self.fit = kept, before
+
+    def _gains(self) -> dict[int, float]:
+        """Return the gain of each term of the model beside the others, by its index, nats."""
+        without = [tuple(j for j in self.chosen if j != i) for i in self.chosen]
+        gains = self.evidence.gains([self.chosen, *without]).folds.sum(axis=1)
+        cost = self.evidence.cost
+        return {i: float(gains[0] - other - cost[i]) for i, other in zip(self.chosen, gains[1:], strict=True)}
+
+    def _compare_with_process(self) -> None:
+        """Replace terms of the model by a random process if that is likelier, costs included.
+
+        The course of a bias over one drive is also a function of time, of places that are passed once, or a sum of
+        several effects. So the selection is repeated beside a process, from the model without its basis functions and
+        drifts, and from the term with the largest gain alone.
+        """
+        if len(self.fit.random) >= self.decisions.max_correlated:
+            return
+        before, terms, ticking, noise = self.fit, self.terms, self.ticking, list(self.noise)
+        named = [name for name, term in terms.items() if not (isinstance(term, BasisTerm) or name in _OF_TIME)]
+        starts = [named] if len(named) < len(terms) else []
+        if len(terms) > _SEVERAL:
+            starts.append([self.competing[i].name for i in self._order(self._gains())[:1]])
+        best, least = (before, terms, ticking, noise), 0.0
+        for kept in starts:
+            self.fit = before.refit([e for e in before.effects if e.name in self.given or e.name in kept])
+            self.terms, self.ticking = {name: terms[name] for name in kept}, ticking
+            self.noise = list(noise)
+            if not self._include_process():
+                continue
+            self._select()
+            likelier = self.fit.refit(weights_of=before).log_likelihood - before.refit(weights_of=before).log_likelihood
+            numbers = float(np.log(len(before.problem.intervals)))  # two numbers of a process, by half of it each
+            gain = likelier - numbers - self._cost(self.terms) + self._cost(terms)
+            if gain > least:
+                best, least = (self.fit, self.terms, self.ticking, self.noise), gain
+        self.fit, self.terms, self.ticking, self.noise = best
+        self._linearise()
+
+    def _cost(self, terms: Mapping[str, LibraryTerm | BasisTerm]) -> float:
+        return sum(cost_of(term, self.decisions) for term in terms.values())
+
+    def _include_process(self) -> bool:
+        """Include the random process with the largest gain, if one is detected; return whether there was one."""
+        if len(self.fit.random) >= self.decisions.max_correlated:
+            return False
+        found = random_coefficients(self.fit, self.decisions)
+        if not found:
+            return False
+        self.work.within_step("random processes")
+        before = self.fit
+        self.fit, effect = iterate(before.refit(random=(*before.random, found[0].effect)), found[0].effect)
+        nats = gain_in_refit(found[0], before, self.fit)
+        self.noise.append(DetectedRandomEffect(effect, nats))
+        return True
+
+    def result(self, clocks: Clocks) -> Learned:
+        """Return the model with the evidence for each of its terms, and for others in their place."""
+        self._linearise()
+        gains, fits = self._gains(), self._sequence()
+        tested = tested_candidates(self.fit, self.dictionary.library.values(), self.decisions)
+        steps = [Step(before=self.fit.for_reports(), candidates=tuple(tested), added=None)]
+        included, rivals = list[Dependence](), list[Dependence]()
+        margins: dict[str, float] = {}
+        for i, before, after in reversed([*zip(self._order(gains), fits, fits[1:], strict=False)]):
+            term, instead = self.competing[i], self._instead(i)
+            bare = drop_term(self.fit, self.fit.by_name[term.name])
+            step = Step(before=before.for_reports(), candidates=tuple(tested), added=None)
+            if isinstance(term, BasisTerm):
+                included.insert(0, dependence_of(bare, term, gains[i], self.decisions))
+                steps.insert(0, replace(step, dependence=included[0]))
+            if not isinstance(term, LibraryTerm):
+                continue
+            basis = [(more, self.competing[j]) for j, more in instead.items()]
+            more, other = max(
+                ((more, t) for more, t in basis if isinstance(t, BasisTerm)), key=itemgetter(0), default=(-np.inf, None)
+            )
+            margins[term.name] = -more
+            if other is not None and -more < self.decisions.rival_nats:
+                one = dependence_of(bare, other, gains[i] + more, self.decisions)
+                rivals.insert(0, replace(one, instead_of=(term.name,)))
+            candidates = self._ranked(bare, term, gains[i], instead, tested)
+            rmse = ten_second_error(before), ten_second_error(after)
+            candidates = replace(candidates[0], rmse=rmse), *candidates[1:]
+            steps.insert(0, replace(step, candidates=candidates, added=term.name))
+        kept = {effect.name for effect in self.fit.effects}
+        final = with_robust_errors(self.fit, kept - self.given)
+        return Learned(
+            clocks=self._clocks_of(final, clocks, gains, included),
+            rounds=tuple(steps),
+            noise=tuple(self.noise),
+            unknown=(*included, *rivals),
+            laws=tuple(included),
+            margins=margins,
+            fit=final,
+            error_m=ten_second_error(final),
+            disagreements=disagreements(final, self.decisions.heterogeneity_level),
+            contradictions=tuple(one for one in tested if one.contradicts_physics(self.decisions)),
+            decisions=self.decisions,
+        )
+
+    def _order(self, gains: Mapping[int, float]) -> list[int]:
+        """Return the indices of the effects of the model, the largest gain first."""
+        return sorted((i for i in gains if not isinstance(self.competing[i], ClockTerm)), key=lambda i: -gains[i])
+
+    def _sequence(self) -> list[Fit]:
+        """Return the fits with none, one, two, ... of the effects of the model, the largest gain first."""
+        effects = [self.fit.by_name[self.competing[i].name] for i in self._order(self._gains())]
+        given = [e for e in self.fit.effects if e.name in self.given]
+        return [*(self.fit.refit((*given, *effects[:k])) for k in range(len(effects))), self.fit]
+
+    def _clocks_of(self, final: Fit, clocks: Clocks, gains: Mapping[int, float], found: Sequence[Dependence]) -> Clocks:
+        """Return the clocks of the final model, with the evidence for them and for others in their place."""
+        recordings, free = self.fit.problem.recordings, self.fit.free_clocks
+        margins = [
+            min([gains[i], *(-more for more in self._instead(i).values())])
+            for i in self.chosen
+            if isinstance(self.competing[i], ClockTerm)
+        ]
+        return replace(
+            clocks,
+            clocks=self.fit.problem.clocks,
+            free=free,
+            errors=with_rounding(final.clock_errors.tolist(), free, recordings),
+            margins_nats=(*clocks.margins_nats, *margins) if np.any(free) else (),
+            ambiguous_nats=self._ambiguous(self._order(gains)),
+            left_nats=sum(one.nats for one in found if one.follows_acceleration),
+        )
+
+    def _ranked(
+        self,
+        bare: Fit,
+        term: LibraryTerm,
+        gain: float,
+        instead: Mapping[int, float],
+        tested: Sequence[Candidate],
+    ) -> tuple[Candidate, ...]:
+        """Return an effect of the model and its rivals as candidates, in order of their gains.
+
+        bare : the fit without the effect
+        gain : its gain beside the other terms
+        instead : evidence of the model with another term in its place, minus that of the model, by its index
+        """
+        (own,) = tested_candidates(bare, [term], self.decisions)
+        others = {self.competing[j].name: gain + more for j, more in sorted(instead.items(), key=itemgetter(1))}
+        rivals = [
+            replace(one, gain=others[one.name], refused="")
+            if others.get(one.name, 0.0) > 0.0 and one.name not in self.terms
+            else one
+            for one in tested
+            if one.name != term.name
+        ]
+        first = replace(own, fitted=self.fit.by_name[term.name], gain=gain, refused="")
+        return (first, *sorted(rivals, key=lambda one: -one.gain))
+
+    def _instead(self, i: int) -> dict[int, float]:
+        """Return the evidence with another term in place of one of the model, minus that of the model, by its index."""
+        rest = tuple(j for j in self.chosen if j != i)
+        subsets = self.evidence.extensions(rest)
+        score = self.evidence.gains([tuple(sorted(self.chosen)), *subsets]).score
+        found: dict[int, float] = {}
+        for subset, value in zip(subsets, score[1:], strict=True):
+            (other,) = set(subset) - set(rest)
+            if self.competing[other].name != self.competing[i].name and np.isfinite(value):
+                found[other] = float(value - score[0])
+        return found
+
+    def _ambiguous(self, order: Sequence[int]) -> float:
+        """Return the gain of a clock that is left out, in place of a term of the model, nats; 0 if it gains nothing."""
+        clocks = [j for j, t in enumerate(self.competing) if isinstance(t, ClockTerm) and t.name not in self.ticking]
+        most = 0.0
+        for i in order:
+            rest = tuple(j for j in self.chosen if j != i)
+            score = self.evidence.gains([rest, *((*rest, clock) for clock in clocks)]).score
+            most = max([most, *(float(with_it - score[0]) for with_it in score[1:])])
+        return most
