@@ -38,7 +38,7 @@ FIGURES = {
     "fault": "whether the odometry or the truth is wrong, these data do not show", "share": "6%",
     "how": "drives forwards there", "far": 1000,
     "travels": "3.3 times as far as", "turns": "10 times as far as", "hint": "", "v": 0.303, "inverse": 10,
-    "track": " (0.016 -> 0.16 m)", "sides": ", left and right alike", "truth": "",
+    "agree": "turns agree", "track": " (0.016 -> 0.16 m)", "sides": ", left and right alike", "truth": "",
 }  # fmt: skip
 """Example of each figure."""
 OWN = {

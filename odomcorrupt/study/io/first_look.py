@@ -37,29 +37,26 @@ _GRID_S, _LAG_S = 0.1, 3.0
 _MOVING = 0.2
 """Part of the usual largest motion from which a window counts as moving."""
 _FEWEST = 8
-"""Fewest windows in motion for a ratio."""
+"""Fewest windows in motion for a ratio, and directions of a path to compare with its headings."""
 _CLEAR, _UNCLEAR = 0.6, 0.4
 """Correlations that two motions have, and do not have, if they are the same but for a factor. Of 19 recordings by
 others the better one of speed and yaw rate has at least 0.9."""
-_FOLLOWS, _MISSES = 0.9, 0.6
-"""Agreement of headings with the path for a reading that is right, and for one that is wrong."""
-_TRAVEL, _TURNS, _SKIDS = 1.3, 1.3, 1.9
+_FOLLOWS = 0.9
+"""Agreement of headings with the path for a reading that is right; a wrong one has less than `_CLEAR`."""
+_WRONG, _SKIDS = 1.3, 1.9
 """Factors from which travel and turns are plainly wrong; skid steering turns up to 1.9 times less than its wheels."""
-_CHORDS = 12
-"""Fewest directions of a path that are compared with its headings."""
 _ALIKE = 0.06
 """Relative difference of two factors that are the same."""
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
 """Speed that no robot has, and one that few have."""
-_DEGREE = np.pi / 180.0
-READINGS = (1.0, -1.0, _DEGREE, -_DEGREE, 1.0 / _DEGREE)
+READINGS = (1.0, -1.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi)
 """Factors by which headings may have to be multiplied."""
 UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
 """Units of length that are confused with metres, per metre."""
 _HINTS = {
     2.0: "diameter for radius, or one edge of the encoder counted instead of two", 4.0: "quadrature counted once",
-    1.0 / _DEGREE: "degrees for radians", 2.0 * np.pi: "turns for radians", 100.0: "centimetres for metres",
-    1000.0: "millimetres for metres", 1.0 / 0.3048: "feet for metres", 1.0 / 0.0254: "inches for metres",
+    180.0 / np.pi: "degrees for radians", 2.0 * np.pi: "turns for radians",
+    **{per_m: f"{unit} for metres" for unit, per_m in UNITS.items()},
 }  # fmt: skip
 """Likely causes of factors near these or their inverses."""
 
@@ -83,15 +80,13 @@ class Ratio(NamedTuple):
 
 def ratio_of(a: Array, b: Array) -> Ratio:
     """Return the ratio of b (n,) to a (n,): least absolute deviations through the origin, a weighted median."""
-    used = a != 0.0
-    if not used.any():
+    each, weight = b[a != 0.0] / a[a != 0.0], np.abs(a[a != 0.0])
+    if not len(each):
         return Ratio()
-    each, weight = b[used] / a[used], np.abs(a[used])
 
     def median(x: Array) -> float:
-        order = np.argsort(x)
-        total = np.cumsum(weight[order])
-        return float(x[order][np.searchsorted(total, total[-1] / 2.0)])
+        total = np.cumsum(weight[np.argsort(x)])
+        return float(np.sort(x)[np.searchsorted(total, total[-1] / 2.0)])
 
     value = median(each)
     return Ratio(value, 1.48 * median(np.abs(each - value)) / max(abs(value), 1e-12), len(each))
@@ -136,8 +131,7 @@ def _along_chords(t_s: Array, xy: Array) -> tuple[Array, Array]:
         step_s *= 1.5
     moves = length > _MOVING * usual
     double = np.unwrap(2.0 * np.arctan2(chord[moves, 1], chord[moves, 0]))
-    yaw = np.interp(grid, grid[moves], double / 2.0) if moves.any() else 0.0 * grid
-    return grid, np.column_stack((own, yaw))
+    return grid, np.column_stack((own, np.interp(grid, grid[moves], double / 2.0) if moves.any() else 0.0 * grid))
 
 
 class Own(NamedTuple):
@@ -231,8 +225,8 @@ class Look:
         return float(np.clip(4e-9 * max(float(np.median(np.diff(p.stamps_ns))) for p in self.paths), 1.0, 8.0))
 
     @cached_property
-    def windows(self) -> tuple[Array, Array, Array]:
-        """Motions (n, 3) of odometry and truth in windows, at the lag at which they are most alike, and their times."""
+    def windows(self) -> tuple[Array, Array, tuple[Array, Array]]:
+        """Motions (n, 3) of odometry and truth in windows, and their times in each, at the lag that fits best."""
         origin, window_s = int(self.paths[0].stamps_ns[0]), self.window_s
         one, other = (_travel(p, origin) for p in self.paths)
         first, last = max(one.t_s[0], other.t_s[0]), min(one.t_s[-1], other.t_s[-1]) - window_s
@@ -243,21 +237,34 @@ class Look:
             c = _correlations(here, other.within(starts + lag_s, window_s))
             best = max(best, (float(np.sum(c[[0, 0, 2, 2], [0, 2, 0, 2]] ** 2)) - 1e-3 * abs(lag_s), lag_s))
         there = other.within(starts + best[1], window_s)
-        if self.paths[1].headed:
-            return here, there, starts
-        return *_by_speeds(here, there), starts
+        if not self.paths[1].headed:
+            here, there = _by_speeds(here, there)
+        return here, there, (starts, starts + best[1])
+
+    @cached_property
+    def hand(self) -> float:
+        """Correlation of the positions across the main axes of 64 windows each: 1 as they are, -1 if mirrored."""
+        origin = int(self.paths[0].stamps_ns[0])
+        both = zip(self.paths, self.windows[2], strict=True)
+        own, real = (np.interp(at, p.seconds_since(origin), p.xyz[:, 0] + 1j * p.xyz[:, 1]) for p, at in both)
+        total = np.zeros(4)
+        for first in range(0, len(own) - 32, 32):
+            a, b = (x[first : first + 64] - x[first : first + 64].mean() for x in (own, real))
+            size = [float(np.vdot(x, x).real) for x in (a, b)]
+            across = [n - abs(x @ x) for n, x in zip(size, (a, b), strict=True)]
+            total += [abs(np.vdot(a, b)), abs(a @ b), *np.sqrt(np.maximum([np.prod(across), np.prod(size)], 0.0))]
+        same, mirrored, wide, most = total.tolist()
+        return (same - mirrored) / wide if max(same, mirrored) > 0.8 * most and wide > 0.001 * most else 0.0
 
     @cached_property
     def turns_agree(self) -> tuple[float, ...]:
         """For each of `READINGS`, 1 if the truth's headings so multiplied turn as the odometry does, 0 if not."""
-        (here, _, starts), truth = self.windows, self.paths[1]
-        if not truth.headed:
-            return (1.0, *(0.0 for _ in READINGS[1:]))
+        here, _, (_, at) = self.windows
+        truth, used = self.paths[1], _moving(here[:, 2])
         t_s = truth.seconds_since(int(self.paths[0].stamps_ns[0]))
-        ends = [np.minimum(np.searchsorted(t_s, at), len(t_s) - 1) for at in (starts, starts + self.window_s)]
-        turned = [yaw[ends[1]] - yaw[ends[0]] for yaw in (truth.yaw_rad, np.unwrap(truth.yaw_rad))]
-        used = _moving(here[:, 2])
-        return tuple(max(float(np.mean(np.cos(k * x - here[:, 2])[used])) for x in turned) for k in READINGS)
+        first, last = (np.minimum(np.searchsorted(t_s, t), len(t_s) - 1)[used] for t in (at, at + self.window_s))
+        turned = [yaw[last] - yaw[first] for yaw in (truth.yaw_rad, np.unwrap(truth.yaw_rad))]
+        return tuple(max(float(np.mean(np.cos(k * x - here[used, 2]))) for x in turned) for k in READINGS)
 
     @cached_property
     def correlations(self) -> Array:
@@ -283,14 +290,13 @@ class Look:
     @property
     def words(self) -> str:
         """Ratios of travel and turns in words, "" if they are not sure."""
-        inside = f"in {self.window_s:.2g} s"
-        both = zip(("travels", "turns"), (self.travel, self.turn), strict=True)
-        said = [f"{what} {r.value:.3g} times as far (+-{r.spread:.1%} {inside})" for what, r in both if r.sure]
+        both, s = zip(("travels", "turns"), (self.travel, self.turn), strict=True), self.window_s
+        said = [f"{what} {r.value:.3g} times as far (+-{r.spread:.1%} in {s:.2g} s)" for what, r in both if r.sure]
         return f"the truth {' and '.join(said)}" if said else ""
 
     def at_fault(self) -> tuple[int | None, str]:
         """Return which one turns the wrong way according to a third source, if any does, and that source."""
-        here, there, starts = self.windows
+        here, there, (starts, _) = self.windows
         origin = int(self.paths[0].stamps_ns[0])
         for one in self.witnesses():
             t_s = (one.stamps_ns - origin) * 1e-9
@@ -338,8 +344,8 @@ def _correlations(a: Array, b: Array) -> Array:
 
 Figures: TypeAlias = dict[str, Any]
 """Figures of a mistake for its texts. `i` is the path at fault, 0 for the odometry (default) and 1 for the truth;
-`undo` a function of that path that undoes it; `gains` the ratios of truth to odometry in travel and turns that do;
-without either nothing can be learned."""
+`undo` a function of that path that undoes it, without which nothing can be learned; `gains` the ratios of truth to
+odometry in travel and turns, if these are parts of the model."""
 
 
 class Pattern(NamedTuple):
@@ -389,8 +395,6 @@ def first_look(look: Look) -> FirstLook:
                 continue
             mistake = _mistake(pattern, look, figures)
             gains, undo = figures.get("gains", gains), figures.get("undo")
-            if "gains" in figures:
-                undo = _by(np.diag((gains[0], *gains)))
             if undo is None:
                 raise RecordingError(mistake.sentence)
             i = figures.get("i", 0)
@@ -403,8 +407,7 @@ def first_look(look: Look) -> FirstLook:
 def mistakes_alone(path: Samples) -> list[Mistake]:
     """Return the plain mistakes that odometry shows by itself."""
     look = Look((path, path))
-    found = ((pattern, pattern.find(look, 0)) for pattern in PATTERNS if pattern.alone)
-    return [_mistake(pattern, look, figures) for pattern, figures in found if figures is not None]
+    return [_mistake(one, look, seen) for one in PATTERNS if one.alone and (seen := one.find(look, 0)) is not None]
 
 
 def check_alone(path: Samples) -> None:
@@ -421,7 +424,7 @@ def check_alone(path: Samples) -> None:
 
 def _mistake(pattern: Pattern, look: Look, figures: Figures) -> Mistake:
     i = figures.get("i", 0)
-    who = look.paths[i].name if {"undo", "gains"} & figures.keys() else look.paths[i].place
+    who = look.paths[i].name if "undo" in figures else look.paths[i].place
     words = {"who": who, "other": look.paths[1 - i].name} | figures
     words = {key: f"{value:.3g}" if isinstance(value, float) else value for key, value in words.items()}
     texts = (pattern.seen, pattern.causes, pattern.change, pattern.then)
@@ -469,28 +472,29 @@ def _speed(look: Look, i: int) -> Figures | None:
     return {"i": i, "speed": speeds[0], "undo": undo} if min(speeds) > _FAST_MPS else None
 
 
-def _no_w(look: Look, i: int) -> Figures | None:
-    return {"i": i} if look.paths[i].no_w and look.own[i].fixed > _FOLLOWS else None
-
-
 def _mirrored_headings(look: Look, i: int) -> Figures | None:
     """Find headings that turn the other way than the path; what contradicts the other trajectory is mirrored."""
-    own = look.own[i]
-    if own.chords < _CHORDS or own.agreement[0] > _MISSES or own.agreement[1] < _FOLLOWS:
+    own, turn = look.own[i], float(look.correlations[2, 2])
+    # how many times worse each path follows its headings than their negatives
+    doubts = [(1.0 - own.agreement[0]) / (1.001 - own.agreement[1]) if own.chords else 0.0 for own in look.own]
+    doubt, other = doubts[i], doubts[1 - i]
+    alone = own.agreement[1] > _FOLLOWS and (own.agreement[0] < _CLEAR or doubt > 4.0 > 4.0 * other)
+    if own.chords < _FEWEST or not (alone or (look.hand * turn < -_UNCLEAR and doubt > other)):
         return None
-    axis = 1.0 if look.correlations[2, 2] < 0.0 else -1.0
+    axis = 1.0 if turn < 0.0 or look.hand > _UNCLEAR else -1.0
     undo = lambda path: replace(path, xyz=path.xyz * [1.0, axis, 1.0], yaw_rad=-axis * path.yaw_rad)  # noqa: E731
     return {"i": i, "undo": undo}
 
 
 def _unit_of_headings(look: Look, i: int) -> Figures | None:
     """Find headings in another unit by the path, or by the odometry's turns if the path has other directions."""
-    own, path = look.own[i], look.paths[i]
-    by_path = own.chords >= _CHORDS and max(own.agreement) > _FOLLOWS
-    agreement = own.agreement if by_path or i == 0 else look.turns_agree
-    k = int(np.argmax(agreement[2:])) + 2
-    follows = own.chords >= _CHORDS and own.agreement[0] > _MISSES
-    if not path.headed or follows or agreement[0] > _MISSES or agreement[k] < _FOLLOWS or not (by_path or i):
+    own = look.own[i]
+    by_path = own.chords >= _FEWEST and max(own.agreement) > _FOLLOWS
+    if not look.paths[i].headed or (own.chords >= _FEWEST and own.agreement[0] > _CLEAR) or not (by_path or i):
+        return None
+    agreement = own.agreement if by_path else look.turns_agree
+    k = int(np.argmax(agreement))
+    if k < 2 or agreement[0] > _CLEAR or agreement[k] < _FOLLOWS:
         return None
     words = ("degrees, not radians", "degrees of a compass (clockwise)", "read as degrees, but are radians")
 
@@ -508,8 +512,8 @@ def _unrelated(look: Look, i: int) -> Figures | None:
     undo = {"undo": lambda path: path.without_headings()} if i else {}
     if path.headed and beside.headed and np.ptp(path.yaw_rad) < 1e-6 and np.ptp(np.unwrap(beside.yaw_rad)) > 0.5:
         return {"i": i, "what": "never change", **undo}
-    few = min(own.chords, other.chords) < 2 * _CHORDS
-    if few or max(own.agreement) > _MISSES or other.agreement[0] < _FOLLOWS or abs(look.correlations[2, 2]) > _UNCLEAR:
+    few = min(own.chords, other.chords) < 3 * _FEWEST
+    if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS or abs(look.correlations[2, 2]) > _UNCLEAR:
         return None
     return {"i": i, "what": "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise", **undo}
 
@@ -549,14 +553,14 @@ def _one_encoder(look: Look) -> Figures | None:
     if crossed < _CLEAR or max(abs(c[0, 0]), abs(c[2, 2])) > crossed - (1.0 - _CLEAR):
         return None
     travel, turn = look.ratio(2, 0).value, look.ratio(0, 2).value
-    undo = _by(np.array(((0.0, 0.0, travel), (0.0, 1.0, 0.0), (turn, 0.0, 0.0))))
-    return {"side": "left" if travel > 0.0 else "right", "undo": undo}
+    matrix = np.array(((0.0, 0.0, travel), (0.0, 1.0, 0.0), (turn, 0.0, 0.0)))
+    return {"side": "left" if travel > 0.0 else "right", "undo": _by(matrix)}
 
 
 def _reversed(look: Look, turn: float) -> Figures | None:
     """Find odometry that drives backwards and turns as the truth does (1) or the other way (-1)."""
     c = look.correlations
-    if not look.paths[1].headed or c[0, 0] > -_CLEAR or c[2, 2] * turn < _CLEAR:
+    if not look.paths[1].headed or c[0, 0] > -_CLEAR or min(c[2, 2] * turn, look.hand * turn + 1.0) < _CLEAR:
         return None
     return {"corr": float(c[0, 0]), "undo": _by(np.diag((-1.0, -1.0, turn)))}
 
@@ -564,9 +568,9 @@ def _reversed(look: Look, turn: float) -> Figures | None:
 def _sideways(look: Look) -> Figures | None:
     c = look.correlations
     for i, corr in ((0, float(c[1, 0])), (1, float(c[0, 1]))):
-        x = look.windows[i]
+        x = look.windows[:2][i]
         aside = np.std(x[:, 1]) > np.std(x[:, 0]) and look.paths[1].headed
-        if aside and abs(corr) > _CLEAR and abs(c[0, 0]) < _UNCLEAR:
+        if aside and abs(corr) > max(_CLEAR, abs(c[0, 0]) + 1.0 - _CLEAR):
             turn = np.sign(corr) * np.pi / 2.0
             undo = lambda path, turn=turn: replace(path, yaw_rad=path.yaw_rad + turn)  # noqa: E731
             return {"i": i, "side": "y" if corr > 0.0 else "-y", "corr": corr, "undo": undo}
@@ -575,16 +579,16 @@ def _sideways(look: Look) -> Figures | None:
 
 def _exchanged(look: Look) -> Figures | None:
     c = look.correlations
-    aside = all(np.std(x[:, 1]) > 0.3 * np.std(x[:, 0]) for x in look.windows[:2])
-    corr = min(float(c[2, 2]), float(c[1, 1]) if aside and abs(c[2, 2]) < _UNCLEAR else 0.0)
-    if corr > -_CLEAR or c[0, 0] < _CLEAR:
+    turn, hand = float(c[2, 2]), look.hand
+    corr = min(turn, hand * _CLEAR / _UNCLEAR)
+    if corr > -_CLEAR or c[0, 0] < _CLEAR or max(hand, turn) > _UNCLEAR:
         return None
     fault, source = look.at_fault()
     words = "whether the odometry or the truth is wrong, these data do not show"
     if fault is not None:
         words = f"{source} turns as {look.paths[1 - fault].name} does, so {look.paths[fault].name} is wrong"
     undo = lambda path: replace(path, xyz=path.xyz * [1.0, -1.0, 1.0], yaw_rad=-path.yaw_rad)  # noqa: E731
-    return {"i": fault or 0, "corr": corr, "fault": words, "undo": undo}
+    return {"i": fault or 0, "corr": max(corr, -1.0), "fault": words, "undo": undo}
 
 
 def _overflows(look: Look, i: int) -> Figures | None:
@@ -604,11 +608,9 @@ def _overflows(look: Look, i: int) -> Figures | None:
     gaps = np.diff(steps[steps < 0.1 * wheel_m])
     gaps = gaps[gaps > 1e-8]
     tick = float(np.median(gaps[gaps < 1.5 * gaps.min()])) if len(gaps) else np.inf
-    bits = np.log2(max(wheel_m / tick, 1.0))
-    known = bits > 7.5 and abs(bits - round(bits)) < 0.02
-    width = (
-        f"2^{round(bits)} ticks of {tick * 1e3:.3g} mm: a counter of {round(bits)} bits" if known else "often 16 bits"
-    )
+    bits = round(power := float(np.log2(max(wheel_m / tick, 1.0))))
+    known = bits > 7 and abs(power - bits) < 0.02
+    width = f"2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits" if known else "often 16 bits"
     rows[at] = rows[before]
     return {"count": len(at), "wheel_m": wheel_m, "width": width, "undo": lambda path: _moved_by(path, rows)}
 
@@ -619,11 +621,12 @@ def _one_way(look: Look, axis: int) -> Figures | None:
     straight = ~_moving(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
     for side in (-1, 1) if look.paths[1].headed else ():
         real, counted = _moving(there[:, axis], side) & straight, _moving(here[:, axis], side)
-        if real.sum() < max(_FEWEST, 0.01 * len(real), 10.0 * counted.sum()):
+        if not real.any() or real.sum() < max(0.01 * len(real), 10.0 * counted.sum()):
             continue
-        if _moving(there[:, axis], -side).any() and np.mean(here[real, axis] * side > 0.0) < 0.1:
-            back = float(-np.median(here[real, axis] / there[real, axis]))
-            how = "drives forwards there" if back > 0.5 else "stands there"
+        ahead = np.median(here[real, axis] / there[real, axis]) < -0.5
+        enough = real.sum() >= (_FEWEST / 2.0 if ahead else _FEWEST)
+        if enough and _moving(there[:, axis], -side).any() and np.mean(here[real, axis] * side > 0.0) < 0.1:
+            how = "drives forwards there" if ahead else "stands there"
             return {"share": f"{real.mean():.0%}", "how": how, "side": "right" if side < 0 else "left"}
     return None
 
@@ -640,9 +643,9 @@ def _truth_unit(look: Look) -> Figures | None:
 def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Figures | None:  # noqa: FBT001
     """Find which of travel and turns are plainly wrong, by the same factor or not."""
     v, w = look.travel, look.turn
-    wrong = v.beyond(_TRAVEL)
+    wrong = v.beyond(_WRONG)
     same = v.sure and w.sure and abs(v.value / w.value - 1.0) < _ALIKE
-    if (wrong, w.beyond(_TURNS, _TURNS if wrong else _SKIDS)) != (travel, turn) or same is not alike:
+    if (wrong, w.beyond(_WRONG, _WRONG if wrong else _SKIDS)) != (travel, turn) or same is not alike:
         return None
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
     sides = [look.ratio(2, side=side) for side in (1, -1)]
@@ -654,9 +657,10 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
         beside = f", left {sides[0].value:.3g} and right {sides[1].value:.3g} times"
     return {
         "travels": far[0], "turns": far[1], "hint": f" ({hints[0]})" if hints else "", "v": gains[0], "gains": gains,
-        "inverse": 1.0 / gains[1], "sides": beside,
+        "inverse": 1.0 / gains[1], "sides": beside, "agree": f"turns {'agree' if w.sure else 'are too few to compare'}",
         "track": f" ({look.track_m:.4g} -> {look.track_m / gains[1]:.4g} m)" if look.track_m else "",
         "truth": "; or lengths of the truth in another unit" if gains[0] > 1.0 else "",
+        "undo": _by(np.diag((gains[0], *gains))),
     }  # fmt: skip
 
 
@@ -677,18 +681,19 @@ PATTERNS = (
         "quaternion without w",
         "{who}: its orientations are no unit quaternions (w is 0 in all): its headings never change",
         "w was never set beside z = sin(yaw / 2)",
-        "set w = cos(yaw / 2), or make poses of its twists with `odomcorrupt integrate`", _no_w, alone=True,
-    ),
-    Pattern(
-        "mirrored headings", "{who}: its headings turn the other way than its path does",
-        "an axis is mirrored; compass headings", "turn a compass by 90 deg - yaw, or flip the axis", _mirrored_headings,
-        "mirrored so that it turns as {other} does", alone=True,
+        "set w = cos(yaw / 2), or make poses of its twists with `odomcorrupt integrate`",
+        lambda look, i: {"i": i} if look.paths[i].no_w and look.own[i].fixed > _FOLLOWS else None, alone=True,
     ),
     Pattern(
         "unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
         "degrees given to a function of radians, or the other way round; a column with the wrong name",
         "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions", _unit_of_headings,
         "its headings are multiplied by {factor}", alone=True,
+    ),
+    Pattern(
+        "mirrored headings", "{who}: its headings turn the other way than its path does",
+        "an axis is mirrored; compass headings", "turn a compass by 90 deg - yaw, or flip the axis", _mirrored_headings,
+        "mirrored so that it turns as {other} does", alone=True,
     ),
     Pattern(
         "plane", "{who}: moves in its {plane} plane, not in x-y: {up} points up there", "axes of a camera or of a game",
@@ -761,7 +766,7 @@ PATTERNS = (
         "`wheel_separation` x {inverse}{track}", lambda look: _ratios(look, False, True), _KEPT,
     ),
     Pattern(
-        "travel", "{who} travels {travels} the truth; turns agree",
+        "travel", "{who} travels {travels} the truth; {agree}",
         "gear ratio, ticks per turn or wheel radius, and headings from a gyro{hint}{truth}", "`wheel_radius` x {v}",
         lambda look: _ratios(look, True, False), _KEPT,
     ),

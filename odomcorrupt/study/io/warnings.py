@@ -48,8 +48,14 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
         return []
     same = np.abs(step - own).max(axis=1)[moving] < _SAME
     share = float(same.mean())
-    within = _apart(odometry, truth) < _SAME_M
-    if (share > 0.99 or (share > 0.5 and within)) and _copied(odometry, truth):
+    real, path = _common(odometry, truth)
+    apart = between(real[:1], real) - between(path[:1], path)
+    apart[:, 2] = wrap(apart[:, 2])
+    within = float(np.abs(apart).max()) < _SAME_M
+    first, last = max(odometry.stamps_ns[0], truth.stamps_ns[0]), min(odometry.stamps_ns[-1], truth.stamps_ns[-1])
+    one, other = (p.stamps_ns[(p.stamps_ns >= first) & (p.stamps_ns <= last)] for p in (odometry, truth))
+    copied = np.isin(other, one).mean() > 0.5 or abs(len(other) - len(one)) < 0.01 * len(one) + 2
+    if (share > 0.99 or (share > 0.5 and within)) and copied:
         raise RecordingError(
             f"{truth.place}: repeats {odometry.name} ({np.sum(same)} of {len(same)} steps are equal): it is the "
             "same odometry; name a truth that does not come from it"
@@ -187,21 +193,6 @@ def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
         return 0
     closer = error[at + 1] < error[at]
     return len(at) if closer.mean() > 0.8 else 0
-
-
-def _apart(odometry: Samples, truth: Samples) -> float:
-    """Return the largest difference (m or rad) of the two paths, aligned at their first common time."""
-    real, path = _common(odometry, truth)
-    difference = between(real[:1], real) - between(path[:1], path)
-    difference[:, 2] = wrap(difference[:, 2])
-    return float(np.abs(difference).max())
-
-
-def _copied(odometry: Samples, truth: Samples) -> bool:
-    """Return whether most truth stamps are odometry stamps, or both have equally many poses in the common time."""
-    first, last = max(odometry.stamps_ns[0], truth.stamps_ns[0]), min(odometry.stamps_ns[-1], truth.stamps_ns[-1])
-    own, real = (p.stamps_ns[(p.stamps_ns >= first) & (p.stamps_ns <= last)] for p in (odometry, truth))
-    return bool(np.isin(real, own).mean() > 0.5 or abs(len(real) - len(own)) < 0.01 * len(own) + 2)
 
 
 def _steps(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
