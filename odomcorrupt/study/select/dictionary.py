@@ -347,6 +347,6 @@ def cost_of(term: Competing, decisions: Decisions, *, by_gyro: bool = False) -> 
     if isinstance(term, LibraryTerm):
         usual = {word: options[0] for word, options in choices(term.start).items()}
         usual["heading"] = "gyro" if by_gyro else "wheels"
-        words = sum(getattr(term.start, word, value) != value for word, value in usual.items())
+        words = term.width - 1 + sum(getattr(term.start, word, value) != value for word, value in usual.items())
     basis = decisions.basis_nats if isinstance(term, BasisTerm) else 0.0
     return decisions.term_nats + penalty(term, 1, decisions) + decisions.unusual_shape_nats * words + basis
