@@ -30,7 +30,7 @@ from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -45,7 +45,7 @@ _OF_ITS_KIND = 2
 """Number of basis functions of each regressor and channel that compete: a step and a hinge, or two places."""
 _CLOCKS = {"time_offset": 0.03, "clock_skew": 1e-4}
 """Clock terms, and the prior standard deviation of an offset, s, and of a rate; see effects.md, section 4."""
-_OF_GYRO = ("gyro_bias", "gyro_scale")
+_OF_GYRO = frozenset({"gyro_bias", "gyro_scale"})
 """Effects of a gyro: a robot that has one takes its heading from a gyro."""
 _SURELY = 3.0
 """Standard errors by which a coefficient is surely larger than a size."""
@@ -246,7 +246,7 @@ def linearised(
     parts = [slice(first[i], first[i + 1]) for i in range(len(used))]
     priors = [_prior(t, fit, dictionary, unit[o], alone[o]) for t, o in zip(used, parts, strict=True)]
     precision, low, high = (np.concatenate(part) for part in zip(*priors, strict=True))
-    by_gyro = any(effect.name in _OF_GYRO for effect in fit.effects)
+    names = [effect.name for effect in fit.effects]
     return used, Evidence(
         first=first,
         gram=gram,
@@ -254,7 +254,7 @@ def linearised(
         precision=precision,
         low=low,
         high=high,
-        cost=np.array([cost_of(t, dictionary.decisions, by_gyro=by_gyro) for t in used]),
+        cost=np.array([cost_of(t, dictionary.decisions, names) for t in used]),
         group=np.array([numbers.setdefault(t.name, len(numbers)) for t in used]),
         limited=np.array([isinstance(t, BasisTerm) for t in used]),
         most=dictionary.decisions.max_dependences,
@@ -336,17 +336,17 @@ def _first_order(fit: Fit, effect: Effect, p: Parameter, change: float) -> float
     return size(p.identity + change) / slope if slope > 0.0 else 0.0
 
 
-def cost_of(term: Competing, decisions: Decisions, *, by_gyro: bool = False) -> float:
+def cost_of(term: Competing, decisions: Decisions, names: Iterable[str]) -> float:
     """Return the gain on left-out data at which a term breaks even, nats: the negative logarithm of its prior odds.
 
-    by_gyro : whether the heading comes from a gyro, because the model has its bias or its scale error
+    names : effects of the model; beside the bias or the scale error of a gyro, the heading usually comes from it
     """
     if isinstance(term, ClockTerm):
         return decisions.clock_nats
-    words = 0
+    unusual = 0
     if isinstance(term, LibraryTerm):
         usual = {word: options[0] for word, options in choices(term.start).items()}
-        usual["heading"] = "gyro" if by_gyro else "wheels"
-        words = term.width - 1 + sum(getattr(term.start, word, value) != value for word, value in usual.items())
+        usual["heading"] = "wheels" if _OF_GYRO.isdisjoint(names) else "gyro"
+        unusual = sum(getattr(term.start, word, value) != value for word, value in usual.items()) + term.width - 1
     basis = decisions.basis_nats if isinstance(term, BasisTerm) else 0.0
-    return decisions.term_nats + penalty(term, 1, decisions) + decisions.unusual_shape_nats * words + basis
+    return decisions.term_nats + penalty(term, 1, decisions) + decisions.unusual_shape_nats * unusual + basis

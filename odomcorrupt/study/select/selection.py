@@ -191,11 +191,11 @@ class _Selection:
         return self
 
     def _contradicts_physics(self) -> bool:
-        """Return whether one effect with an impossible sign or size gains more than the whole model."""
-        unbounded = np.full(len(self.evidence.low), np.inf)
-        evidence = replace(self.evidence, low=-unbounded, high=unbounded)
-        library = [(j,) for j, t in enumerate(self.competing) if isinstance(t, LibraryTerm) and j not in self.chosen]
-        score = evidence.gains([self.chosen, *library]).score
+        """Return whether one effect with a sign that physics forbids gains more than the whole model."""
+        low, high = (np.where(b, b, far) for b, far in ((self.evidence.low, -np.inf), (self.evidence.high, np.inf)))
+        others = [j for j, t in enumerate(self.competing) if j not in self.chosen and isinstance(t, LibraryTerm)]
+        one = [(j,) for j in others if self.competing[j].name not in self.decisions.commanded]
+        score = replace(self.evidence, low=low, high=high).gains([self.chosen, *one]).score
         return bool(np.any(score[1:] > score[0] + self.decisions.replacement_nats))
 
     def _select(self) -> None:
@@ -340,7 +340,7 @@ class _Selection:
         self._linearise()
 
     def _cost(self, terms: Mapping[str, LibraryTerm | BasisTerm]) -> float:
-        return sum(cost_of(term, self.decisions) for term in terms.values())
+        return sum(cost_of(term, self.decisions, {*self.given, *terms}) for term in terms.values())
 
     def _include_process(self) -> bool:
         """Include the random process with the largest gain, if one is detected; return whether there was one."""
