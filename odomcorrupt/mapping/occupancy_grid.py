@@ -84,7 +84,7 @@ class Grid:
 
 SAVED_UNKNOWN = 205
 """Pixel value of unknown in every map_saver; with nav2's own free_thresh of 0.25 it would load as free."""
-_YAML_BYTES = 65_536
+_YAML_BYTES = 1 << 14
 _GAP = rb"(?:\s|#[^\n]{0,200}\n)+"
 _HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,5})\s")
 

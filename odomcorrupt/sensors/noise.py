@@ -50,7 +50,7 @@ def read_imu(path: Path) -> ImuNoise:
     ModelError
         If it cannot be read, or lacks one of the five numbers.
     """
-    text = read_input(path, 1 << 16, "file of an IMU's noise", ModelError).decode(errors="replace")
+    text = read_input(path, 1 << 14, "file of an IMU's noise", ModelError).decode(errors="replace")
     try:
         table = load_plain(text)
     except ValueError as error:
