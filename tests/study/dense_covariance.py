@@ -1,7 +1,5 @@
 """The residuals' covariance as a dense matrix, for small problems."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from odomcorrupt.study.estimate.whitener import (

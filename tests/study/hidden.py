@@ -1,9 +1,6 @@
 """Recordings with a hidden cause, from the wheel-level simulation, as the study reads them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,11 +16,8 @@ from odomcorrupt.study.select.dependence import dependence_of
 from odomcorrupt.study.select.dictionary import Dictionary
 from odomcorrupt.study.select.score import score_terms
 
-if TYPE_CHECKING:
-    from odomcorrupt.simulation import SimulatedRun
 
-
-def as_recording(run: SimulatedRun, name: str = "run", *, track: bool = True) -> Recording:
+def as_recording(run, name="run", *, track=True):
     """Return a simulated run as a recording."""
 
     def trajectory(stamps, xyt):

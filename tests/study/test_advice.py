@@ -1,7 +1,5 @@
 """Following the advice resolves the ambiguity of the first drive, for either cause."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hidden import as_recording

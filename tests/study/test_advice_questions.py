@@ -1,7 +1,5 @@
 """Choice of the advised drive: it resolves all ambiguities, with any heading source, including clocks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

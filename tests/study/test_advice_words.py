@@ -1,7 +1,5 @@
 """Wording of advice about twins in the set-up, and about effects that need an unknown track."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -1,7 +1,5 @@
 """The verdict takes every measure into account, and reports when they disagree."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

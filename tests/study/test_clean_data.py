@@ -1,7 +1,5 @@
 """Without a hidden effect none is found, for noise in the odometry (noise laws) and in the contact (wheels)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hidden import as_recording

@@ -1,7 +1,5 @@
 """A driver who steers by the truth: turns that respond to noise are not taken for an odometry error."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from wandering import recording

@@ -1,7 +1,5 @@
 """Lost increments and coarse ticks are distinguished: a zero between increments of many ticks is a loss."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

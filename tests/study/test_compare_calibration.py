@@ -1,7 +1,5 @@
 """`compare` accepts a correct model: NEES, coverage, PIT, whiteness and verdict keep their levels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

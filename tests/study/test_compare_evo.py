@@ -1,7 +1,5 @@
 """ATE and RPE are equal to evo's for the same trajectories."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander

@@ -1,7 +1,5 @@
 """Lack of fit is attributed to the right motion, time, place and moment, with an unambiguous sign."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander

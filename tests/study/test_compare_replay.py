@@ -1,7 +1,5 @@
 """Simulated runs of a correct model contain the measured path with the nominal frequency."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Models in a `compare` table are measured on the same stretches; notes name only effects that are not counted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

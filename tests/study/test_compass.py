@@ -1,7 +1,5 @@
 """A compass deflected by iron on the robot: found with the time constant of its filter, and corrected elsewhere."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whether a part of a model matters in practice is separate from whether it is significant."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

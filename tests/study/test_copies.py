@@ -1,7 +1,5 @@
 """A basis function that is the same as a known effect on any drive is not its rival; one that is so only here, is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A localisation with errors correlated over seconds does not bias the odometry's noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

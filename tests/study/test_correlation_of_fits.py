@@ -1,7 +1,5 @@
 """Correlations reported by a fit agree with those of its estimates over repeated recordings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander

@@ -1,7 +1,5 @@
 """Models are validated on halves of their recordings, with any resets and stops."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

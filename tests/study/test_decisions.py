@@ -1,7 +1,5 @@
 """Decisions: documents agree with the code, and replacing a decision changes the selection."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import e, exp, inf, log
 from pathlib import Path

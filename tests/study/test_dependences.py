@@ -1,7 +1,5 @@
 """Causes outside the library: the regressor is named, the dependence is included, and the error falls."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

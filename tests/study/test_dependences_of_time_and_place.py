@@ -1,7 +1,5 @@
 """Causes outside the library in a clean drive: warm-up, oscillation, a ramp, a carpet, standing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

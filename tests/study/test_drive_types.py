@@ -1,7 +1,5 @@
 """Steered and commanded robots: each fault is found by name and size, with independent wheel models."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

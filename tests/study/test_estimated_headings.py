@@ -1,7 +1,5 @@
 """Headings estimated for a truth of positions only: after outages, and with the model's effects removed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

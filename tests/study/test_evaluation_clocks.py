@@ -1,7 +1,5 @@
 """The clock beside a truth of positions is the model's; a rejection remains with all clocks that the data allow."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Evidence of sets of terms: that of explicit fits to the other folds; the search finds what was planted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

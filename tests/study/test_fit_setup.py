@@ -1,7 +1,5 @@
 """A fit finds the mounting of the truth's tracked point, and none if there is no offset."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,9 +1,5 @@
 """The time of a fit is proportional to the drive: a long one is read no more often than a short one."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from hidden import as_recording
 
 from odomcorrupt.simulation import simulate
@@ -11,11 +7,8 @@ from odomcorrupt.study.estimate import gauss_newton, problem
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
 
-if TYPE_CHECKING:
-    import pytest
 
-
-def looks(monkeypatch: pytest.MonkeyPatch, duration_s: float) -> tuple[int, int]:
+def looks(monkeypatch, duration_s):
     """Return how often a base fit evaluates a likelihood, and how often it lays the drive out anew."""
     counted = {"evaluated": 0, "posed": 0}
     evaluate, pose = NoiseLikelihood.evaluate, gauss_newton.pose_problem

@@ -1,7 +1,5 @@
 """Places and headings that were learned in one truth's frame have no meaning in another one, as of a laser's map."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

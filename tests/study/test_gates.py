@@ -1,7 +1,5 @@
 """Acceptance of effects: impossible signs are refused, and others are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The angle random walk of a gyro: heading noise that grows with time, also at rest, fitted beside the noise law."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

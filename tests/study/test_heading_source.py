@@ -1,7 +1,5 @@
 """With a gyro as heading source, wheel errors occur along only, and are named all the same."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A part of a learned model is kept unless held-out data clearly contradict it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

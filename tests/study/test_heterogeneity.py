@@ -1,7 +1,5 @@
 """Recordings of a robot that was changed between them: reported, with the estimates of each."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """First test of the study: a random cause in a simulation that shares no formula with the effects."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hidden import as_recording, ten_second_error

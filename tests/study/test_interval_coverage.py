@@ -1,7 +1,5 @@
 """Confidence intervals contain the planted values in about 95 % of many drives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import binom

@@ -1,7 +1,5 @@
 """Systematic causes that test_hidden_effect.py does not draw are the first name; noise is named as noise."""
 
-from __future__ import annotations
-
 import pytest
 from hidden import as_recording
 

@@ -1,7 +1,5 @@
 """The banded likelihood equals the dense normal one, and its fit recovers planted values."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Several recordings are one study: neither names nor order decide, and an unusable one is left out by its name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

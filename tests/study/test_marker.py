@@ -1,7 +1,5 @@
 """A marker anywhere on the robot, at any angle, moves with the robot's true turns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

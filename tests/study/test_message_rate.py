@@ -1,7 +1,5 @@
 """Odometry at a high message rate is thinned, with the same motion between the poses that remain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A model is written only if it can be read back and used to correct and corrupt."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The noise fit reaches the maximum of the likelihood and does not stop early on a plateau."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hidden import as_recording

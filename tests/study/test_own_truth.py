@@ -1,7 +1,5 @@
 """The truth noise of a second recording is estimated separately, and does not absorb errors of the robot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

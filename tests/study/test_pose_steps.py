@@ -1,7 +1,5 @@
 """A lasting step between odometry and a localisation is found with its time and size; jumps that return are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Predicted sizes of window errors beside a truth of positions only, whose headings are estimated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

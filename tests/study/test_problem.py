@@ -1,10 +1,7 @@
 """A problem posed after an earlier one shares its unchanged parts, and only those."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -21,9 +18,6 @@ from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.candidates import drop_term
-
-if TYPE_CHECKING:
-    from odomcorrupt.study.io.recording import Recording
 
 EFFECTS = (effect_from_values("wheel_scale", {"e": 0.02}), effect_from_values("accel_slip", {"k": 0.01}))
 
@@ -88,7 +82,7 @@ def test_the_same_model_is_not_posed_again_and_one_with_a_dropped_effect_is(reco
     assert not np.array_equal(posed.intervals.residual, bare.intervals.residual)
 
 
-def stretches(recording: Recording, *times_s: float) -> list[Recording]:
+def stretches(recording, *times_s):
     """Return the stretches of a recording whose truth jumps, each with the odometry from the beginning."""
     cut = []
     for i, (first_s, last_s) in enumerate(pairwise((0.0, *times_s, np.inf))):

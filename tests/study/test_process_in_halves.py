@@ -1,7 +1,5 @@
 """A random process must show in both halves of a drive; events and remainders of an effect are none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Windows of a drive share a slow random process: their errors are no independent evidence on its size."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hidden import as_recording

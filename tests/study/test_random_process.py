@@ -1,7 +1,5 @@
 """Whitening with a random process agrees with the full dense covariance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A real tricycle: names common to two drives are found on one and reduce the error of the other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """A model has to drift about as much as its own recordings, including outliers that its fit left out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Robust weights are kept while the clock moves; down-weighted slips are reported as bursts within their bounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

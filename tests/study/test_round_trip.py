@@ -1,7 +1,5 @@
 """Learning finds exactly the effects that corruption puts into a perfect simulation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings of one robot share effects and noise, but not clocks, frames and truth noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

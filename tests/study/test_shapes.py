@@ -1,7 +1,5 @@
 """Searched shapes reach the maximum of the likelihood, in any frame, with correct standard errors."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import fields, replace
 

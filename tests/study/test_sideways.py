@@ -1,7 +1,5 @@
 """Robots that drive sideways: slip of their rollers is named; other robots are not tested for it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander

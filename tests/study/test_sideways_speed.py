@@ -1,7 +1,5 @@
 """Errors over the sideways speed: tested on robots that drive sideways, and on no other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

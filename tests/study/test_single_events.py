@@ -1,7 +1,5 @@
 """A push or a lift is reported with its time, place and size; noise and a truth that jumps are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Acceleration slip by various simulators: named, with the right size, and without a clock offset."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

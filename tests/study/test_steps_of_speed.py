@@ -1,7 +1,5 @@
 """Speeds truncated to steps are no ticks of encoders."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from wandering import recording, wander

@@ -1,7 +1,5 @@
 """Commands of the study on simulated recordings: known values are not reported missing; clocks keep their names."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """Heavy tails, slip bursts and ticks are distinguished from each other and from a truth that jumps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

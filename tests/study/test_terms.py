@@ -1,7 +1,5 @@
 """Terms: the tested columns are those of the resulting effect, and shapes stay in bounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Truncated velocities: their steps are read from the odometry, ticks and rounding found with the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Node spacing exceeds the correlation length of a localisation's errors, so that odometry does not absorb them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

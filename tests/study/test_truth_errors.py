@@ -1,7 +1,5 @@
 """Errors of a localisation, correlated along the path or in space, are not attributed to the odometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A robot that only turns on the spot: no model of travel, and no traceback on its way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from wandering import RATE_HZ, recording, wander

@@ -1,7 +1,5 @@
 """Coefficients that a drive does not excite are reported as unknown, neither omitted nor zero."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Correlated noise is estimated beside white noise, so that a simulation drifts like the robot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Waves over the heading: where the data do not show their period, they act only at the headings that were driven."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

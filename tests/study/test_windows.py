@@ -1,7 +1,5 @@
 """Windows of 10 s are found wherever the truth is known at both ends."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

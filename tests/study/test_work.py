@@ -1,7 +1,5 @@
 """Progress of a study whose number of steps is not known in advance."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

@@ -1,7 +1,5 @@
 """Drives for tests of the study: a unicycle that wanders through an office, and recordings of it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from odomcorrupt.geometry.se2 import Increments, accumulate

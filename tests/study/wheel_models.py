@@ -5,8 +5,6 @@ the driver sees; the truth is the body, moved by what the wheels really do. The 
 integrates what is reported of each (a command, or counts), its truth what each really turns.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bags by independent writers, with any message type of odometry and truth."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A drive with turns both ways: rows of its odometry and truth, which a test can change before writing them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

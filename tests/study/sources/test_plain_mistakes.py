@@ -3,8 +3,6 @@
 Breaks where a row of the table is not found, hides another one, or is found in a drive without mistakes.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

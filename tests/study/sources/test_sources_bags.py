@@ -1,7 +1,5 @@
 """Reading odometry and truth from bags: every format, every message type, one bag or two."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sourcebags import topic, write

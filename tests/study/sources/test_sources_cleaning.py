@@ -1,7 +1,5 @@
 """Cleaning on reading: stamps, resets, gaps, outliers, frozen trackers and derived headings, with their notes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sourcebags import edges, topic, write

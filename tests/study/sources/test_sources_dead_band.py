@@ -1,7 +1,5 @@
 """A dead band of the yaw rate is recognised: exact zeros, no small rates, and a truth that turns meanwhile."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Excursions of the truth (lost localisation, swapped markers) end; displacements of a robot that was moved remain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

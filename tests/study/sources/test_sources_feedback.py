@@ -1,7 +1,5 @@
 """Odometry corrected by external poses is distinguished from odometry with accumulating errors of any cause."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Satellite fixes: float episodes and outages by status and by covariance, and one origin for several recordings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sourcebags import topic, write

@@ -1,7 +1,5 @@
 """Stamps of arrival are detected; irregularly sampled poses and stamps with small jitter are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

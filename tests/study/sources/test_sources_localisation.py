@@ -1,7 +1,5 @@
 """Of a localisation based on the odometry, only the corrections are used as truth, over TF or as poses from TF."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sourcebags import edges, topic, write

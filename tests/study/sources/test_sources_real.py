@@ -1,7 +1,5 @@
 """Public recordings are read without false alarms, and their peculiarities are reported."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

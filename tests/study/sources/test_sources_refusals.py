@@ -1,7 +1,5 @@
 """Bad input on the command line: exit code 1 and one line with the cause, the value found, and the way out."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Single wrong poses are left out, however small their error, and no others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

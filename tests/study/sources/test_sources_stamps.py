@@ -1,7 +1,5 @@
 """Rounded stamps are restored to their grid and widen a clock's error; clock steps split a run."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

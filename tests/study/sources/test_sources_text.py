@@ -1,7 +1,5 @@
 """TUM and CSV files: headers are understood, stamps are exact, and other text is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sourcebags import topic, write

@@ -1,7 +1,5 @@
 """TF edges in evo's notation: chains, static edges, inverted edges, and moving edges of different rates."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp

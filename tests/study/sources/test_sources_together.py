@@ -1,7 +1,5 @@
 """The truth of another drive is refused in one line; a matching one is accepted, however bad its quality."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Units, orders of components and copies of travel that would give a sure and wrong result are refused."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """13.5: an effect that improves single steps but increases the drift is refused, unless the next one corrects it."""
 
-from __future__ import annotations
-
 import pytest
 from hidden import as_recording
 

@@ -1,7 +1,5 @@
 """Pitfalls shown by a wheel-level simulation: drifting truths, controllers, second-order artefacts, scans, stamps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pitfalls shown by real recordings and independent drives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pitfalls of a study on simulated drives: noisy truth, and regressors that contain the error."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
