@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from laboratory.cases import CLOCKS, same_class
 from odomcorrupt.effects.effect import amplitudes, parameters
-from odomcorrupt.study.select.confidence import confidence, evidence_of
+from odomcorrupt.study.select.confidence import confidence, support_of
 
 if TYPE_CHECKING:
     from odomcorrupt.study.select.result import Learned, Step
@@ -80,8 +80,9 @@ def _step(step: Step, learned: Learned) -> dict[str, Any]:
         "gains": _gains(step.candidates),
     }
     if step.added is not None:
-        row["evidence"] = asdict(evidence_of(step, learned))
-        row["confidence"] = confidence(evidence_of(step, learned))
+        support = support_of(step, learned)
+        row["evidence"] = asdict(support)
+        row["confidence"] = confidence(support)
     return row
 
 

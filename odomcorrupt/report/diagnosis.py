@@ -318,7 +318,7 @@ def _candidate_line(candidate: Candidate) -> str:
         f"{p.name} {value_text(float(v), float(e), p.unit)}" if score.separable else "-"
         for p, v, e in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True)
     )
-    evidence = f"{candidate.gain:+.1f}" if candidate.fitted is not None else f"p {score.p:.2g}"
+    evidence = f"{candidate.evidence:+.1f}"
     held = f"{score.held_out_nats:+.1f} +- {score.held_out_error:.1f}"
     before, after = candidate.rmse
     drift = f"{before * 1e3:.1f} -> {after * 1e3:.1f} mm" if candidate.fitted is not None else ""
@@ -584,7 +584,7 @@ def _unknown(found: FoundDependence) -> dict[str, Any]:
             "centres": unknown.centres,
             "curve": unknown.curve,
             "standard_error": unknown.curve_error,
-            "p": unknown.p,
+            "p": unknown.score.p,
             **picked(unknown, "nats", "per", "wavelength_m", "wheels"),
         },
         "expression": found.expression,
@@ -619,7 +619,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
     score = candidate.score
     return {
         "effect": score.effect.name,
-        "evidence_nats": candidate.gain if candidate.fitted is not None else 0.5 * score.statistic,
+        "evidence_nats": candidate.evidence,
         "p": score.p,
         "held_out_nats": score.held_out_nats,
         "estimate": {p.name: v for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)},

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from math import degrees
+from math import degrees, exp
 from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.estimate.random_process import part_name
-from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, may_be_scale_of_truth, noise_evidence
+from odomcorrupt.study.select.confidence import Support, confidence, may_be_scale_of_truth, noise_support, support_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -74,7 +74,7 @@ def effects_found(learned: Learned, fit: Fit | None = None) -> list[FoundEffect]
             effect, errors = own[step.added]
             aliases = readings_of(effect, drive)
             rivals = tuple(name for name in step.alternatives if name not in aliases)
-            probability, negligible = confidence(evidence_of(step, learned)), learned.is_negligible(effect.name)
+            probability, negligible = confidence(support_of(step, learned)), learned.is_negligible(effect.name)
             found.append(FoundEffect(effect, errors, step, aliases, rivals, probability, negligible))
     return found
 
@@ -100,7 +100,7 @@ def noise_found(learned: Learned) -> list[FoundNoise]:
     """Return the detected random effects."""
     return [
         FoundNoise(
-            one.effect, one.nats, confidence(noise_evidence(one, learned)), bool(may_be_scale_of_truth(one, learned))
+            one.effect, one.nats, confidence(noise_support(one, learned)), bool(may_be_scale_of_truth(one, learned))
         )
         for one in learned.noise
     ]
@@ -218,7 +218,7 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
             if free[position] and abs(value) > SIGNIFICANT * error:
                 own = 0.5 * (value / error) ** 2
                 margins, left = (clocks.margins_nats, clocks.left_nats) if name == "time_offset" else ((), 0.0)
-                probability = confidence(Evidence(own, tuple(own - max(nats, 0.0) for nats in margins), left))
+                probability = confidence(Support(own, sum(exp(-max(nats, 0.0)) for nats in margins), left=left))
                 yield ClockFound(name, i, float(value), float(error), probability)
 
 

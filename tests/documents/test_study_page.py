@@ -30,7 +30,7 @@ WORDS = {2: "two", 13: "thirteen"}
         f"a basis function {D.basis_nats:g} nats. A clock costs {D.clock_nats:g} nats",
         f"off by more than {1e3 * D.far_clock_s:g} ms",
         f"at least {D.clear_errors:g} standard errors over folds",
-        f"margin below {D.rival_nats:g} nats",
+        f"evidence is at most {D.rival_nats:g} nats smaller",
         f"gains {D.correlated_nats:g} nats after its penalty beside",
         f"has to gain {D.mean_reverting_nats:g} nats",
         f"at most {WORDS[D.max_dependences]} in all",

@@ -10,11 +10,10 @@ from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.recording import Recording
-from odomcorrupt.study.select.candidates import tested_candidates
+from odomcorrupt.study.select.candidates import score_terms, tested_candidates
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dependence import dependence_of
 from odomcorrupt.study.select.dictionary import Dictionary
-from odomcorrupt.study.select.score import score_terms
 
 
 def as_recording(run, name="run", *, track=True):
@@ -57,7 +56,6 @@ def basis_dependences(fitted):
     """Return the significant basis functions on the residual of a fit as dependences, the largest gain first."""
     dictionary = Dictionary(DECISIONS)
     dictionary.extend(fitted)
-    scores = score_terms(fitted, list(dictionary.basis.values()), DECISIONS, family=1)
-    clear = [one for one in scores if one.robust_nats > 0.0 and one.significant(DECISIONS.level)]
-    clear.sort(key=lambda one: -one.robust_nats)
-    return [dependence_of(fitted, one.term, one.robust_nats, DECISIONS) for one in clear]
+    scores = score_terms(fitted, list(dictionary.basis.values()), DECISIONS)
+    clear = sorted((one for one in scores if one.nats > 0.0), key=lambda one: -one.nats)
+    return [dependence_of(fitted, one.term, one.nats, DECISIONS) for one in clear]

@@ -10,9 +10,9 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dictionary import families
-from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.selection import learn
 
 SEEDS = range(12)

@@ -9,39 +9,43 @@ from hidden import as_recording
 
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.confidence import (
-    Evidence,
+    Support,
     chance_odds,
     confidence,
-    evidence_of,
     held_out_errors,
     odds_against,
+    support_of,
 )
-from odomcorrupt.study.select.decisions import DECISIONS, equal_candidates
+from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.selection import learn
 
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
-EVIDENCE = Evidence(
-    own=9.0, rivals=(4.0, 6.5), left=3.0, correlated=7.0, margin=2.5, candidates=7.0, held_out_errors=2.5
-)
+SUPPORT = Support(own=9.0, against=0.02, rivals=1, left=3.0, correlated=7.0, held_out_errors=2.5)
 
 
 def test_the_formula_of_the_page_is_what_is_computed():
-    (formula,) = [line for line in PAGE.read_text(encoding="utf8").splitlines() if line.startswith("    sum(exp(")]
-    numbers = {"g": EVIDENCE.own, "m": EVIDENCE.margin, "u": EVIDENCE.left, "w": EVIDENCE.correlated}
-    numbers |= {"n": EVIDENCE.candidates, "p": 0.0062097, "rivals": EVIDENCE.rivals}  # p of 2.5 standard errors
-    named = {**numbers, "B": lambda p: -e * p * log(p), "exp": exp, "sum": sum, "max": max, "__builtins__": {}}
+    (formula,) = [line for line in PAGE.read_text(encoding="utf8").splitlines() if line.startswith("    max(q, exp(")]
+    numbers = {"g": SUPPORT.own, "q": SUPPORT.against, "u": SUPPORT.left, "w": SUPPORT.correlated}
+    numbers |= {"s": SUPPORT.rivals, "p": 0.0062097}  # p of 2.5 standard errors
+    named = {**numbers, "B": lambda p: -e * p * log(p), "exp": exp, "max": max, "__builtins__": {}}
     printed = eval(formula.strip(), named)  # noqa: S307 - our own formula
-    assert odds_against(EVIDENCE, DECISIONS.prior) == pytest.approx(printed)
-    assert confidence(EVIDENCE, DECISIONS.prior) == pytest.approx(1.0 / (1.0 + printed))
+    assert odds_against(SUPPORT, DECISIONS.prior) == pytest.approx(printed)
+    assert confidence(SUPPORT, DECISIONS.prior) == pytest.approx(1.0 / (1.0 + printed))
 
 
-def test_a_gain_that_chance_reaches_gives_no_high_confidence():
-    # 4 nats are odds of 55 to 1 for one candidate, but the largest of seven gains is that large seven times as often
-    small = Evidence(own=4.0, candidates=equal_candidates(["wheelbase"] * 7, DECISIONS))
-    assert confidence(small) < 0.9 < confidence(replace(small, candidates=1.0))
-    assert equal_candidates(["side_slip"] * 7, DECISIONS) == pytest.approx(7.0 * exp(-DECISIONS.rare_nats))
-    # one standard error cannot give 0.95, whatever the noise model says of the fitted data
-    sure = [confidence(Evidence(own=50.0, held_out_errors=n)) for n in (-1.0, 1.0, 2.0, 3.0, 5.0, inf)]
+def test_confidence_falls_with_rivals_with_what_is_left_and_with_little_evidence():
+    plain = confidence(Support(50.0))
+    assert plain > 0.99
+    assert confidence(Support(50.0, 0.6)) == pytest.approx(1.0 / 1.605)
+    assert confidence(Support(50.0, rivals=1)) < 0.5
+    assert confidence(Support(50.0, left=100.0)) < 0.4
+    assert plain > confidence(Support(50.0, correlated=50.0)) > confidence(Support(50.0, left=50.0))
+    assert confidence(Support(1.0)) < 0.75
+    assert confidence(Support(-1.0)) == 0.0
+
+
+def test_one_standard_error_on_held_out_data_gives_no_high_confidence():
+    sure = [confidence(Support(50.0, held_out_errors=n)) for n in (-1.0, 1.0, 2.0, 3.0, 5.0, inf)]
     assert sure == sorted(sure)
     assert sure[1] < 0.7
     assert sure[2] < 0.9 < sure[3]
@@ -72,4 +76,4 @@ def test_errors_of_the_heading_beside_a_dead_band_have_even_odds_at_most():
     for recording, low, high in ((run, 0.9, 1.0), (replace(run, yaw_dead_band_radps=0.01), 0.3, 0.5)):
         learned = learn([recording])
         (step,) = (step for step in learned.steps if step.added == "wheelbase")
-        assert low < confidence(evidence_of(step, learned)) <= high
+        assert low < confidence(support_of(step, learned)) <= high

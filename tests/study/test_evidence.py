@@ -17,6 +17,7 @@ def evidence_of(columns, y, **changed):
         first=np.arange(columns.shape[1] + 1),
         gram=np.stack([columns[fold == k].T @ columns[fold == k] for k in range(FOLDS)]),
         score=np.stack([columns[fold == k].T @ y[fold == k] for k in range(FOLDS)]),
+        whole=np.einsum("ij,ij->j", columns, columns),
         precision=np.full(columns.shape[1], 1e-6),
         low=np.full(columns.shape[1], -np.inf),
         high=np.full(columns.shape[1], np.inf),

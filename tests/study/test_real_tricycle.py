@@ -6,7 +6,7 @@ import pytest
 
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.pipeline import learn_robot
-from odomcorrupt.study.select.confidence import confidence, evidence_of
+from odomcorrupt.study.select.confidence import confidence, support_of
 from recordings import RECORDINGS
 
 DATA = RECORDINGS / "real"
@@ -27,7 +27,7 @@ def test_the_geometry_of_the_drive_is_named_and_halves_the_error_twice(drive_typ
     learned, judged = (replace(read_runs(Source(DATA / f"{name}.mcap"))[0], drive_type=drive_type) for name in NAMES)
     robot = learn_robot([learned], [judged])
     assert geometry <= set(robot.search.added)
-    sure = {step.added for step in robot.search.steps if confidence(evidence_of(step, robot.search)) > 0.5}
+    sure = {step.added for step in robot.search.steps if confidence(support_of(step, robot.search)) > 0.5}
     assert {"unequal_wheels", "steering_offset"} & sure
     assert robot.comparison.clock_error_m > 0.025
     # two versions were at 5.8 mm and 7.9 mm

@@ -82,7 +82,7 @@ def test_a_search_leads_to_the_place_that_was_planted():
     planted = run.answer["parameters"]
     fitted = fit([as_recording(run)], approach=choose_approach([as_recording(run)]))
     (family,) = (f for f in families(fitted) if f[0].name == "region_slip")
-    found = ShapeSearch(fitted, DECISIONS, CoarseDesign(fitted.problem)).best(family).start
+    found = ShapeSearch(fitted, DECISIONS, CoarseDesign(fitted.problem)).located(family)[0].start
     assert np.hypot(found.x - planted["x"], found.y - planted["y"]) < 0.3 * planted["radius"]
 
 

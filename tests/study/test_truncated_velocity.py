@@ -15,8 +15,8 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
+from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.term import LibraryTerm
 
@@ -115,7 +115,7 @@ def found(steps, xyt):
     start = fit([made], approach=choose_approach([made]))
     family = LibraryTerm.family(registry()["truncated_velocity"], start.problem.motions)
     search = ShapeSearch(start, DECISIONS)
-    best = search.maximise(search.best(family))
+    best = search.maximise(search.located(family)[0])
     forms = [best, *best.with_words(tuple(choices(best.start)))]
     fits = [start.refit((score.estimated,), weights_of=start) for score in score_terms(start, forms, DECISIONS)]
     (effect,) = max(fits, key=lambda one: one.log_likelihood).refit().effects

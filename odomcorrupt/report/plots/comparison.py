@@ -461,10 +461,8 @@ _LINEAR = 3.0
 
 
 def evidence_nats(candidate: Candidate) -> float:
-    """Return the nats of a refit, or half the score statistic if there was none; at least zero."""
-    score = candidate.score
-    plain = candidate.gain if candidate.fitted is not None else 0.5 * score.statistic / score.inflation
-    return max(float(plain), 0.0) if np.isfinite(plain) else 0.0
+    """Return the evidence of a candidate, nats; at least zero."""
+    return max(candidate.evidence, 0.0)
 
 
 def draw_candidates(learned: Learned) -> Figure:

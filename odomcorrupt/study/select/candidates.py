@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.errors import EffectError
-from odomcorrupt.study.select.dictionary import first_order_bounds
-from odomcorrupt.study.select.score import score_terms
+from odomcorrupt.study.select.dictionary import ClockChoice, ClockTerm, Dictionary, first_order_bounds, linearised
+from odomcorrupt.study.select.score import scores_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
-    from odomcorrupt.study.terms.term import LibraryTerm
+    from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 _IMPOSSIBLE_SIGN = "of a physically impossible sign"
 """Refusal of an effect whose estimate has a physically impossible sign."""
@@ -47,13 +46,18 @@ class Candidate:
         """Name of the effect."""
         return self.score.term.name
 
+    @property
+    def evidence(self) -> float:
+        """Gain beside the model that has it, or that it was tested beside, nats."""
+        return self.score.nats if self.fitted is None else self.gain
+
     def contradicts_physics(self, decisions: Decisions) -> bool:
         """Return whether the data support the effect only with a physically impossible sign, so have another flaw.
 
         Tyres do not slip inwards, and no response precedes its cause. Effects of commanded or lost motion are excepted,
         because their opposite is possible: instead of losing counts above a speed, a drive may saturate or slip there.
         """
-        clear = self.score.robust_nats > decisions.replacement_nats
+        clear = self.score.nats > decisions.replacement_nats
         return clear and _IMPOSSIBLE_SIGN in self.refused and self.name not in decisions.commanded
 
 
@@ -68,26 +72,25 @@ def drop_term(fit: Fit, effect: Effect) -> Fit:
     return replace(fit, noise=noise, problem=replace(fit.problem, effects=others, left=()))
 
 
+def score_terms(fit: Fit, terms: Sequence[LibraryTerm | BasisTerm], decisions: Decisions) -> list[Score]:
+    """Return the score tests of terms, each beside the model of a fit; none for terms that cannot act."""
+    if not terms:
+        return []
+    free = np.array(fit.free_clocks).reshape(-1, 2)
+    clocks = ClockChoice(free, np.zeros_like(free))
+    used, evidence = linearised(fit, (), terms, clocks, Dictionary(decisions))
+    own = [term for term in used if not isinstance(term, ClockTerm)]
+    return scores_of(evidence, own) if own else []
+
+
 def tested_candidates(fit: Fit, terms: Iterable[LibraryTerm], decisions: Decisions) -> list[Candidate]:
     """Return the tests of library effects that a fit lacks, each in the shape with the largest gain, the best first."""
-    have, possible = {effect.name for effect in fit.effects}, []
-    for term in terms:
-        if term.name in have:
-            continue
-        try:
-            possible.append((term, term.columns(fit.problem)))
-        except EffectError:  # it acts on single wheels, and the track is unknown
-            continue
-    names = len({term.name for term, _ in possible})
-    scores = score_terms(
-        fit, [term for term, _ in possible], decisions, family=names, columns=[columns for _, columns in possible]
-    )
+    have = {effect.name for effect in fit.effects}
+    scores = score_terms(fit, [term for term in terms if term.name not in have], decisions)
     best: dict[str, Score] = {}
-    for score in scores:
-        if score.term.name not in best or score.nats > best[score.term.name].nats:
-            best[score.term.name] = score
-    found = [Candidate(score=score, refused=objection(fit, score, decisions)) for score in best.values()]
-    return sorted(found, key=lambda one: -one.score.robust_nats)
+    for score in sorted(scores, key=lambda one: -one.nats):
+        best.setdefault(score.term.name, score)
+    return [Candidate(score=score, refused=objection(fit, score, decisions)) for score in best.values()]
 
 
 def objection(fit: Fit, score: Score, decisions: Decisions) -> str:
@@ -97,8 +100,10 @@ def objection(fit: Fit, score: Score, decisions: Decisions) -> str:
     for p, error in zip(amplitudes(score.effect), score.standard_error, strict=True):
         if max(np.abs(first_order_bounds(fit, score.effect, p))) < 2.0 * error * decisions.testable_errors:
             return "not testable on this drive"
-    if not score.significant(decisions.level):
-        return "no evidence" if score.p >= decisions.level else "does not gain on held-out blocks"
+    if score.held_out_nats <= 0.0 or score.p >= decisions.level:
+        return "no evidence"
+    if score.held_out_nats <= score.held_out_error:
+        return "does not gain on held-out blocks"
     for p, value in zip(amplitudes(score.effect), score.estimate, strict=True):
         low, high = first_order_bounds(fit, score.effect, p)
         if not low <= value <= high:

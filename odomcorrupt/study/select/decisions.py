@@ -17,8 +17,6 @@ import numpy as np
 from odomcorrupt.effects import registry
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from odomcorrupt.study.terms.term import Term
 
 
@@ -26,22 +24,14 @@ if TYPE_CHECKING:
 class PriorOdds:
     """Prior weights in the reported probability of an effect; the formula is in `confidence`.
 
-    temper : factor on all gains, dimensionless; below 1 if the noise model were overconfident. At 1 the reliability
-        curve of the benchmark lies on the diagonal
     elsewhere : prior odds of a cause that is not in the library
     unexplained : odds against an effect, per unexplained gain in units of the effect's own gain
     correlated : the same for the gain of correlated noise; smaller, because such noise may exist beside the effect
-    dependence_nats : prior log odds of a basis function over an effect, both minus their penalties. Of 90 effects in
-        the benchmark's third and fourth runs that gained 2 to 6 nats more than the best basis function, 81 were right
-        and 9 wrong. Names of its runs nine to fifteen are likeliest with 4, but a fifth of those drives have a cause
-        that is in no library; with 4 the geometry of a real tricycle, right on another drive, is below even odds
     """
 
-    temper: float = 1.0
     elsewhere: float = 0.005
     unexplained: float = 1.0
     correlated: float = 0.2
-    dependence_nats: float = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,8 +67,7 @@ class Decisions:
 
     alternative_nats : effects within this gain of the best one are alternatives that the data do not separate; 3 nats
         are odds of 20 to 1
-    rival_nats : a dependence is listed beside a name that gains at most this much more. Of 39 names in the benchmark's
-        runs nine to fifteen that gained up to 8 nats more than the best basis function, 14 were wrong
+    rival_nats : a dependence is listed beside a name that gains at most this much more
     replacement_nats : gain from which on an effect of an impossible sign is reported
     reshape_nats : gain in log likelihood of a refit that a refined shape requires
     common, rare_nats : effects that nearly every robot has, and the lower prior log probability of all others (2 nats
@@ -162,11 +151,6 @@ def penalty(term: Term, count: int, decisions: Decisions) -> float:
     rare = _rare_nats(term.name, decisions)
     rare += decisions.commanded_nats if term.name in decisions.commanded else 0.0
     return 0.5 * term.charged * float(np.log(count)) + float(np.log(term.trials)) + unusual + rare
-
-
-def equal_candidates(names: Sequence[str], decisions: Decisions) -> float:
-    """Return the number of common effects with the prior probability of all these effects together."""
-    return float(sum(np.exp(-_rare_nats(name, decisions)) for name in names))
 
 
 def _rare_nats(name: str, decisions: Decisions) -> float:

@@ -6,7 +6,7 @@ the regressor (speed, yaw rate, ...) is reported: the error per metre, radian tu
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,32 +15,28 @@ from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.study.estimate.drive_type import is_holonomic
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
-from odomcorrupt.study.select.score import score_columns, score_terms
+from odomcorrupt.study.select.candidates import score_terms
+from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.terms.channels import MOVES
 from odomcorrupt.study.terms.splines import curve_regressors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.select.decisions import Decisions
-    from odomcorrupt.study.select.score import ColumnScore, Score
+    from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.terms.term import BasisTerm
+
+_LEAST = 0.01
+"""Fraction of the motion that a hat function of a curve has to cover."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Dependence:
     """An error of one channel that depends on one regressor.
 
-    per : unit of motion to which the error refers: "m" driven, "rad" turned, or "s"
     centres : (m,) values of the regressor, or (m, 2) places
     curve, curve_error : (m,) truth minus odometry per `per` at the centres (m/m, rad/m, rad/rad, rad/s), and its error
-    p : probability of such a dependence for any regressor if there is none
     nats : gain in log likelihood minus the penalty
     term, score : the basis function with the largest gain and its action, and its score test
     instead_of : names of the included effects that it may replace; empty if none
@@ -48,17 +44,28 @@ class Dependence:
     Equality is identity of objects.
     """
 
-    channel: str
-    regressor: str
-    per: str
     centres: Array
     curve: Array
     curve_error: Array
-    p: float
     nats: float
     term: BasisTerm
     score: Score
     instead_of: tuple[str, ...] = ()
+
+    @property
+    def channel(self) -> str:
+        """Channel of the error."""
+        return self.term.action.channel
+
+    @property
+    def regressor(self) -> str:
+        """Regressor that the error depends on."""
+        return self.term.function.regressor
+
+    @property
+    def per(self) -> str:
+        """Unit of motion to which the error refers: "m" driven, "rad" turned, or "s"."""
+        return self.term.action.per
 
     @property
     def expression(self) -> str:
@@ -102,66 +109,45 @@ def dependence_of(fit: Fit, term: BasisTerm, nats: float, decisions: Decisions) 
     fit : a model without the function
     nats : its gain minus its cost
     """
-    (score,) = score_terms(fit, [term], decisions, family=1)
-    found = Dependence(
-        channel=term.action.channel,
-        regressor=term.function.regressor,
-        per=term.action.per,
-        centres=np.zeros(1),
-        curve=score.estimate[:1],
-        curve_error=score.standard_error[:1],
-        p=score.p,
-        nats=nats,
-        term=term,
-        score=score,
-    )
+    (score,) = score_terms(fit, [term], decisions)
     if term.function.wavelength_m:  # hats are too wide to resolve a wave
         where = np.linspace(0.0, term.function.wavelength_m, 13)
         angle = 2.0 * np.pi * where / term.function.wavelength_m
         unit = np.stack((np.cos(angle), np.sin(angle)), axis=1)
-        error = np.sqrt(unit**2 @ score.standard_error**2)
-        return replace(found, centres=where, curve=unit @ score.estimate, curve_error=error)
-    curve = _curve(fit, found)
-    if curve is None:  # the regressor hardly varies: the function alone
-        return found
-    centres, own = curve
-    return replace(found, centres=centres, curve=own.estimate, curve_error=own.standard_error)
+        curve = where, unit @ score.estimate, np.sqrt(unit**2 @ score.standard_error**2)
+    else:
+        curve = _curve(fit, term, score.inflation) or (np.zeros(1), score.estimate[:1], score.standard_error[:1])
+    centres, values, errors = curve
+    return Dependence(centres=centres, curve=values, curve_error=errors, nats=nats, term=term, score=score)
 
 
-def _curve(fit: Fit, found: Dependence) -> tuple[Array, ColumnScore] | None:
-    """Return the centres of the hats that describe a dependence, and their joint score; None with fewer than two."""
+def _curve(fit: Fit, term: BasisTerm, inflation: float) -> tuple[Array, Array, Array] | None:
+    """Return centres, coefficients and errors of the hats that describe a dependence; None with fewer than two."""
     motions, recordings = fit.problem.motions, fit.problem.recordings
     amount = np.concatenate(
         [
-            {"m": np.hypot(m.v, m.vy), "rad": MOVES["omega"](m), "s": np.ones(len(m))}[found.per] * m.dt_s
+            {"m": np.hypot(m.v, m.vy), "rad": MOVES["omega"](m), "s": np.ones(len(m))}[term.action.per] * m.dt_s
             for m in motions
         ]
     )
     regressors = curve_regressors(
         motions, placed=shared_frame(recordings) is not None, sideways=is_holonomic(recordings, motions)
     )
-    if found.regressor not in regressors:
+    if term.function.regressor not in regressors:
         return None
-    regressor = regressors[found.regressor]
-    hats = _hats(regressor, motions)
-    used = np.array([np.abs(hat * amount).sum() > 0.01 * np.abs(amount).sum() for hat in hats])
+    regressor = regressors[term.function.regressor]
+    parts = [regressor(motion) for motion in motions]
+    hats = np.concatenate([values for values, _ in parts])
+    used = np.abs(hats * amount[:, None]).sum(axis=0) > _LEAST * np.abs(amount).sum()
     if used.sum() < 2:
         return None
-    (score,) = score_columns(fit, [_columns_of(fit.problem.intervals, hats, used, -amount, found.channel)])
-    return regressor(motions[0])[1][used], score
-
-
-def _columns_of(intervals: Intervals, hats: Array, used: NDArray[np.bool_], amount: Array, channel: str) -> Array:
-    """Return columns (K, 3, m) of errors of a channel: the used hats (k, n) of a regressor times a motion (n,)."""
     columns = []
-    errors = np.zeros((len(amount), 3))
-    for i in np.flatnonzero(used):
-        errors[:, CHANNELS.index(channel)] = hats[i] * amount
-        columns.append(intervals.column(errors))
-    return by_column(np.stack(columns))
-
-
-def _hats(regressor: Callable[[Motion], tuple[Array, Array]], motions: Sequence[Motion]) -> Array:
-    """Return the values (k, n) of a regressor's hats on all motions; without a copy on a single one."""
-    parts = [regressor(motion)[0].T for motion in motions]
-    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+    for hat in hats.T[used]:
+        errors = np.zeros((len(amount), 3))
+        errors[:, CHANNELS.index(term.action.channel)] = -hat * amount
+        columns.append(fit.problem.intervals.column(errors))
+    rest = project_out(fit)
+    white = rest.of(fit.noise.whitener.whiten(by_column(np.stack(columns))))
+    covariance = np.linalg.pinv(white.T @ white, hermitian=True)
+    errors = np.sqrt(np.diag(covariance) * inflation)
+    return parts[0][1][used], covariance @ (white.T @ rest.residual), errors

@@ -122,10 +122,12 @@ class Dictionary:
             self.design = fit.problem.clocks, CoarseDesign(fit.problem)
         search = ShapeSearch(fit, self.decisions, self.design[1])
         for family in families(fit):
-            best = search.located(family)
-            self._add(best)
-            if best.related() and search.gain(best) > self.decisions.related_nats:
-                self._add(search.best(family))
+            for best in search.located(family):
+                if search.gain(best) > self.decisions.related_nats and (related := best.related()):
+                    # forms of one place are compared at their best shapes
+                    best = search.maximise(best)
+                    self._add(search.maximise(max(map(search.climb, related), key=search.gain)))
+                self._add(best)
         count, kinds = len(fit.problem.intervals), dict[tuple[str, str], list[tuple[float, BasisTerm]]]()
         found = [(s.nats - penalty(s.term, count, self.decisions), s.term) for s in [*search.promising(), *waves(fit)]]
         for nats, term in sorted(found, key=itemgetter(0), reverse=True):
@@ -140,9 +142,10 @@ class Dictionary:
                 self._add(*(search.maximise(patch) for patch in _patch_of(driven, fit)))
 
     def _add(self, *terms: LibraryTerm) -> None:
-        """Add library terms, each with every other option of its word-valued parameters."""
+        """Add library terms, each with every other option of its word-valued parameters but the heading."""
         for term in terms:
-            for one in (term, *term.with_words(tuple(choices(term.start)))):
+            words = [word for word in choices(term.start) if word != "heading"]
+            for one in (term, *term.with_words(words)):
                 self.library.setdefault(one.start, one)
 
     def bounds_of(self, effect: Effect, fit: Fit) -> Array:
@@ -232,6 +235,7 @@ def linearised(
     if clocks.held.any():
         kept.append(problem.clock_columns()[:, :, np.flatnonzero(_of_leaders(clocks.held, problem))])
     white = whiten(np.concatenate(columns, axis=2))
+    whole = np.einsum("ij,ij->j", white, white)
     if kept:
         basis = orthonormal(whiten(np.concatenate(kept, axis=2)))
         white -= basis @ (basis.T @ white)
@@ -251,6 +255,7 @@ def linearised(
         first=first,
         gram=gram,
         score=score,
+        whole=whole,
         precision=precision,
         low=low,
         high=high,

@@ -9,6 +9,7 @@ gains theta' b_k - theta' G_k theta / 2. The evidence of a set is the sum over f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import exp
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +25,7 @@ FOLDS = 10
 """Number of folds: each holds every tenth block of a recording, or every tenth recording."""
 _BEAM, _NEXT, _WITHIN = 6, 30, 12.0
 """Sets extended in a step, extensions evaluated of each, and nats below the best at which sets are not extended."""
-_SEPARABLE = 4e-4
+SEPARABLE = 4e-4
 """Fraction of a column's squared length that has to remain beside the other terms of a set."""
 
 Subset = tuple[int, ...]
@@ -48,6 +49,7 @@ class Evidence:
 
     first : (J + 1,) index of each term's first column, and P
     gram, score : (F, P, P) and (F, P): products of whitened columns with each other and with the residual
+    whole : (P,) squared lengths of the columns before what the model has in any case was projected out
     precision : (P,) prior precision of each coefficient
     low, high : (P,) bounds of the coefficients
     cost : (J,) nats that a term has to gain
@@ -65,6 +67,7 @@ class Evidence:
     group: NDArray[np.int64]
     limited: NDArray[np.bool_]
     most: int = 2
+    whole: Array
 
     def columns(self, subset: Iterable[int]) -> NDArray[np.int64]:
         """Return the column indices (p,) of a set of terms."""
@@ -105,7 +108,7 @@ class Evidence:
         inside = ((best >= self.low[own]) & (best <= self.high[own])).all(axis=1)
         # what remains of a column beside the others, 1 / (A^-1)_ii, against its own length
         alone = np.einsum("mii->mi", whole)
-        separable = (1.0 / np.einsum("mii->mi", inverse) - self.precision[own] > _SEPARABLE * alone).all(axis=1)
+        separable = (1.0 / np.einsum("mii->mi", inverse) - self.precision[own] > SEPARABLE * alone).all(axis=1)
         return gains, inside & separable
 
     def extensions(self, subset: Subset) -> list[Subset]:
@@ -118,7 +121,7 @@ class Evidence:
             left = score - total[:, own] @ solved[:, 0]
             length = length - np.einsum("ji,ij->j", total[:, own], solved[:, 1:])
         single = np.where(
-            length > _SEPARABLE * np.diag(total), left**2 / np.maximum(length + self.precision, 1e-300), 0.0
+            length > SEPARABLE * np.diag(total), left**2 / np.maximum(length + self.precision, 1e-300), 0.0
         )
         gain = 0.5 * np.add.reduceat(single, self.first[:-1]) - self.cost
         taken = {int(self.group[i]) for i in subset}
@@ -166,6 +169,14 @@ class Search:
     def best(self) -> Subset:
         """The set with the largest evidence."""
         return max(self.seen, key=lambda s: (self.seen[s], -len(s)))
+
+    def odds_against(self, term: int) -> float:
+        """Return the odds of the evaluated sets without a term, in any of its shapes, against those with it."""
+        shapes = set(np.flatnonzero(self.evidence.group == self.evidence.group[term]).tolist())
+        most = max(self.seen.values())
+        weights = [(exp(score - most), not shapes.isdisjoint(subset)) for subset, score in self.seen.items()]
+        with_it = sum(weight for weight, has in weights if has)
+        return sum(weight for weight, has in weights if not has) / max(with_it, 1e-300)
 
     def refuse(self, subset: Subset) -> None:
         """Exclude a set, and all others of the same effects, as the best one."""

@@ -10,7 +10,6 @@ import numpy as np
 from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
 from odomcorrupt.study.estimate.windows import WINDOW_S
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
-from odomcorrupt.study.select.score import score_terms
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -69,7 +68,7 @@ class Learned:
     noise : encoder effects and detected random effects
     unknown : dependences that no library effect explains, and those that may replace an included effect
     laws : those dependences that are in the model as basis functions
-    margins : gain of each included effect over the best basis function in its place, nats
+    against : odds of the evaluated sets of terms without each included effect against those with it
     fit : the final fit
     error_m : its 10 s position error on the fitted data, m
     disagreements : parameters that differ between recordings
@@ -89,7 +88,7 @@ class Learned:
     noise: tuple[DetectedRandomEffect, ...]
     unknown: tuple[Dependence, ...]
     laws: tuple[Dependence, ...]
-    margins: Mapping[str, float]
+    against: Mapping[str, float]
     fit: Fit
     error_m: float
     disagreements: tuple[ParameterDifference, ...] = ()
@@ -155,18 +154,11 @@ class Learned:
 
     @property
     def contradicted(self) -> tuple[Candidate, ...]:
-        """Contradictions that are as significant in the final model, unless that has an unexplained dependence.
+        """Contradictions, unless the model has an unexplained dependence.
 
         A dependence only approximates an unlisted cause, and the misfit of an approximation may have any sign.
         """
-        if self.unexplained or not self.contradictions:
-            return ()
-        scores = score_terms(self.fit, [one.score.term for one in self.contradictions], self.decisions)
-        return tuple(
-            one
-            for one, now in zip(self.contradictions, scores, strict=True)
-            if now.robust_nats > self.decisions.replacement_nats and now.estimate @ one.score.estimate > 0.0
-        )
+        return () if self.unexplained else self.contradictions
 
     @property
     def left_nats(self) -> float:

@@ -1,82 +1,52 @@
-"""Score tests of terms on the residual of a fit, each at its working point, to first order.
+"""Score tests of terms beside a fit, to first order, and the projection off what the fit already explains.
 
-Each coefficient has one whitened column; a term with two is tested as a group. Two tests guard against false
-inclusions. A chi-square test, Bonferroni-corrected over the family, is valid if the noise model is right. A moderated
-cluster-robust F test is valid without it: sums over blocks of the run show the actual variance of a score.
+Estimates, errors and gains come from the sums over folds of `evidence`. Errors are those between folds where these are
+larger than the noise model predicts.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import chi2
-from scipy.stats import f as fisher_f
 
 from odomcorrupt.study.estimate.gauss_newton import orthonormal
-from odomcorrupt.study.estimate.robust_errors import (
-    PRIOR_DOF,
-    between_blocks,
-    block_of,
-    block_sums,
-    inflation,
-    shared_variance,
-)
-from odomcorrupt.study.select.decisions import penalty
+from odomcorrupt.study.estimate.robust_errors import inflation, shared_variance
+from odomcorrupt.study.select.evidence import FOLDS, SEPARABLE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.decisions import Decisions
-    from odomcorrupt.study.terms.term import Term
-
-_SEPARABLE = 0.02
-"""Fraction of a column's length outside the span of the design matrix below which it is not separable from it."""
-_OTHERS, _STRONG = 50, 1e-6
-"""Number of other columns whose variance is measured beside a strong group, and probability that makes it strong."""
+    from odomcorrupt.study.select.evidence import Evidence
+    from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, Term
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ColumnScore:
-    """Score test of a group of p columns.
+class Score:
+    """Score test of a term with p coefficients.
 
-    estimate, standard_error : (p,) coefficients to first order; their errors are cluster-robust
-    statistic : chi-square with p degrees of freedom under the fitted model
-    inflation : variance of the score between blocks relative to that of the noise model, at least 1
-    p : probability of such a score anywhere in the family without any effect, the larger one of both tests
-    separable : whether the group is separable from the model at all
-    held_out_nats, held_out_error : gain in log likelihood on blocks left out of the estimate, and its standard error
+    estimate, standard_error : (p,) coefficients to first order, and their errors; NaN if they are not separable
+    inflation : variance of the estimate between folds relative to that of the noise model, at least 1
+    p : probability of such a score anywhere in the family without any effect
+    separable : whether the term is separable from the model at all
+    held_out_nats, held_out_error : gain in log likelihood on left-out folds, and its standard error
+    cost : gain at which the term breaks even, nats
     """
 
+    term: Term
     estimate: Array
     standard_error: Array
-    statistic: float
     inflation: float
     p: float
     separable: bool
     held_out_nats: float
     held_out_error: float
-
-    def significant(self, level: float) -> bool:
-        """Return whether the group is separable from the model, passes both tests and gains on held-out blocks."""
-        return self.separable and self.p < level and self.held_out_nats > self.held_out_error
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Score(ColumnScore):
-    """Score test of a term, with one column per coefficient.
-
-    penalty : gain at which the term breaks even, nats, see `decisions.penalty`
-    """
-
-    term: Term
-    penalty: float
+    cost: float
 
     @property
     def effect(self) -> Effect:
@@ -90,13 +60,50 @@ class Score(ColumnScore):
 
     @property
     def nats(self) -> float:
-        """Gain in log likelihood under the noise model, minus the penalty."""
-        return 0.5 * self.statistic - self.penalty
+        """Gain on left-out folds minus the cost."""
+        return self.held_out_nats - self.cost
 
-    @property
-    def robust_nats(self) -> float:
-        """The same with the gain divided by the inflation."""
-        return 0.5 * self.statistic / self.inflation - self.penalty
+
+def scores_of(evidence: Evidence, terms: Sequence[LibraryTerm | BasisTerm]) -> list[Score]:
+    """Return the score tests of terms, each alone beside what the evidence is beside.
+
+    terms : those of the evidence, in its order
+    """
+    gram, score = evidence.gram.sum(axis=0), evidence.score.sum(axis=0)
+    folds = evidence.gains([(i,) for i in range(len(terms))]).folds
+    parts = []
+    for i in range(len(terms)):
+        own = evidence.columns((i,))
+        normal = gram[np.ix_(own, own)]
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        covariance = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+        left = 1.0 / np.maximum(np.diag(covariance), 1e-300)
+        theta = covariance @ score[own]
+        statistic = float(theta @ score[own])
+        moved = (evidence.score[:, own] - evidence.gram[:, own[:, None], own] @ theta) @ theta
+        ratio = FOLDS / (FOLDS - 1) * float(moved @ moved) / max(statistic, 1e-300)
+        separable = bool(np.all(left > SEPARABLE * np.maximum(evidence.whole[own], 1e-300)))
+        parts.append((theta, covariance, statistic, ratio, separable))
+    ratios = np.array([ratio for *_, ratio, separable in parts if separable])
+    shared, names = shared_variance(ratios, np.full(len(ratios), FOLDS - 1.0)), len({term.name for term in terms})
+    found = []
+    for i, (theta, covariance, statistic, ratio, separable) in enumerate(parts):
+        inflated = float(inflation(np.array(ratio), np.array(FOLDS - 1.0), shared))
+        p = names * terms[i].trials * chi2.sf(statistic / inflated, len(theta))
+        found.append(
+            Score(
+                term=terms[i],
+                estimate=theta if separable else np.full(len(theta), np.nan),
+                standard_error=np.sqrt(np.diag(covariance) * inflated) if separable else np.full(len(theta), np.nan),
+                inflation=inflated,
+                p=min(1.0, float(p)) if separable else 1.0,
+                separable=separable,
+                held_out_nats=float(folds[i].sum()),
+                held_out_error=float(np.std(folds[i], ddof=1) * np.sqrt(FOLDS)),
+                cost=float(evidence.cost[i]),
+            )
+        )
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,135 +138,3 @@ def project_out(fit: Fit, *more: Array) -> Projection:
     if more:
         basis = orthonormal(fit.noise.whitener.whiten(np.concatenate((fit.design_matrix, *more), axis=2)))
     return Projection(basis, r - basis @ (basis.T @ r))
-
-
-def score_terms(
-    fit: Fit,
-    terms: Sequence[Term],
-    decisions: Decisions,
-    *,
-    family: int | None = None,
-    columns: Sequence[Array] | None = None,
-) -> list[Score]:
-    """Return the score tests of terms, each beside the model of a fit.
-
-    Parameters
-    ----------
-    fit, terms, decisions : the model, the tested terms, and the thresholds that define penalties
-    family : number of kinds of terms for the Bonferroni correction, beside the trials of each; default: those tested
-    columns : (K, 3, p) columns of each term, if already computed
-    """
-    count = len(fit.problem.intervals)
-    groups = [term.columns(fit.problem) for term in terms] if columns is None else columns
-    scores = score_columns(fit, groups, family=family)
-    return [
-        Score(
-            **asdict(replace(score, p=min(1.0, score.p * term.trials))),
-            term=term,
-            penalty=penalty(term, count, decisions),
-        )
-        for term, score in zip(terms, scores, strict=True)
-    ]
-
-
-def score_columns(fit: Fit, groups: Sequence[Array], *, family: int | None = None) -> list[ColumnScore]:
-    """Return the score tests of groups of columns (K, 3, p), each beside the model of a fit.
-
-    family : as in `score_terms`
-    """
-    rest = project_out(fit)
-    block = np.repeat(block_of(fit.problem), 3)
-    tests = []
-    for group in groups:
-        raw = fit.noise.whitener.whiten(group)
-        tests.append(_test(rest.residual, rest.of(raw), raw, block))
-    usable = [t for t in tests if t.separable]
-    shared = shared_variance(np.array([t.variance for t in usable]), np.array([t.dof for t in usable]))
-    chosen = [t.unit for t in usable[:: max(1, len(usable) // _OTHERS)]]
-    others = np.stack(chosen, axis=1) if chosen else np.zeros((len(block), 0))
-    count = len(usable) if family is None else family
-    return [_tested(t, _shared_beside(t, others, rest.residual, block, shared, count), count) for t in tests]
-
-
-def _shared_beside(test: _Test, others: Array, r: Array, block: NDArray[np.int64], shared: float, family: int) -> float:
-    """Return the shared variance ratio, with the tested group in the model if its test is strong.
-
-    A strong missing term makes the scores of all other columns vary between blocks. This variation is no evidence
-    against the term.
-
-    others : (3 K, o) best directions of other groups
-    """
-    if shared <= 1.0 or not test.separable or family * chi2.sf(test.statistic, len(test.estimate)) > _STRONG:
-        return shared
-    explained = r - test.unit * (test.unit @ r)
-    return min(shared, shared_variance(*between_blocks(block, others, explained)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Test:
-    """Test of one group; `unit` (3 K,) is the direction of its best combination of columns."""
-
-    estimate: Array
-    covariance: Array
-    statistic: float
-    variance: float
-    dof: float
-    separable: bool
-    held_out: Array
-    unit: Array
-
-
-def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Test:
-    count = column.shape[1]
-    normal = column.T @ column
-    own = np.einsum("ij,ij->j", raw, raw)
-    kept = np.diag(normal) > _SEPARABLE**2 * np.maximum(own, 1e-300)
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    condition = np.linalg.cond(normal / np.outer(scale, scale)) if kept.all() else np.inf
-    if condition > 1e8:
-        nothing = np.full(count, np.nan)
-        return _Test(nothing, np.zeros((count, count)), 0.0, 1.0, 1.0, separable=False, held_out=np.zeros(2), unit=r)
-    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    estimate = covariance @ (column.T @ r)
-    best = column @ estimate
-    statistic = float(best @ r)
-    length = np.sqrt(max(float(best @ best), 1e-300))
-    unit = best / length
-    ((variance,), (dof,)) = between_blocks(block, unit[:, None], r)
-    held_out = _held_out(r, column, block)
-    return _Test(
-        estimate, covariance, statistic, float(variance), float(dof), separable=True, held_out=held_out, unit=unit
-    )
-
-
-def _held_out(r: Array, column: Array, block: NDArray[np.int64]) -> Array:
-    """Return the gain of each block, nats, with the estimate from all other blocks."""
-    count = column.shape[1]
-    squares = (column[:, :, None] * column[:, None, :]).reshape(-1, count * count)
-    normal = block_sums(block, squares).reshape(-1, count, count)
-    score = block_sums(block, column * r[:, None])
-    rest = np.linalg.pinv(normal.sum(axis=0) - normal, rcond=count * np.finfo(np.float64).eps, hermitian=True)
-    theta = np.einsum("bij,bj->bi", rest, score.sum(axis=0) - score)
-    return np.einsum("bi,bi->b", theta, score) - 0.5 * np.einsum("bi,bij,bj->b", theta, normal, theta)
-
-
-def _tested(test: _Test, shared: float, family: int) -> ColumnScore:
-    count = len(test.estimate)
-    inflated = float(inflation(np.array(test.variance), np.array(test.dof), shared))
-    if test.separable:
-        plain = chi2.sf(test.statistic, count)
-        robust = fisher_f.sf(test.statistic / (count * inflated), count, PRIOR_DOF + test.dof)
-        p = min(1.0, family * float(max(plain, robust)))
-    else:
-        p = 1.0
-    gains = test.held_out
-    return ColumnScore(
-        estimate=test.estimate,
-        standard_error=np.sqrt(np.diag(test.covariance) * inflated),
-        statistic=test.statistic,
-        inflation=inflated,
-        p=p,
-        separable=test.separable,
-        held_out_nats=float(gains.sum()),
-        held_out_error=float(np.std(gains, ddof=1) * np.sqrt(len(gains))),
-    )

@@ -363,7 +363,6 @@ class _Selection:
         tested = tested_candidates(self.fit, self.dictionary.library.values(), self.decisions)
         steps = [Step(before=self.fit.for_reports(), candidates=tuple(tested), added=None)]
         included, rivals = list[Dependence](), list[Dependence]()
-        margins: dict[str, float] = {}
         for i, before, after in reversed([*zip(self._order(gains), fits, fits[1:], strict=False)]):
             term, instead = self.competing[i], self._instead(i)
             bare = drop_term(self.fit, self.fit.by_name[term.name])
@@ -377,7 +376,6 @@ class _Selection:
             more, other = max(
                 ((more, t) for more, t in basis if isinstance(t, BasisTerm)), key=itemgetter(0), default=(-np.inf, None)
             )
-            margins[term.name] = -more
             if other is not None and -more < self.decisions.rival_nats:
                 one = dependence_of(bare, other, gains[i] + more, self.decisions)
                 rivals.insert(0, replace(one, instead_of=(term.name,)))
@@ -393,7 +391,7 @@ class _Selection:
             noise=tuple(self.noise),
             unknown=(*included, *rivals),
             laws=tuple(included),
-            margins=margins,
+            against={self.competing[i].name: self.search.odds_against(i) for i in self.chosen},
             fit=final,
             error_m=ten_second_error(final),
             disagreements=disagreements(final, self.decisions.heterogeneity_level),

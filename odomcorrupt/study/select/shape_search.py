@@ -7,15 +7,12 @@ all its shape parameters jointly, because the likelihood may have ridges.
 
 from __future__ import annotations
 
-from operator import itemgetter
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from scipy.optimize import minimize
 
-from odomcorrupt.effects.effect import choices
 from odomcorrupt.errors import EffectError
-from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_gains, promising_terms
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, Term, neighbours
@@ -28,22 +25,19 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
 
-_WIDE, _COARSE, _EXACT = (4.0, 2.0), (1.0, 0.5, 0.25, 0.125), (0.25, 0.125, 0.05)
-"""Scales of the steps of a shape search: wide steps for places, whose gain changes only when an edge reaches another
-part of the path; steps with approximate columns; steps with exact columns."""
+_WIDE, _COARSE = (4.0, 2.0), (1.0, 0.5, 0.25, 0.125)
+"""Scales of the steps of a shape search; wide ones for places, whose gain changes only when an edge reaches another
+part of the path."""
 _SIMPLEX = 0.25
 """Scale of the first simplex."""
 _MOST_STEPS, _WORTH_NATS = 12, 0.1  # largest number of steps at each scale; least gain of a step
-_MOST_EXACT = 12
-"""Largest number of members of a family that are evaluated exactly."""
+_MEMBERS = 12
+"""Largest number of members of a family among which the starts are."""
 _STARTS, _LARGE_NATS = 4, 30.0
 """Number of starting members if the best one gains this many nats, because other maxima may be near.
 Below that gain only the best member is a start: its finer features are not significant either."""
 _NEAR, _WORTH = 0.03, 0.05
 """Size of the simplex, as a fraction of the first steps, and difference in nats at which it ends."""
-
-_REFINED, _REFINED_NATS = 1.5, 5.0
-"""Factor and nats by which exact columns may raise the gain of a family; the largest rise observed was a quarter."""
 
 T = TypeVar("T", bound=Term)
 
@@ -89,48 +83,21 @@ class ShapeSearch:
     def _gains_of(self, terms: Sequence[Term]) -> Array:
         return coarse_gains(self._fit, self._rest, self._design.columns(terms), [term.width for term in terms])
 
-    def best(self, family: Sequence[LibraryTerm]) -> LibraryTerm:
-        """Return the member of a family with the largest gain, its shape refined.
+    def located(self, family: Sequence[LibraryTerm]) -> list[LibraryTerm]:
+        """Return the member of a family with the largest gain for each source of the heading, its shape refined.
 
-        A word-valued parameter keeps its first value unless another gains clearly more. The whole family is searched
-        for each source of the heading; other words and related forms are tried at the best shape, if its gain exceeds
-        `_LARGE_NATS`.
+        Shapes are compared and refined with approximate columns, except those of effects with memory.
         """
-        if len(family) == 1 and not choices(family[0].start):
-            return family[0]
-        penalty_nats = self._decisions.unusual_shape_nats
-        usual = self._highest(family)
-        unusual = [self._highest(others) for others in zip(*(t.with_words(("heading",)) for t in family), strict=True)]
-        most, best = max([usual, *((nats - penalty_nats, other) for nats, other in unusual)], key=itemgetter(0))
-        if most <= _LARGE_NATS:
-            return best
-        words = [word for word in choices(best.start) if word != "heading"]
-        for others in (best.with_words(words), best.related()):
-            paid = self.gain(best) - most + penalty_nats
-            refined = self._refined(others, most + paid)
-            net = [(nats - paid - self._more_charged(other, best), other) for nats, other in refined]
-            most, best = max([(most, best), *net], key=itemgetter(0))
-        return best
+        families = [family, *zip(*(term.with_words(("heading",)) for term in family), strict=True)]
+        return [self._located(members) for members in families]
 
-    def _more_charged(self, term: LibraryTerm, than: LibraryTerm) -> float:
-        """Return the larger penalty of a term with more shape parameters, nats: a rectangle has two more than a disc.
-
-        Without it noise of the truth at the edge of a disc is enough for a rectangle, whose edges are then continued.
-        """
-        count = len(self._fit.problem.intervals)
-        return penalty(term, count, self._decisions) - penalty(than, count, self._decisions)
-
-    def located(self, family: Sequence[LibraryTerm]) -> LibraryTerm:
-        """Return a member near the best of a family, its shape refined with approximate columns."""
-        if not any(len(term.shape) for term in family) or (len(family) == 1 and not choices(family[0].start)):
-            return self.best(family)
-        penalty_nats = self._decisions.unusual_shape_nats
-        usual = self._nearly(family)
-        unusual = [self._nearly(others) for others in zip(*(t.with_words(("heading",)) for t in family), strict=True)]
-        most, best = max([usual, *((nats - penalty_nats, other) for nats, other in unusual)], key=itemgetter(0))
-        words = [word for word in choices(best.start) if word != "heading"]
-        others = [(self.gain(other) - penalty_nats, other) for other in best.with_words(words)]
-        return max([(most, best), *others], key=itemgetter(0))[1]
+    def _located(self, family: Sequence[LibraryTerm]) -> LibraryTerm:
+        if family[0].remembers or len(family) == 1:
+            return max(family, key=self.gain)
+        nats = self.coarse_gains(family)
+        order = np.argsort(-nats, kind="stable")
+        begin = starts([family[i] for i in order[:_MEMBERS]], float(nats[order[0]]))
+        return max(map(self.climb, begin), key=self.gain)
 
     def promising(self) -> list[Screened]:
         """Return the best basis functions of every regressor and action, on the grid of their families.
@@ -155,10 +122,19 @@ class ShapeSearch:
 
     def climb(self, term: T) -> T:
         """Return the term at the nearest maximum of the approximate gain; unchanged if it is an effect with memory."""
-        if isinstance(term, LibraryTerm) and term.remembers:
+        if not len(term.shape) or (isinstance(term, LibraryTerm) and term.remembers):
             return term
         wide = _WIDE if isinstance(term, BasisTerm) and term.several_maxima else ()
-        return self._climb(term, self.coarse_gains, (*wide, *_COARSE))
+        (nats,) = self.coarse_gains([term])
+        for scale in (*wide, *_COARSE):
+            for _ in range(_MOST_STEPS):
+                near: list[T] = list(neighbours(term, scale))
+                gains = self.coarse_gains(near)
+                best = int(np.argmax(gains))
+                if not gains[best] > nats + _WORTH_NATS:
+                    break
+                term, nats = near[best], gains[best]
+        return term
 
     def maximise(self, term: T) -> T:
         """Return the term at the nearest maximum over all shape parameters jointly, from exact columns."""
@@ -167,54 +143,6 @@ class ShapeSearch:
         return term.with_shape(
             maximise(lambda v: self.gain(term.with_shape(v.tolist())), term.shape, _SIMPLEX * term.steps).tolist()
         )
-
-    def _highest(self, family: Sequence[LibraryTerm]) -> tuple[float, LibraryTerm]:
-        """Return gain and term of the highest maximum found from the members of a family."""
-        if len(family) > _MOST_EXACT:
-            family = [family[i] for i in np.argsort(-self.coarse_gains(family), kind="stable")[:_MOST_EXACT]]
-        ranked = sorted(((self.gain(term), term) for term in family), reverse=True, key=itemgetter(0))
-        begin = starts([term for _, term in ranked], ranked[0][0])
-        return max(self._refined(begin, 0.0), key=itemgetter(0))
-
-    def _nearly(self, family: Sequence[LibraryTerm]) -> tuple[float, LibraryTerm]:
-        """Return gain and term from which `_highest` would continue with exact columns."""
-        if family[0].remembers:
-            return max(((self.gain(term), term) for term in family), key=itemgetter(0))
-        nats = self.coarse_gains(family)
-        order = np.argsort(-nats, kind="stable")
-        begin = starts([family[i] for i in order[:_MOST_EXACT]], float(nats[order[0]]))
-        return max(((self.gain(term), term) for term in map(self.climb, begin)), key=itemgetter(0))
-
-    def _refined(self, terms: Sequence[LibraryTerm], least_nats: float) -> list[tuple[float, LibraryTerm]]:
-        """Return gains and terms at the maxima near to some terms; only those likely to exceed `least_nats` are exact.
-
-        Steps with approximate columns lead several terms to one maximum; exact columns are then used once.
-        """
-        found: list[tuple[float, LibraryTerm]] = []
-        climbed = sorted(((self.gain(t), t) for t in map(self.climb, terms)), reverse=True, key=itemgetter(0))
-        for nats, term in climbed:
-            if any(_near(term, other) for _, other in found):
-                continue
-            best = term
-            if _REFINED * nats + _REFINED_NATS > least_nats:
-                best = self._climb(term, lambda near: np.array([self.gain(t) for t in near]), _EXACT)
-                least_nats = max(least_nats, self.gain(best))
-            found.append((self.gain(best), best))
-        return found
-
-    def _climb(self, term: T, gains: Callable[[Sequence[T]], Array], scales: Sequence[float]) -> T:
-        if not len(term.shape):
-            return term
-        nats = float(gains([term])[0])
-        for scale in scales:
-            for _ in range(_MOST_STEPS):
-                near: list[T] = list(neighbours(term, scale))
-                about = gains(near)
-                best = int(np.argmax(about))
-                if not about[best] > nats + _WORTH_NATS:
-                    break
-                term, nats = near[best], float(about[best])
-        return term
 
 
 def starts(ranked: Sequence[T], nats: float) -> list[T]:
@@ -238,12 +166,6 @@ def _apart(one: Term, other: Term) -> bool:
     if isinstance(one, BasisTerm) and isinstance(other, BasisTerm) and one.function.form != other.function.form:
         return True
     return one.several_maxima and bool(np.any(np.abs(one.shape - other.shape) > one.steps))
-
-
-def _near(one: LibraryTerm, other: LibraryTerm) -> bool:
-    """Return whether two terms differ by less than the first exact step of each shape parameter."""
-    alike = len(one.shape) == len(other.shape) and one.with_shape(other.shape.tolist()).start == other.start
-    return alike and bool(np.all(np.abs(one.shape - other.shape) <= _EXACT[0] * one.steps))
 
 
 def maximise(gain: Callable[[Array], float], start: Array, steps: Array) -> Array:

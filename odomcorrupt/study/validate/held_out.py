@@ -30,7 +30,7 @@ from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned, clock_leaders
 from odomcorrupt.study.io.recording import shared_frame
-from odomcorrupt.study.select.confidence import EVEN_ODDS, confidence, evidence_of, noise_evidence
+from odomcorrupt.study.select.confidence import EVEN_ODDS, confidence, noise_support, support_of
 from odomcorrupt.study.validate.cross_validation import HELD_BY, Fold, split_of
 from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
@@ -214,8 +214,8 @@ def _least_confident(
     A confidence refers to the name of a cause; a part that improves predictions stays even if its name is doubtful.
     With a wrong cause at other speeds or in other bends, predictions may be worse than without it.
     """
-    evidence = {step.added: evidence_of(step, learned) for step in learned.steps if step.added is not None}
-    evidence |= {part_name(gain.effect): noise_evidence(gain, learned) for gain in learned.noise}
+    evidence = {step.added: support_of(step, learned) for step in learned.steps if step.added is not None}
+    evidence |= {part_name(gain.effect): noise_support(gain, learned) for gain in learned.noise}
     certain = [
         (confidence(evidence[one.name], learned.decisions.prior), parts, one)
         for parts, one in found

@@ -15,9 +15,9 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
 from odomcorrupt.study.io.recording import Recording
+from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.decisions import DECISIONS, penalty
 from odomcorrupt.study.select.dictionary import families
-from odomcorrupt.study.select.score import score_columns
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.select.shape_search import ShapeSearch
 
@@ -117,8 +117,8 @@ def test_8_who_scans_many_shapes_is_charged_for_them():
     run = as_recording(simulate(54, None, duration_s=300.0))
     fitted = fit([run], approach=choose_approach([run]))
     family = next(f for f in families(fitted) if f[0].name == "region_slip")
-    best = ShapeSearch(fitted, DECISIONS).best(family)
-    (alone,) = score_columns(fitted, [best.columns(fitted.problem)])
+    best = ShapeSearch(fitted, DECISIONS).located(family)[0]
+    (alone,) = score_terms(fitted, [replace(best, trials=1)], DECISIONS)
     charged = next(c for c in library_candidates(fitted) if c.name == "region_slip")
     assert len(family) > 10
     assert charged.score.p >= min(1.0, len(family) * alone.p)

@@ -18,10 +18,9 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.noise_likelihood import NAMES
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.io.recording import Recording
-from odomcorrupt.study.select.candidates import objection
+from odomcorrupt.study.select.candidates import objection, score_terms
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dictionary import families
-from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.term import LibraryTerm
 
@@ -65,7 +64,7 @@ def test_2_what_a_drive_does_not_show_is_not_testable_and_never_huge():
     assert "not testable" in looked["turn_asymmetry"].refused
     known = looked["accel_slip"].score
     huge = replace(
-        known, estimate=np.array([1.05]), standard_error=np.array([0.01]), p=0.0, statistic=1e4, held_out_nats=1e4
+        known, estimate=np.array([1.05]), standard_error=np.array([0.01]), separable=True, p=0.0, held_out_nats=1e4
     )
     assert "physically possible" in objection(fitted, huge, DECISIONS)
 

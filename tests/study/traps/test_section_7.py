@@ -17,8 +17,8 @@ from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.windows import time_windows
+from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.term import LibraryTerm
 
