@@ -142,6 +142,17 @@ def test_folds_are_whole_recordings_and_a_refit_has_all_others(office):
     assert parts[0] == parts[1]
 
 
+def test_a_run_too_short_for_a_fit_of_its_own_is_a_part_of_the_longest(office):
+    whole = as_recording(office)
+    short = replace(whole, name="short", truth=whole.truth.only(slice(500)))
+    folds = split_of([whole, short], [True, True], 0.5).folds([whole, short])
+    assert [len(fold.train) > 0 for fold in folds] == [True, True]
+    assert all(
+        {r.name for r in fold.train} == {f"{whole.name}, {half} half"}
+        for fold, half in zip(folds, ("second", "first"), strict=True)
+    )
+
+
 def test_what_is_too_short_to_be_halved_is_evaluated_as_a_whole_and_said_so(office):
     long = as_recording(office, "short")
     short = replace(long, truth=Trajectory(long.truth.stamps_ns[:1500], long.truth.xyt[:1500]))

@@ -18,6 +18,7 @@ import numpy as np
 
 from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.geometry.trajectory import evened, resolution_s
+from odomcorrupt.study.io.localisation import is_localised
 from odomcorrupt.study.io.segments import GAP_S, GAP_STEPS
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def clock_steps(path: Samples) -> list[Step]:
     interval = np.diff(path.stamps_ns) * 1e-9
     usual_s = float(np.median(interval))
     if len(path.log_ns) != len(path) or np.array_equal(path.log_ns, path.stamps_ns):
-        return [] if path.localised else _steps_of_motion(path, interval, usual_s)
+        return [] if is_localised(path) else _steps_of_motion(path, interval, usual_s)
     ahead = (path.stamps_ns - path.log_ns).astype(np.float64) * 1e-9
     jump = np.diff(ahead)
     found: list[Step] = []

@@ -412,6 +412,12 @@ class _Selection:
     def _clocks_of(self, final: Fit, clocks: Clocks, gains: Mapping[int, float], found: Sequence[Dependence]) -> Clocks:
         """Return the clocks of the final model, with the evidence for them and for others in their place."""
         recordings, free = self.fit.problem.recordings, self.fit.free_clocks
+        in_place = [
+            (i, more)
+            for i in self._order(gains)
+            for j, more in self._instead(i).items()
+            if isinstance(self.competing[j], ClockTerm)
+        ]
         margins = [
             min([gains[i], *(-more for more in self._instead(i).values())])
             for i in self.chosen
@@ -423,7 +429,7 @@ class _Selection:
             free=free,
             errors=with_rounding(final.clock_errors.tolist(), free, recordings),
             margins_nats=(*clocks.margins_nats, *margins) if np.any(free) else (),
-            ambiguous_nats=self._ambiguous(self._order(gains)),
+            ambiguous_nats=max([0.0, *(gains[i] + more for i, more in in_place)]),
             left_nats=sum(one.nats for one in found if one.follows_acceleration),
         )
 
@@ -464,13 +470,3 @@ class _Selection:
             if self.competing[other].name != self.competing[i].name and np.isfinite(value):
                 found[other] = float(value - score[0])
         return found
-
-    def _ambiguous(self, order: Sequence[int]) -> float:
-        """Return the gain of a clock that is left out, in place of a term of the model, nats; 0 if it gains nothing."""
-        clocks = [j for j, t in enumerate(self.competing) if isinstance(t, ClockTerm) and t.name not in self.ticking]
-        most = 0.0
-        for i in order:
-            rest = tuple(j for j in self.chosen if j != i)
-            score = self.evidence.gains([rest, *((*rest, clock) for clock in clocks)]).score
-            most = max([most, *(float(with_it - score[0]) for with_it in score[1:])])
-        return most

@@ -90,10 +90,13 @@ def split_of(recordings: Sequence[Recording], fitted: Sequence[bool], spacing_s:
     known = _runs_of(recordings, fitted)
     own = [i for i, is_known in enumerate(known) if is_known]
     others = [(i,) for i, is_known in enumerate(known) if not is_known]
-    groups = _balanced({i: (-sum(_seconds(r) for r in runs[i]), *_content(runs[i][0])) for i in own})
+    enough = [i for i in own if sum(count_intervals(r, spacing_s) for r in runs[i]) >= LEAST_INTERVALS] or own
+    groups = _balanced({i: (-sum(_seconds(r) for r in runs[i]), *_content(runs[i][0])) for i in enough})
+    # runs that are too short for a fit of their own are with the longest
+    groups[:1] = [tuple(sorted((*group, *(i for i in own if i not in enough)))) for group in groups[:1]]
     middle, notes = None, list[str]()
     if len(groups) == 1:
-        run = runs[own[0]]
+        run = [recording for i in groups[0] for recording in runs[i]]
         middle, note = _middle(run)
         sides = _halves(run, middle, spacing_s)
         if all(sides):

@@ -146,10 +146,11 @@ def test_without_log_times_lost_messages_and_a_robot_at_rest_are_no_step_of_a_cl
 
 
 def test_a_localisation_that_waits_for_motion_has_no_steps_of_its_clock():
-    interval_s = np.random.default_rng(3).choice([0.3, 0.4, 0.5, 0.9], 500)
-    interval_s[[100, 300]] = 3.1
-    at_s = np.cumsum(interval_s)
-    assert clock_steps(along(path(at_s), np.arange(500.0))) == []
+    for intervals_s, name in (([0.3, 0.4, 0.5, 0.9], "/odom"), ([0.35, 0.4, 0.45], "/amcl_pose")):
+        interval_s = np.random.default_rng(3).choice(intervals_s, 500)
+        interval_s[[100, 300]] = 3.1
+        at_s = np.cumsum(interval_s)
+        assert clock_steps(replace(along(path(at_s), np.arange(500.0)), name=name)) == []
 
 
 @pytest.mark.parametrize(("stepping", "by_s"), [("/odom", 0.18), ("/odom", 2.0), ("/truth", 2.0), ("/truth", -0.5)])
