@@ -116,12 +116,11 @@ def is_unexplained(learned: Learned, last: ModelEvaluation | None, *, falls: boo
     last : evaluation of the model with all findings, if there is one
     falls : whether the held-out error or likelihood improves with the findings
     """
-    if learned.lacking or any(law in learned.unexplained for law in learned.laws):
+    if learned.lacking or learned.unexplained:
         return False
-    if not learned.noise:
-        return last is not None and last.verdict.fails
+    # errors smaller than the noise predicts need no further cause
     misfit = last.verdict.misfit if last is not None and last.verdict.fails else 1.0
-    return not falls or not 1.0 / _GROSS <= misfit <= _GROSS
+    return not falls or misfit > _GROSS if learned.noise else misfit > 1.0
 
 
 class LawNumber(NamedTuple):

@@ -19,7 +19,7 @@ from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.report import diagnosis as texts
 from odomcorrupt.report.brief import _contact_words, _found_lines, _mounting_words, findings_brief
 from odomcorrupt.report.comparison import comparison_text, rejection, within
-from odomcorrupt.report.findings import dependences_found, effects_found, foremost
+from odomcorrupt.report.findings import dependences_found, effects_found, foremost, is_unexplained
 from odomcorrupt.report.html.study import found_html
 from odomcorrupt.report.plots.comparison import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
@@ -757,3 +757,13 @@ def test_an_effect_with_evidence_is_not_called_untestable():
     assert texts.advice_sentences(advice, {"backlash": "wheelbase"}) == [
         "backlash: not separated from wheelbase; reverse"
     ]
+
+
+@pytest.mark.parametrize(
+    ("misfit", "noise", "expected"), [(0.5, (), False), (1.4, (), True), (1.4, (1,), False), (3.0, (1,), True)]
+)
+def test_only_errors_larger_than_predicted_lack_a_cause(misfit, noise, expected):
+    learned = SimpleNamespace(lacking=(), unexplained=(), noise=noise)
+    last = SimpleNamespace(verdict=SimpleNamespace(fails=True, misfit=misfit))
+    assert is_unexplained(learned, last) == expected
+    assert not is_unexplained(SimpleNamespace(lacking=(), unexplained=(1,), noise=noise), last)

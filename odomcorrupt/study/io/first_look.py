@@ -290,9 +290,10 @@ class Look:
     @property
     def words(self) -> str:
         """Ratios of travel and turns in words, "" if they are not sure."""
-        both, s = zip(("travels", "turns"), (self.travel, self.turn), strict=True), self.window_s
-        said = [f"{what} {r.value:.3g} times as far (+-{r.spread:.1%} in {s:.2g} s)" for what, r in both if r.sure]
-        return f"the truth {' and '.join(said)}" if said else ""
+        sure = [(what, r) for what, r in (("travels", self.travel), ("turns", self.turn)) if r.sure]
+        times = ["" if abs(r.value - 1.0) < r.spread else f"{r.value:.3g} times " for _, r in sure]
+        said = [f"{what} {by}as far (+-{r.spread:.1%})" for (what, r), by in zip(sure, times, strict=True)]
+        return f"in {self.window_s:.2g} s the truth {' and '.join(said)} as the odometry" if said else ""
 
     def at_fault(self) -> tuple[int | None, str]:
         """Return which one turns the wrong way according to a third source, if any does, and that source."""

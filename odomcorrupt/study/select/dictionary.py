@@ -123,11 +123,11 @@ class Dictionary:
         search = ShapeSearch(fit, self.decisions, self.design[1])
         for family in families(fit):
             for best in search.located(family):
+                shapes = [best]
                 if search.gain(best) > self.decisions.related_nats and (related := best.related()):
                     # forms of one place are compared at their best shapes
-                    best = search.maximise(best)
-                    self._add(search.maximise(max(map(search.climb, related), key=search.gain)))
-                self._add(best)
+                    shapes = [search.maximise(one) for one in (best, max(map(search.climb, related), key=search.gain))]
+                self._add(*shapes)
         count, kinds = len(fit.problem.intervals), dict[tuple[str, str], list[tuple[float, BasisTerm]]]()
         found = [(s.nats - penalty(s.term, count, self.decisions), s.term) for s in [*search.promising(), *waves(fit)]]
         for nats, term in sorted(found, key=itemgetter(0), reverse=True):
