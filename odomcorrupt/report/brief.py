@@ -29,7 +29,6 @@ from odomcorrupt.report.findings import (
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.select.confidence import EVEN_ODDS
 from odomcorrupt.study.validate.compare import agreement_of
-from odomcorrupt.study.validate.held_out import OF_ONE_DRIVE
 from odomcorrupt.summary import ALWAYS, FIRST, FOUND, SPARE, USUAL, Line, Summary, Tone
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Mistake
     from odomcorrupt.study.select.result import Learned
-    from odomcorrupt.study.validate.compare import Comparison, JudgedOn, ModelEvaluation
+    from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.predictive_check import Reproduction
 
 
@@ -54,7 +53,7 @@ _PERHAPS = "perhaps"
 """Label of names below even odds."""
 _HARDLY = 0.05
 """Confidence below which a part of the model is no finding: it is named beside the findings, if there are any."""
-_TO_DECIDE, _DECIDES = "to decide, validate on another drive (--validate OTHER)", "--validate OTHER decides"
+_TO_DECIDE, _DECIDES = "to decide, learn from a second drive as well", "a second drive decides"
 _OF_ONE_DRIVE = ("time", "distance")
 """Regressors that no manoeuvre varies: another drive shows whether an error recurs."""
 
@@ -91,7 +90,7 @@ def findings_brief(
     """
     undecided = {name for choice in advice.choices for name in choice.names}
     fit, last = search.fit if robot is None else robot.fit, comparison.evaluations[-1]
-    lines, negligible = _found_lines(search, fit, undecided, held_out=comparison.judged_on)
+    lines, negligible = _found_lines(search, fit, undecided)
     verdict, tone = _verdict(search, comparison, lines)
     # errors and warnings follow the effects and dependences with evidence, and precede noise and clocks
     at = max(next((i for i, line in enumerate(lines) if line.label), len(lines)), 1)
@@ -245,9 +244,7 @@ def _mounting_words(search: Learned, fit: Fit) -> str:
     return ", and ".join(filter(None, said))
 
 
-def _found_lines(
-    search: Learned, fit: Fit, undecided: set[str], *, held_out: JudgedOn = "folds"
-) -> tuple[list[Line], list[Line]]:
+def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[Line], list[Line]]:
     """Return a line for each effect, dependence, noise and clock found; and a line of negligible ones.
 
     Effects and dependences of the model come first, in order of their evidence; then dependences that are not in the
@@ -255,7 +252,6 @@ def _found_lines(
     action, and so do parts of the model that are hardly causes, if anything else was found.
 
     undecided : names in the line of undecided alternatives
-    held_out : data of the evaluation
     """
     ranked: list[tuple[tuple[_Group, float], Line]] = []  # in a group the one with the most evidence is first
     ranks: dict[str, tuple[_Group, float]] = {}
@@ -286,7 +282,7 @@ def _found_lines(
     for unknown in foremost(dependences_found(search, fit), 2):
         law = unknown.law
         if law in search.unexplained or law.instead_of:
-            named, remark = alternative(law, hardly), _left_out(unknown, held_out)
+            named, remark = alternative(law, hardly), _left_out(unknown)
             said = f"{named}: {unknown.expression}{remark}"
             short = "" if unknown.fitted else f"{named}{f': {_DECIDES}' if _TO_DECIDE in remark else remark}"
             beside = [ranks[name] for name in law.instead_of if name in ranks]
@@ -294,7 +290,7 @@ def _found_lines(
             rank = max(beside, default=own)
             weight = FOUND if unknown.fitted else USUAL if rank[0] <= _Group.NOT_IN_MODEL else SPARE
             ranked.append((rank, Line("", said, weight=weight, short=short, part=unknown.part)))
-        elif unknown.in_model:
+        elif unknown.fitted:
             small[unknown.part] = unknown.expression
         else:
             absent.append(unknown.expression)
@@ -344,21 +340,17 @@ def _part(one: FoundEffect | FoundNoise) -> str:
     return name if one.confidence >= EVEN_ODDS else f"{_PERHAPS} {name}"
 
 
-def _left_out(unknown: FoundDependence, held_out: JudgedOn) -> str:
+def _left_out(unknown: FoundDependence) -> str:
     """Return that a dependence is reported only, not in the model, and what decides; "" if nothing is to be said."""
     law = unknown.law
     if unknown.fitted:
         return ""
-    undecided = law.regressor in _OF_ONE_DRIVE and held_out != "recordings"
-    other = _TO_DECIDE if undecided else ""
+    other = _TO_DECIDE if law.regressor in _OF_ONE_DRIVE else ""
     if law.instead_of:
         return f" ({other})" if other else ""
-    # a second drive decides about what was left out only for want of one
-    why = other if undecided and unknown.left_out in ("", OF_ONE_DRIVE) else unknown.left_out
-    if unknown.mean is None and why != other:
-        return f" (left out of the model: {why})"
-    said = "not in the model" if unknown.mean is None else f"the model has its mean, {unknown.mean:.4g}"
-    return f" ({'; '.join(filter(None, (said, why)))})"
+    if unknown.left_out:
+        return f" (left out of the model: {unknown.left_out})"
+    return f" ({'; '.join(filter(None, ('not in the model', other)))})"
 
 
 def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:

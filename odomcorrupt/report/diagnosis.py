@@ -243,8 +243,7 @@ def _unknown_lines(unknown: FoundDependence) -> list[str]:
     finding = f"{f'or instead of {other}' if other else 'unknown'}: {evidence_words(unknown.law)}"
     spread = ", ".join(f"{name} {value_text(*number)}" for name, number in unknown.numbers.items())
     shown = f"{unknown.expression}{f'  ({spread})' if spread else ''}"
-    mean = [f"  in the model: its mean, {unknown.mean:.4g}"] if unknown.mean is not None else []
-    return [finding, f"  {'fitted' if unknown.fitted else 'suggested'}: {shown}", *mean]
+    return [finding, f"  {'fitted' if unknown.fitted else 'suggested'}: {shown}"]
 
 
 def evidence_words(unknown: Dependence) -> str:
@@ -443,8 +442,7 @@ def learned_json(
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
             "unknown": [
-                _unknown(one) | {"negligible": learned.hardly_moves(one.law), "mean_in_model": one.mean}
-                for one in dependences_found(learned, fit)
+                _unknown(one) | {"negligible": learned.hardly_moves(one.law)} for one in dependences_found(learned, fit)
             ],
             "not_testable": [
                 {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}

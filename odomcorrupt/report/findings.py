@@ -136,25 +136,18 @@ class FoundDependence(NamedTuple):
 
     numbers : coefficients by name, if it was fitted
     fitted : whether it is in the model as a basis function
-    mean : its mean, if only that is in the model
     left_out : why it was left out of the model, if it was
     """
 
     law: Dependence
     numbers: dict[str, LawNumber]
     fitted: bool
-    mean: float | None
     left_out: str = ""
 
     @property
-    def in_model(self) -> bool:
-        """Whether it, or its mean, is in the model."""
-        return self.fitted or self.mean is not None
-
-    @property
     def part(self) -> str:
-        """Name of the effect of the model that it, or its mean, is; "" if neither is in the model."""
-        return self.law.name if self.fitted else f"mean_of_{self.law.name}" if self.mean is not None else ""
+        """Name of its effect in the model, "" if it is not in it."""
+        return self.law.name if self.fitted else ""
 
     @property
     def expression(self) -> str:
@@ -178,7 +171,7 @@ def dependences_found(learned: Learned, fit: Fit | None = None) -> list[FoundDep
             pairs = zip(amplitudes(effect), errors, strict=True)
             numbers = {p.name: LawNumber(getattr(effect, p.name), error, p.unit) for p, error in pairs}
         fitted = law in learned.laws
-        found.append(FoundDependence(law, numbers, fitted, learned.mean_of(law), learned.why_left_out(law)))
+        found.append(FoundDependence(law, numbers, fitted, learned.why_left_out(law)))
     return found
 
 
@@ -187,12 +180,12 @@ def foremost(found: Sequence[FoundDependence], most: int) -> list[FoundDependenc
 
     found : in the order of their evidence, see `dependences_found`
     """
-    others = most - sum(one.in_model for one in found)
+    others = most - sum(one.fitted for one in found)
     chosen = []
     for one in found:
-        if one.in_model or others > 0:
+        if one.fitted or others > 0:
             chosen.append(one)
-            others -= not one.in_model
+            others -= not one.fitted
     return chosen
 
 

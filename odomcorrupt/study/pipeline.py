@@ -112,7 +112,7 @@ def learn_robot(
     advice = advise(search)
     models = {"without effects": base.model}
     names = [effect.name for effect in factors_of(recordings)]
-    names += [*search.added, *(one.title for one in search.laws), *search.means]
+    names += [*search.added, *(one.title for one in search.laws)]
     names += [gain.effect.name for gain in search.noise]
     if names:
         models["with " + ", ".join(names)] = proof.model

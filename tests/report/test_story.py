@@ -36,7 +36,7 @@ from odomcorrupt.study.select.score import Score
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm
-from odomcorrupt.study.validate.held_out import OF_ONE_DRIVE, without_parts
+from odomcorrupt.study.validate.held_out import without_parts
 from odomcorrupt.study.validate.lack_of_fit import Failure
 from odomcorrupt.summary import command_line
 
@@ -145,14 +145,14 @@ def test_the_headline_says_which_dependences_are_not_in_the_model(rich):
         for one in (UNKNOWNS[0], over_time)
     }
     assert "not in the model" not in said["speed"]
-    assert said["time"].endswith("(not in the model; to decide, validate on another drive (--validate OTHER))")
+    assert said["time"].endswith("(not in the model; to decide, learn from a second drive as well)")
 
 
 def test_a_validated_drive_is_not_asked_for_but_what_it_showed_is_said(rich):
     over_time = unknown("yaw", "time", per="s")
     why = "the other drive does not support it: -1 +- 25 nats"
     learned = replace(rich, unknown=(over_time,), laws=(), left_out={over_time.name: why})
-    lines, _ = _found_lines(learned, rich.fit, set(), held_out="recordings")
+    lines, _ = _found_lines(learned, rich.fit, set())
     assert sum(line.text.endswith(f"(left out of the model: {why})") for line in lines) == 1
     assert not any("--validate" in line.text for line in lines)
 
@@ -184,20 +184,16 @@ def test_a_dependence_of_the_model_is_told_as_such_though_another_part_was_dropp
 def test_why_a_dependence_was_left_out_is_said_on_its_line_and_not_on_others_of_its_name(rich):
     law = UNKNOWNS[-1]
     weaker, over_time = replace(law, nats=12.0), unknown("yaw", "time", per="s")
-    why = {law.name: "no odometry satisfies it on the fitted drive", over_time.name: OF_ONE_DRIVE}
-    for held_out in ("folds", "recordings"):
-        learned = replace(rich, unknown=(law, weaker), laws=(), left_out=why)
-        lines, _ = _found_lines(learned, rich.fit, set(), held_out=held_out)
-        (said, other) = (line.text for line in lines if "periodic" in line.text)
-        assert said.endswith(" (left out of the model: no odometry satisfies it on the fitted drive)")
-        assert " (not in the model" in other
-    for held_out, said in (("folds", "not in the model; to decide, val"), ("recordings", "left out of the model: it")):
-        lines, _ = _found_lines(replace(learned, unknown=(over_time,)), rich.fit, set(), held_out=held_out)
-        (line,) = (line for line in lines if f" ({said}" in line.text)
-        assert over_time.expression not in line.short
-        assert line.short.endswith(": --validate OTHER decides") == (held_out == "folds")
-        assert line.short.endswith(f" ({said} depends on the time within this one drive; a second one would show "
-                                   "whether it recurs)") == (held_out == "recordings")  # fmt: skip
+    why = {law.name: "no odometry satisfies it on the fitted drive"}
+    learned = replace(rich, unknown=(law, weaker), laws=(), left_out=why)
+    lines, _ = _found_lines(learned, rich.fit, set())
+    (said, other) = (line.text for line in lines if "periodic" in line.text)
+    assert said.endswith(" (left out of the model: no odometry satisfies it on the fitted drive)")
+    assert " (not in the model" in other
+    lines, _ = _found_lines(replace(learned, unknown=(over_time,)), rich.fit, set())
+    (line,) = (line for line in lines if " (not in the model; to decide, learn from a second drive" in line.text)
+    assert over_time.expression not in line.short
+    assert line.short.endswith(": a second drive decides")
 
 
 def test_all_parts_of_the_model_are_named_and_other_dependences_as_far_as_there_is_room(rich):
@@ -578,20 +574,6 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     assert run([*words, "--json", "--force"]) == 0
     printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert printed["comparison"]["models"][0]["name"] == sequence.evaluations[0].name
-
-
-@pytest.mark.slow
-def test_the_mean_of_a_dependence_on_time_is_reported_beside_it(rich, sequence):
-    one = UNKNOWNS[-1]
-    mean = user_effect(f"mean_of_{one.name}", "along += v * k", {"k": 0.0})
-    fit = rich.fit.refit((*rich.fit.effects, mean))
-    learned = replace(rich, unknown=(one,), laws=(), means=(mean.name,), fit=fit)
-    k = learned.mean_of(one)
-    assert [e.k for e in fit.effects if e.name == mean.name] == [k]
-    assert f"in the model: its mean, {k:.4g}" in texts.found_text(learned, NONE)
-    assert f"the model has its mean, {k:.4g}" in "".join(line.text for line in _found_lines(learned, fit, set())[0])
-    assert f"in the model: its mean, {k:.4g}" in found_html(learned, sequence, NONE, "")
-    assert replace(learned, means=()).mean_of(one) is None
 
 
 def test_a_drive_that_settles_nothing_is_not_written(monkeypatch, searched, case, tmp_path, capsys):

@@ -9,7 +9,6 @@ from hidden import as_recording
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
@@ -31,7 +30,7 @@ from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate import held_out
 from odomcorrupt.study.validate.evaluation import Evaluation
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
-from odomcorrupt.study.validate.held_out import HeldOut, drop_unsupported_parts, without_parts
+from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts
 from odomcorrupt.study.validate.round_trip import RoundTrip
 
 QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
@@ -52,16 +51,14 @@ def with_truth(pair, seed):
     return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
 
 
-def learned_with(run, *effects, over_time=""):
-    """Return what a search would have left that included these effects, and an expression over time."""
-    laws = [user_effect("late", over_time, {"k": 0.0})] if over_time else []
-    fitted = fit([run], [*(effect_from_values(name, {}) for name in effects), *laws], approach=Approach())
+def learned_with(run, *effects):
+    """Return what a search would have left that included these effects."""
+    fitted = fit([run], [*(effect_from_values(name, {}) for name in effects)], approach=Approach())
     plain = {name: (SimpleNamespace(name=name, gain=40.0, refused=""),) for name in effects}
     return Learned(
         clocks=Clocks((Clock(),), ((False, False),), ((0.0, 0.0),)),
         rounds=tuple(Step(before=fitted, candidates=plain[name], added=name) for name in effects),
-        noise=(), unknown=(), against={}, fit=fitted, error_m=0.0,
-        laws=tuple(SimpleNamespace(name=law.name, regressor="time") for law in laws),
+        noise=(), unknown=(), against={}, fit=fitted, error_m=0.0, laws=(),
     )  # fmt: skip
 
 
@@ -105,39 +102,6 @@ def test_the_drift_of_held_out_windows_is_evidence_where_single_intervals_are_no
     near, far = Drift(tuple(1e-4 * errors)), Drift(tuple(4e-4 * errors))
     assert near.nats_over(far) == pytest.approx(40.0 * np.log(4.0))
     assert far.nats_over(near) == -near.nats_over(far)
-
-
-def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_supports_it():
-    law = "along += v * (k * where(t > 60, 1, 0))"
-    learned = learned_with(with_truth(drive(4, scale=1.03), 5), over_time=law)
-    kept, said = drop_unsupported_parts(learned)
-    assert (kept.laws, kept.means) == ((), ("mean_of_late",))
-    assert kept.fit.effects[0].k == pytest.approx(1.0 / 1.03 - 1.0, abs=0.003)
-    assert "this one drive" in said[0].remark
-    same = with_truth(drive(6, scale=1.03), 7)
-    assert drop_unsupported_parts(learned, [replace(same, name="same")])[0].fit.effects
-
-
-def test_another_drive_that_was_given_is_not_asked_for_but_said_to_support_nothing():
-    test = HeldOut("left_over_time", -1.2, 25.0, (0.05, 0.05), 0.0, failure="", needed=False, doubtful=False)
-    said = [held_out._needs_support(test, others).remark for others in ([], [None], [None] * 2)]
-    assert said[0].endswith("a second one would show whether it recurs")
-    assert said[1].endswith("the other drive does not support it: -1 +- 25 nats")
-    assert said[2].endswith("the other drives do not support it: -1 +- 25 nats")
-    assert "folds" not in held_out._needed(test, [None]).failure
-
-
-def test_the_mean_of_a_law_over_time_is_dropped_where_the_halves_do_not_support_it():
-    learned = learned_with(with_truth(drive(4), 5), over_time="along += v * (k * where(t > 60, 1, 0))")
-    kept, said = drop_unsupported_parts(learned)
-    assert (kept.means, kept.fit.effects) == ((), ())
-    assert [one.name for one in said] == ["late", "mean_of_late"]
-
-
-def test_a_law_over_time_that_is_no_fraction_of_the_motion_has_no_mean():
-    learned = learned_with(with_truth(drive(4), 5), over_time="yaw += k * where(t > 60, 1, 0)")
-    kept, said = drop_unsupported_parts(learned)
-    assert (kept.fit.effects, [one.name for one in said]) == ((), ["late"])
 
 
 @pytest.mark.parametrize(("nats", "needed"), [(58.0, True), (12.0, False)])

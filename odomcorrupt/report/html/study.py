@@ -550,5 +550,4 @@ def _noise(one: FoundNoise) -> str:
 def _unknown(one: FoundDependence) -> str:
     then = "fitted" if one.fitted else "suggested"
     lines = [f"<p>{escape(evidence_words(one.law))}; {then}:</p>", f"<p><code>{escape(one.expression)}</code></p>"]
-    lines += [f"<p>in the model: its mean, {one.mean:.4g}</p>"] if one.mean is not None else []
     return _card("unknown", "unknown", lines)

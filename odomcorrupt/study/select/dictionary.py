@@ -106,11 +106,13 @@ class Dictionary:
     """Terms found so far, kept from round to round, because a shape may suit a later model.
 
     library, basis : terms by their effects and by their texts
+    recurring : whether there are several drives, on which a function of time may recur; that of one drive is no term
     bounds : first-order bounds of the amplitudes of library terms, by their effects
     design : approximate columns of the first problem with the present clocks
     """
 
     decisions: Decisions
+    recurring: bool = True
     library: dict[Effect, LibraryTerm] = field(default_factory=dict)
     basis: dict[object, BasisTerm] = field(default_factory=dict)
     bounds: dict[Effect, Array] = field(default_factory=dict)
@@ -158,7 +160,8 @@ class Dictionary:
     def beside(self, present: Sequence[LibraryTerm | BasisTerm]) -> list[LibraryTerm | BasisTerm]:
         """Return terms of a model, then all others."""
         own = {_key(t) for t in present}
-        others: list[LibraryTerm | BasisTerm] = [*self.library.values(), *self.basis.values()]
+        others: list[LibraryTerm | BasisTerm] = [*self.library.values()]
+        others += [t for t in self.basis.values() if self.recurring or not t.of_time]
         return [*present, *(t for t in others if _key(t) not in own)]
 
 

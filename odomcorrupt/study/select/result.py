@@ -80,7 +80,6 @@ class Learned:
     contributions : displacement of the odometry by each systematic part, if it was computed
     first_clocks : clocks estimated before all else; None if lost increments were restored before that
     drifts_too_far : whether the model drifts clearly more than the recordings, if it was tested
-    means : names of the effects in the model that are means of dependences on the time of a single drive
     """
 
     clocks: Clocks
@@ -100,7 +99,6 @@ class Learned:
     contributions: Mapping[str, Contribution] = field(default_factory=dict)
     first_clocks: Clocks | None = None
     drifts_too_far: bool = False
-    means: tuple[str, ...] = ()
 
     def is_negligible(self, name: str) -> bool:
         """Return whether the part of the model with this name is present but negligible in practice."""
@@ -144,13 +142,6 @@ class Learned:
     def _was_included(self, one: Dependence) -> bool:
         """Return whether the selection included a dependence; included ones precede others of the same name."""
         return one is next((other for other in self.unknown if other.name == one.name), None)
-
-    def mean_of(self, one: Dependence) -> float | None:
-        """Return the mean that is in the model in place of a dependence on the time of a single drive, if it is."""
-        if not self._was_included(one):
-            return None
-        own = (effect for effect in self.fit.effects if effect.name in self.means)
-        return next((float(effect.k) for effect in own if effect.name == f"mean_of_{one.name}"), None)  # type: ignore[attr-defined]
 
     @property
     def contradicted(self) -> tuple[Candidate, ...]:

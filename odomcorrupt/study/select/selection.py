@@ -28,7 +28,7 @@ from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, clock_leaders
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
-from odomcorrupt.study.select.candidates import drop_term, tested_candidates
+from odomcorrupt.study.select.candidates import drop_term, score_terms, tested_candidates
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 from odomcorrupt.study.select.dependence import Dependence, dependence_of
 from odomcorrupt.study.select.dictionary import (
@@ -166,7 +166,7 @@ class _Selection:
     chosen: Subset = ()
 
     def __post_init__(self) -> None:
-        self.dictionary = Dictionary(self.decisions)
+        self.dictionary = Dictionary(self.decisions, len(set(clock_leaders(self.fit.problem.recordings))) > 1)
 
     @property
     def selected(self) -> list[Effect]:
@@ -386,6 +386,11 @@ class _Selection:
             rmse = ten_second_error(before), ten_second_error(after)
             candidates = replace(candidates[0], rmse=rmse), *candidates[1:]
             steps.insert(0, replace(step, candidates=candidates, added=term.name))
+        if not self.dictionary.recurring:
+            timed = score_terms(self.fit, [t for t in self.dictionary.basis.values() if t.of_time], self.decisions)
+            best = max(timed, key=lambda one: one.nats, default=None)
+            if best is not None and best.nats > 0.0 and isinstance(best.term, BasisTerm):
+                rivals.append(dependence_of(self.fit, best.term, best.nats, self.decisions))
         kept = {effect.name for effect in self.fit.effects}
         final = with_robust_errors(self.fit, kept - self.given)
         return Learned(

@@ -212,6 +212,11 @@ class BasisTerm:
         return f"{self.action.target}_over_{self.function.regressor}"
 
     @property
+    def of_time(self) -> bool:
+        """Whether it is a function of time."""
+        return self.function.regressor == "time"
+
+    @property
     def start(self) -> UserEffect:
         """The effect with its coefficients at zero."""
         return self.effect([0.0] * self.width)

@@ -296,12 +296,10 @@ def sequence_comparison(
     clocks : of the recordings, as for `compare`
     """
     # Terms that were included and dropped again are not steps.
-    steps, means = learned.steps, ", ".join(learned.means)
-    before = [step.before for step in (*learned.rounds[:1], *steps[1:])] if steps or means else []
+    steps = learned.steps
+    before = [step.before for step in (*learned.rounds[:1], *steps[1:])] if steps else []
     fits = [*before, learned.fit]
     names = [first, *(f"+ {step.name}" for step in steps)]
-    if means:
-        names = [*names, f"+ {means}"] if not steps else [*names[:-1], f"{names[-1]}, {means}"]
     return compare(recordings, {n: model_of(fitted) for n, fitted in zip(names, fits, strict=True)}, clocks=clocks)
 
 

@@ -12,14 +12,11 @@ neither.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import choices
-from odomcorrupt.effects.expression import UserEffect, user_effect
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error, with_truths_corrected
@@ -28,7 +25,7 @@ from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
-from odomcorrupt.study.io.clock import aligned, clock_leaders
+from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.confidence import EVEN_ODDS, confidence, noise_support, support_of
 from odomcorrupt.study.validate.cross_validation import HELD_BY, Fold, split_of
@@ -51,12 +48,8 @@ _SIGNIFICANT = 2.0
 """Standard errors beyond which a paired difference counts as significant."""
 _WORSE = {"factor": 1.02, "plain": 1.15, "errors": _SIGNIFICANT}
 """Thresholds at which a 10 s error counts as larger, see `Drift.worse_than`."""
-_FRACTION = re.compile(r"(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* ")
-"""Beginning of a dependence that is a fraction of a motion."""
 _DOUBTFUL = 1.05
 """Ratio of 10 s errors with and without a doubtful part from which it is dropped (judgement: 2 to 10 %)."""
-OF_ONE_DRIVE = "it depends on the time within this one drive; a second one would show whether it recurs"
-"""Why a dependence on the time of a single drive is left out."""
 _MIN_BLOCKS = 6
 """Fewest blocks of 15 s for a significance test of the likelihood."""
 
@@ -99,15 +92,10 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
     fitted, said = learned.fit, list[HeldOut]()
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
     placed = shared_frame([*fitted.problem.recordings, *others]) is not None
-    single = len(set(clock_leaders(fitted.problem.recordings))) == 1
-    timed = {law.name for law in learned.laws if single and law.regressor == "time"}
-    means: dict[str, Effect] = {}
     while parts := [(part,) for part in _parts(fitted)]:
         # Also test all parts jointly: each may compensate another's error while all of them are worse than none.
         together = tuple(part for (part,) in parts if placed or not part.reads_places)
         found = _test(fitted, [*parts, *([together] if len(together) > 1 else [])], others, clocks)
-        found = [(own, _needs_support(one, others) if one.name in timed else one) for own, one in found]
-        found = [(own, _needed(one, others) if one.name in means else one) for own, one in found]
         worst = max((one for one in found if one[1].failure), key=lambda one: -one[1].nats, default=None)
         if worst is None:
             each = [(own, one) for own, one in found if len(own) == 1]
@@ -120,13 +108,10 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -
             break
         said.append(worst[1])
         fitted = _without(fitted, worst[0])
-        if (mean := _mean_of(worst[0][0])) is not None and worst[1].name in timed:
-            means[mean.name] = mean
-            fitted = fitted.refit((*fitted.effects, mean))
     if fitted is learned.fit:
         return learned, tuple(said)
     left_out = {one.name: one.failure for one in said if one.failure}
-    return _limited_to(learned, fitted, left_out, tuple(means)), tuple(said)
+    return _limited_to(learned, fitted, left_out), tuple(said)
 
 
 def without_parts(learned: Learned, reasons: Mapping[str, str]) -> Learned:
@@ -136,14 +121,13 @@ def without_parts(learned: Learned, reasons: Mapping[str, str]) -> Learned:
     """
     parts = [part for part in _parts(learned.fit) if not reasons.keys().isdisjoint((part.name, part_name(part)))]
     noise = tuple(gain for gain in learned.noise if gain.effect.name not in reasons)
-    return _limited_to(replace(learned, noise=noise), _without(learned.fit, parts), reasons, learned.means)
+    return _limited_to(replace(learned, noise=noise), _without(learned.fit, parts), reasons)
 
 
-def _limited_to(learned: Learned, fitted: Fit, left_out: Mapping[str, str], means: Sequence[str]) -> Learned:
+def _limited_to(learned: Learned, fitted: Fit, left_out: Mapping[str, str]) -> Learned:
     """Return the learned model with a fit that has fewer parts.
 
     left_out : why the others are left out, by their names
-    means : names of the means of dependences on time among the parts
     """
     kept = {effect.name for effect in (*fitted.effects, *fitted.random)}
     fitted = with_robust_errors(fitted, kept)
@@ -153,7 +137,7 @@ def _limited_to(learned: Learned, fitted: Fit, left_out: Mapping[str, str], mean
         gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or part_name(gain.effect) in random
     )
     unknown = _beside(learned.unknown, laws, kept)
-    learned = replace(learned, laws=laws, noise=noise, unknown=unknown, means=tuple(m for m in means if m in kept))
+    learned = replace(learned, laws=laws, noise=noise, unknown=unknown)
     left_out = {**learned.left_out, **left_out}
     return replace(learned, fit=fitted, error_m=ten_second_error(fitted), left_out=left_out)
 
@@ -176,34 +160,6 @@ def _beside(unknown: Sequence[Dependence], laws: Sequence[Dependence], kept: Con
         elif names or one.name not in named:
             found.append(replace(one, instead_of=names))
     return tuple(found)
-
-
-def _needs_support(one: HeldOut, others: Sequence[Recording]) -> HeldOut:
-    """Return the test of a dependence on the time of one recording, dropped unless another recording supports it."""
-    if one.failure or (others and one.nats > _SIGNIFICANT * one.error):
-        return one
-    if others:
-        return replace(one, failure=_unsupported(one, others))
-    return replace(one, failure=OF_ONE_DRIVE)
-
-
-def _needed(one: HeldOut, others: Sequence[Recording]) -> HeldOut:
-    """Return the test of a mean, dropped unless it is needed."""
-    return one if one.failure or one.needed else replace(one, failure=_unsupported(one, others))
-
-
-def _unsupported(one: HeldOut, others: Sequence[Recording]) -> str:
-    """Return that the held-out data do not support a part, with its gain of log likelihood there."""
-    data = "other drive does" if len(others) == 1 else "other drives do" if others else "folds of the data do"
-    return f"the {data} not support it: {one.nats:+.0f} +- {one.error:.0f} nats"
-
-
-def _mean_of(part: Effect) -> Effect | None:
-    """Return a constant fraction of the motion in place of one that depends on a regressor; None for other effects."""
-    if not isinstance(part, UserEffect) or (fraction := _FRACTION.match(part.expression.text)) is None:
-        return None
-    words = {word: getattr(part, word) for word in choices(part)}
-    return user_effect(f"mean_of_{part.name}", f"{fraction[0]}k", {"k": 0.0}, {}, words)
 
 
 def _least_confident(
