@@ -49,13 +49,13 @@ def library_candidates(fitted):
     """Return the tests of all library effects beside a fit, the most significant first."""
     dictionary = Dictionary(DECISIONS)
     dictionary.extend(fitted)
-    return tested_candidates(fitted, dictionary.library.values(), DECISIONS)
+    return tested_candidates(fitted, dictionary.library.values(), dictionary)
 
 
 def basis_dependences(fitted):
     """Return the significant basis functions on the residual of a fit as dependences, the largest gain first."""
     dictionary = Dictionary(DECISIONS)
     dictionary.extend(fitted)
-    scores = score_terms(fitted, list(dictionary.basis.values()), DECISIONS)
+    scores = score_terms(fitted, list(dictionary.basis.values()), Dictionary(DECISIONS))
     clear = sorted((one for one in scores if one.nats > 0.0), key=lambda one: -one.nats)
-    return [dependence_of(fitted, one.term, one.nats, DECISIONS) for one in clear]
+    return [dependence_of(fitted, one.term, one.nats, Dictionary(DECISIONS)) for one in clear]

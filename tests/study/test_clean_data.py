@@ -12,7 +12,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.dictionary import families
+from odomcorrupt.study.select.dictionary import Dictionary, families
 from odomcorrupt.study.select.selection import learn
 
 SEEDS = range(12)
@@ -21,7 +21,7 @@ SEEDS = range(12)
 def z_scores(run) -> dict[str, float]:
     """Return estimate over error of every effect, each tried alone."""
     fitted = fit([run], approach=choose_approach([run]))
-    scores = score_terms(fitted, [family[0] for family in families(fitted) if len(family) == 1], DECISIONS)
+    scores = score_terms(fitted, [family[0] for family in families(fitted) if len(family) == 1], Dictionary(DECISIONS))
     return {s.effect.name: float(np.max(np.abs(s.estimate / s.standard_error))) for s in scores if s.separable}
 
 

@@ -17,6 +17,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.dictionary import Dictionary
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.term import LibraryTerm
 
@@ -117,7 +118,9 @@ def found(steps, xyt):
     search = ShapeSearch(start, DECISIONS)
     best = search.maximise(search.located(family)[0])
     forms = [best, *best.with_words(tuple(choices(best.start)))]
-    fits = [start.refit((score.estimated,), weights_of=start) for score in score_terms(start, forms, DECISIONS)]
+    fits = [
+        start.refit((score.estimated,), weights_of=start) for score in score_terms(start, forms, Dictionary(DECISIONS))
+    ]
     (effect,) = max(fits, key=lambda one: one.log_likelihood).refit().effects
     return effect
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.select.dictionary import ClockChoice, ClockTerm, Dictionary, first_order_bounds, linearised
+from odomcorrupt.study.select.dictionary import ClockChoice, ClockTerm, linearised
 from odomcorrupt.study.select.score import scores_of
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.dictionary import Dictionary
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
@@ -72,40 +73,39 @@ def drop_term(fit: Fit, effect: Effect) -> Fit:
     return replace(fit, noise=noise, problem=replace(fit.problem, effects=others, left=()))
 
 
-def score_terms(fit: Fit, terms: Sequence[LibraryTerm | BasisTerm], decisions: Decisions) -> list[Score]:
+def score_terms(fit: Fit, terms: Sequence[LibraryTerm | BasisTerm], dictionary: Dictionary) -> list[Score]:
     """Return the score tests of terms, each beside the model of a fit; none for terms that cannot act."""
     if not terms:
         return []
     free = np.array(fit.free_clocks).reshape(-1, 2)
     clocks = ClockChoice(free, np.zeros_like(free))
-    used, evidence = linearised(fit, (), terms, clocks, Dictionary(decisions))
+    used, evidence = linearised(fit, (), terms, clocks, dictionary)
     own = [term for term in used if not isinstance(term, ClockTerm)]
     return scores_of(evidence, own) if own else []
 
 
-def tested_candidates(fit: Fit, terms: Iterable[LibraryTerm], decisions: Decisions) -> list[Candidate]:
+def tested_candidates(fit: Fit, terms: Iterable[LibraryTerm], dictionary: Dictionary) -> list[Candidate]:
     """Return the tests of library effects that a fit lacks, each in the shape with the largest gain, the best first."""
     have = {effect.name for effect in fit.effects}
-    scores = score_terms(fit, [term for term in terms if term.name not in have], decisions)
+    scores = score_terms(fit, [term for term in terms if term.name not in have], dictionary)
     best: dict[str, Score] = {}
     for score in sorted(scores, key=lambda one: -one.nats):
         best.setdefault(score.term.name, score)
-    return [Candidate(score=score, refused=objection(fit, score, decisions)) for score in best.values()]
+    return [Candidate(score=score, refused=objection(fit, score, dictionary)) for score in best.values()]
 
 
-def objection(fit: Fit, score: Score, decisions: Decisions) -> str:
+def objection(fit: Fit, score: Score, dictionary: Dictionary) -> str:
     """Return why the selection did not include an effect."""
     if not score.separable:
         return "not separable from what is in the model"
-    for p, error in zip(amplitudes(score.effect), score.standard_error, strict=True):
-        if max(np.abs(first_order_bounds(fit, score.effect, p))) < 2.0 * error * decisions.testable_errors:
-            return "not testable on this drive"
+    bounds, decisions = dictionary.bounds_of(score.effect, fit), dictionary.decisions
+    if np.any(np.abs(bounds).max(axis=1) < 2.0 * score.standard_error * decisions.testable_errors):
+        return "not testable on this drive"
     if score.held_out_nats <= 0.0 or score.p >= decisions.level:
         return "no evidence"
     if score.held_out_nats <= score.held_out_error:
         return "does not gain on held-out blocks"
-    for p, value in zip(amplitudes(score.effect), score.estimate, strict=True):
-        low, high = first_order_bounds(fit, score.effect, p)
+    for p, value, (low, high) in zip(amplitudes(score.effect), score.estimate, bounds.tolist(), strict=True):
         if not low <= value <= high:
             room = high if value > 0.0 else -low
             why = "beyond what is physically possible" if room > 0.0 else _IMPOSSIBLE_SIGN

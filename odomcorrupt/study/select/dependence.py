@@ -23,7 +23,7 @@ from odomcorrupt.study.terms.splines import curve_regressors
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.dictionary import Dictionary
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.terms.term import BasisTerm
 
@@ -103,13 +103,13 @@ class Dependence:
         return self.term.function.place
 
 
-def dependence_of(fit: Fit, term: BasisTerm, nats: float, decisions: Decisions) -> Dependence:
+def dependence_of(fit: Fit, term: BasisTerm, nats: float, dictionary: Dictionary) -> Dependence:
     """Return a basis function as a dependence, with the curve of its regressor and channel, scored beside a fit.
 
     fit : a model without the function
     nats : its gain minus its cost
     """
-    (score,) = score_terms(fit, [term], decisions)
+    (score,) = score_terms(fit, [term], dictionary)
     if term.function.wavelength_m:  # hats are too wide to resolve a wave
         where = np.linspace(0.0, term.function.wavelength_m, 13)
         angle = 2.0 * np.pi * where / term.function.wavelength_m

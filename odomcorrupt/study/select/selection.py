@@ -363,7 +363,7 @@ class _Selection:
         """Return the model with the evidence for each of its terms, and for others in their place."""
         self._linearise()
         gains, fits = self._gains(), self._sequence()
-        tested = tested_candidates(self.fit, self.dictionary.library.values(), self.decisions)
+        tested = tested_candidates(self.fit, self.dictionary.library.values(), self.dictionary)
         steps = [Step(before=self.fit.for_reports(), candidates=tuple(tested), added=None)]
         included, rivals = list[Dependence](), list[Dependence]()
         for i, before, after in reversed([*zip(self._order(gains), fits, fits[1:], strict=False)]):
@@ -371,7 +371,7 @@ class _Selection:
             bare = drop_term(self.fit, self.fit.by_name[term.name])
             step = Step(before=before.for_reports(), candidates=tuple(tested), added=None)
             if isinstance(term, BasisTerm):
-                included.insert(0, dependence_of(bare, term, gains[i], self.decisions))
+                included.insert(0, dependence_of(bare, term, gains[i], self.dictionary))
                 steps.insert(0, replace(step, dependence=included[0]))
             if not isinstance(term, LibraryTerm):
                 continue
@@ -380,17 +380,17 @@ class _Selection:
                 ((more, t) for more, t in basis if isinstance(t, BasisTerm)), key=itemgetter(0), default=(-np.inf, None)
             )
             if other is not None and -more < self.decisions.rival_nats:
-                one = dependence_of(bare, other, gains[i] + more, self.decisions)
+                one = dependence_of(bare, other, gains[i] + more, self.dictionary)
                 rivals.insert(0, replace(one, instead_of=(term.name,)))
             candidates = self._ranked(bare, term, gains[i], instead, tested)
             rmse = ten_second_error(before), ten_second_error(after)
             candidates = replace(candidates[0], rmse=rmse), *candidates[1:]
             steps.insert(0, replace(step, candidates=candidates, added=term.name))
         if not self.dictionary.recurring:
-            timed = score_terms(self.fit, [t for t in self.dictionary.basis.values() if t.of_time], self.decisions)
+            timed = score_terms(self.fit, [t for t in self.dictionary.basis.values() if t.of_time], self.dictionary)
             best = max(timed, key=lambda one: one.nats, default=None)
             if best is not None and best.nats > 0.0 and isinstance(best.term, BasisTerm):
-                rivals.append(dependence_of(self.fit, best.term, best.nats, self.decisions))
+                rivals.append(dependence_of(self.fit, best.term, best.nats, self.dictionary))
         kept = {effect.name for effect in self.fit.effects}
         final = with_robust_errors(self.fit, kept - self.given)
         return Learned(
@@ -455,7 +455,7 @@ class _Selection:
         gain : its gain beside the other terms
         instead : evidence of the model with another term in its place, minus that of the model, by its index
         """
-        (own,) = tested_candidates(bare, [term], self.decisions)
+        (own,) = tested_candidates(bare, [term], self.dictionary)
         others = {self.competing[j].name: gain + more for j, more in sorted(instead.items(), key=itemgetter(1))}
         rivals = [
             replace(one, gain=others[one.name], refused="")

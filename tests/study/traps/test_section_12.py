@@ -17,7 +17,7 @@ from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
 from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.decisions import DECISIONS, penalty
-from odomcorrupt.study.select.dictionary import families
+from odomcorrupt.study.select.dictionary import Dictionary, families
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.select.shape_search import ShapeSearch
 
@@ -118,7 +118,7 @@ def test_8_who_scans_many_shapes_is_charged_for_them():
     fitted = fit([run], approach=choose_approach([run]))
     family = next(f for f in families(fitted) if f[0].name == "region_slip")
     best = ShapeSearch(fitted, DECISIONS).located(family)[0]
-    (alone,) = score_terms(fitted, [replace(best, trials=1)], DECISIONS)
+    (alone,) = score_terms(fitted, [replace(best, trials=1)], Dictionary(DECISIONS))
     charged = next(c for c in library_candidates(fitted) if c.name == "region_slip")
     assert len(family) > 10
     assert charged.score.p >= min(1.0, len(family) * alone.p)

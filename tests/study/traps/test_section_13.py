@@ -20,7 +20,7 @@ from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.select.candidates import objection, score_terms
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.dictionary import families
+from odomcorrupt.study.select.dictionary import Dictionary, families
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.term import LibraryTerm
 
@@ -35,7 +35,7 @@ def control():
 
 def scored(fitted, *names):
     kinds = [registry()[name]() for name in names]
-    return score_terms(fitted, [LibraryTerm(kind) for kind in kinds], DECISIONS)
+    return score_terms(fitted, [LibraryTerm(kind) for kind in kinds], Dictionary(DECISIONS))
 
 
 def test_1_what_drives_is_the_odometry_of_wheels_and_the_truth_of_noise_that_was_made(control):
@@ -66,7 +66,7 @@ def test_2_what_a_drive_does_not_show_is_not_testable_and_never_huge():
     huge = replace(
         known, estimate=np.array([1.05]), standard_error=np.array([0.01]), separable=True, p=0.0, held_out_nats=1e4
     )
-    assert "physically possible" in objection(fitted, huge, DECISIONS)
+    assert "physically possible" in objection(fitted, huge, Dictionary(DECISIONS))
 
 
 def test_3_a_cause_is_linearised_again_where_it_was_found():

@@ -19,6 +19,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.windows import time_windows
 from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.dictionary import Dictionary
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.term import LibraryTerm
 
@@ -50,7 +51,7 @@ def test_2_drivers_do_not_carry_the_noise_they_are_regressed_on():
         assert choose_approach([run]).side == "truth"
         for side, found in z.items():
             fitted = fit([run], approach=Approach(side))
-            scores = score_terms(fitted, [LibraryTerm(registry()[n]()) for n in names], DECISIONS)
+            scores = score_terms(fitted, [LibraryTerm(registry()[n]()) for n in names], Dictionary(DECISIONS))
             found.append([abs(float(s.estimate[0] / s.standard_error[0])) for s in scores])
     assert np.mean(z["truth"]) < 1.6
     assert np.max(z["truth"]) < 4.0
