@@ -20,10 +20,9 @@ from math import e, erfc, exp, inf, log, sqrt
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.compensation import error_of
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.clocks import RIVALS
-from odomcorrupt.study.estimate.heading_source import sees_travel
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
-from odomcorrupt.study.io.encoders import speeds_in_steps
 from odomcorrupt.study.select.decisions import DECISIONS
 
 if TYPE_CHECKING:
@@ -31,12 +30,12 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.random_effects import DetectedRandomEffect
     from odomcorrupt.study.select.result import Learned, Step
 
+_SHORT_ARM_M = 0.005
+"""Largest lever arm, m, that a larger wheel on an unknown track can imitate."""
 _DECAYING = ("hard_iron",)
 """Effects whose heading errors decay by themselves, as those of a filter with external poses do."""
 EVEN_ODDS = 0.5
 """Confidence below which a name is doubtful: reported with "perhaps", and dropped if held-out data contradict it."""
-_NOT_TESTABLE = "not testable"
-"""Beginning of the refusal of effects that a drive does not show."""
 HELD_OUT_ERRORS = 2.0
 """Standard errors by which the true held-out gain may exceed its estimate."""
 
@@ -100,8 +99,8 @@ def support_of(step: Step, learned: Learned) -> Support:
     rivals = (
         _may_be_filter(name, learned),
         _may_be_dead_band(name, learned),
+        _may_be_of_wheels(name, learned),
         learned.may_be_losses(name),  # lost increments have the same mean error
-        _may_be_untested(step, learned),
     )
     return Support(
         held_out_limit(name, gain, learned),
@@ -159,10 +158,9 @@ def _may_be_dead_band(name: str, learned: Learned) -> bool:
     return any(error_of(effect, motion)[:, 2].any() for motion in learned.fit.problem.motions)
 
 
-def _may_be_untested(step: Step, learned: Learned) -> bool:
-    """Return whether the part of an effect that turns may be that of one whose travel a gyro as truth cannot test."""
-    if sees_travel(learned.fit.problem.recordings):
+def _may_be_of_wheels(name: str, learned: Learned) -> bool:
+    """Return whether a small lever arm may be a larger wheel: of a curvature k on a track b it is k b^2 / 4."""
+    motion, arm = learned.fit.problem.motions[0], learned.fit.by_name.get("lever_arm")
+    if name != "lever_arm" or arm is None or motion.track_m is not None or "unequal_wheels" not in learned.fit.by_name:
         return False
-    stepwise = any(speeds_in_steps(recording) for recording in learned.fit.problem.recordings)
-    truncated = (c for c in step.candidates if c.name == "truncated_velocity" and c.refused.startswith(_NOT_TESTABLE))
-    return stepwise and any(c.score.nats > 0.0 for c in truncated)
+    return all(abs(getattr(arm, p.name)) < _SHORT_ARM_M for p in amplitudes(arm))

@@ -68,7 +68,8 @@ class Decisions:
     alternative_nats : effects within this gain of the best one are alternatives that the data do not separate; 3 nats
         are odds of 20 to 1
     rival_nats : a dependence is listed beside a name that gains at most this much more
-    replacement_nats : gain from which on an effect of an impossible sign is reported
+    replacement_nats : gain from which on an effect of an impossible sign, or a function of the time of a single drive,
+        is reported
     reshape_nats : gain in log likelihood of a refit that a refined shape requires
     common, rare_nats : effects that nearly every robot has, and the lower prior log probability of all others (2 nats
         are 7 to 1): nominal radii and tracks are never exact (Borenstein & Feng 1996), gyros have bias and scale

@@ -127,10 +127,11 @@ def learn(
 def _clock_choice(clocks: Clocks, recordings: Sequence[Recording], decisions: Decisions) -> ClockChoice:
     """Return which clock numbers are free in any case, and which ones compete with other terms.
 
-    A clock that is far off has errors that are not linear in it, and that no other term has.
+    A clock that is far off has errors that are not linear in it, and that no other term has. An offset competes even if
+    it is not significant by itself: at a steady speed it is a lever arm.
     """
     leaders = np.array(clock_leaders(recordings))
-    free = np.array(clocks.free, dtype=bool).reshape(-1, 2)
+    free = np.array(clocks.free, dtype=bool).reshape(-1, 2) | [True, False]
     lasts_s = np.array([float(r.truth_s[-1] - r.truth_s[0]) for r in recordings])
     shift_s = np.array([(abs(c.offset_s), abs(c.rate) * t) for c, t in zip(clocks.clocks, lasts_s, strict=True)])
     held = free & (shift_s > decisions.far_clock_s)
@@ -389,7 +390,7 @@ class _Selection:
         if not self.dictionary.recurring:
             timed = score_terms(self.fit, [t for t in self.dictionary.basis.values() if t.of_time], self.dictionary)
             best = max(timed, key=lambda one: one.nats, default=None)
-            if best is not None and best.nats > 0.0 and isinstance(best.term, BasisTerm):
+            if best is not None and best.nats > self.decisions.replacement_nats and isinstance(best.term, BasisTerm):
                 rivals.append(dependence_of(self.fit, best.term, best.nats, self.dictionary))
         kept = {effect.name for effect in self.fit.effects}
         final = with_robust_errors(self.fit, kept - self.given)
