@@ -11,7 +11,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit, fit_problem
-from odomcorrupt.study.estimate.noise_fit import outliers
+from odomcorrupt.study.estimate.noise_likelihood import outliers
 from odomcorrupt.study.estimate.outliers import slip_bursts
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.io.clock import Clock

@@ -3,7 +3,7 @@
 Correlation of the parameters: the errors of mean parameters (effects) and of variance parameters (noise) are
 independent to first order: the information matrix of a Gaussian likelihood has no block between the two. So there are
 two blocks. That of the effects comes from the normal equations, with clocks and mountings free. That of the noise comes
-from the curvature of the profile likelihood in the logarithms of the coefficients, with the noise of the truth free.
+from the average information on the logarithms of the coefficients, with the noise of the truth free.
 
 Profile-likelihood confidence intervals of the noise coefficients.
 
@@ -14,7 +14,6 @@ the range in which the profile likelihood is within 1.92 nats of its maximum (95
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -34,8 +33,8 @@ from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.drive_type import drive_type_of
 from odomcorrupt.study.estimate.extrinsics import find_setup, mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
-from odomcorrupt.study.estimate.noise_fit import without_process
-from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NAMES, NoiseLikelihood
+from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NAMES, NoiseLikelihood, pseudo_inverse
+from odomcorrupt.study.estimate.random_process import without_process
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import restore_lost
 from odomcorrupt.study.io.first_look import factors_of
@@ -271,10 +270,6 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
     )
 
 
-_STEP = 0.05
-"""Step of a finite difference in a log coefficient: above the likelihood's rounding, within its parabola."""
-
-
 def fit_correlation(fitted: Fit, columns: Array, known: Container[str]) -> Correlation:
     """Return the correlations between the parameters for which a model file has standard errors.
 
@@ -282,45 +277,17 @@ def fit_correlation(fitted: Fit, columns: Array, known: Container[str]) -> Corre
     known : names of the standard errors that the file keeps
     """
     names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
-    effects = fitted.noise.theta_covariance[: len(names), : len(names)]
-    noise_names, noise = _noise_covariance(fitted, columns)
-    whole = np.zeros((len(noise_names) + len(names),) * 2)
-    whole[: len(noise_names), : len(noise_names)] = noise
-    whole[len(noise_names) :, len(noise_names) :] = effects
+    active, noise = fitted.components.active, fitted.noise
+    positions = [i for i in range(len(active)) if noise.free[i] > np.log(LOWEST) + 1.0]
+    noise_names = [NAMES[active[i]] for i in positions]
+    likelihood = NoiseLikelihood(
+        fitted.problem.intervals, fitted.components, columns, noise.weights, headings=fitted.problem.headings
+    )
+    free = np.array([*positions, *range(len(active), len(noise.free))])
+    _, information = likelihood.derivatives(likelihood.evaluate(noise.free), free)
+    count = len(noise_names)
+    whole = np.zeros((count + len(names),) * 2)
+    whole[:count, :count] = pseudo_inverse(information)[:count, :count]
+    whole[count:, count:] = noise.theta_covariance[: len(names), : len(names)]
     every = Correlation.of_covariance([*noise_names, *names], whole)
     return every.among([name for name in every.names if name in known])
-
-
-def _noise_covariance(fitted: Fit, columns: Array) -> tuple[list[str], Array]:
-    """Return the names of the non-zero coefficients and the covariance (n, n) of their logarithms.
-
-    The covariance is all zeros (unknown) if the likelihood has no maximum at the fitted values.
-    """
-    active, best = fitted.components.active, fitted.noise.free
-    positions = [i for i in range(len(active)) if best[i] > np.log(LOWEST) + 1.0]
-    names = [NAMES[active[i]] for i in positions]
-    blank = np.zeros((len(names), len(names)))
-    likelihood = NoiseLikelihood(
-        fitted.problem.intervals, fitted.components, columns, fitted.noise.weights, headings=fitted.problem.headings
-    )
-
-    def value(*moves: tuple[int, float]) -> float:
-        free = best.copy()
-        for i, step in moves:
-            free[i] += step
-        return likelihood.evaluate(free).log_likelihood
-
-    top = value()
-    # a truth noise whose size does not change the likelihood is correlated with no coefficient
-    truth = range(len(active), len(best))
-    chosen = positions + [i for i in truth if value((i, _STEP)) < top and value((i, -_STEP)) < top]
-    curvature = np.zeros((len(chosen), len(chosen)))
-    for k, i in enumerate(chosen):
-        curvature[k, k] = (2.0 * top - value((i, _STEP)) - value((i, -_STEP))) / _STEP**2
-    for (k, i), (m, j) in combinations(enumerate(chosen), 2):
-        saddle = [value((i, a * _STEP), (j, b * _STEP)) for a in (1.0, -1.0) for b in (1.0, -1.0)]
-        curvature[k, m] = curvature[m, k] = -(saddle[0] - saddle[1] - saddle[2] + saddle[3]) / (4.0 * _STEP**2)
-    if not (np.isfinite(curvature).all() and np.linalg.eigvalsh(curvature).min(initial=np.inf) > 0.0):
-        return names, blank
-    covariance: Array = np.linalg.inv(curvature).astype(np.float64)
-    return names, covariance[: len(names), : len(names)]

@@ -9,17 +9,16 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.estimate.intervals import LEAST_INTERVALS
-from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise_beside
 from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents, pseudo_inverse
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, with_random
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, fit_noise_beside, with_random
 from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, bias_steps, has_bias
 from odomcorrupt.study.io.clock import Clock, clock_leaders, led
 
@@ -131,8 +130,9 @@ class Fit:
 
     def with_noise_refitted(self, random: Sequence[Effect]) -> Fit:
         """Return the fit with other random coefficients, only its noise estimated again, with the same weights."""
-        begin = NoiseStart(self.noise.free, self.noise.weights)
-        noise = _fitted_noise(self.problem, self.components, self.design_matrix, random, begin)
+        noise = _fitted_noise(
+            self.problem, self.components, self.design_matrix, random, start=self.noise.free, weights=self.noise.weights
+        )
         return dataclasses.replace(self, noise=noise, random=tuple(random))
 
     @property
@@ -223,8 +223,9 @@ def fit_problem(
             weights = _carried(weights, weighted, problem)
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.intervals, problem.steps, gyro_noise=approach.gyro_noise)
-        begin = NoiseStart(start, weights, elsewhere=i == 0, bursts=bursts)
-        noise = _fitted_noise(problem, components, columns, coefficients, begin)
+        noise = _fitted_noise(
+            problem, components, columns, coefficients, start=start, weights=weights, elsewhere=i == 0, bursts=bursts
+        )
         start, weighted = noise.free, problem
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         whole = noise.theta if held is None else _held_step(noise, begun, effects, held)
@@ -286,13 +287,13 @@ def _extrapolated(step: Array, before: Array, made: Array) -> Array:
 
 
 def _fitted_noise(
-    problem: Problem, components: VarianceComponents, columns: Array, random: Sequence[Effect], begin: NoiseStart
+    problem: Problem, components: VarianceComponents, columns: Array, random: Sequence[Effect], **begin: Any
 ) -> NoiseFit:
     """Return the noise of a problem with random coefficients; columns (K, 3, q) are its free linear parameters."""
     free_too = columns
     if has_bias(problem):
         free_too = np.concatenate((columns, bias_roots(problem)[:, :, :SHARED], *bias_steps(problem)), axis=2)
-    noise = fit_noise_beside(problem, components, free_too, random, begin)
+    noise = fit_noise_beside(problem, components, free_too, random, **begin)
     return with_random(noise, problem, columns, random)
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.linalg import eigh, orth
 
 from odomcorrupt.effects import registry
-from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise
-from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents
+from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents, fit_noise
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.truth_bias import SHARED, USUAL_WALK, bias_roots, bias_steps
 
@@ -46,7 +45,7 @@ def _walk_of(recording: Recording, approach: Approach) -> float:
     components = VarianceComponents(approach.law, problem.intervals, problem.steps)
     # with the walk free, it is not fitted as noise of each interval
     white = fit_noise(
-        problem.intervals, components, np.concatenate((beside, steps), axis=2), NoiseStart(), headings=problem.headings
+        problem.intervals, components, np.concatenate((beside, steps), axis=2), headings=problem.headings
     ).whitener
     known = orth(white.whiten(beside))
     root, residual = (x - known @ (known.T @ x) for x in map(white.whiten, (steps, problem.intervals.residual)))

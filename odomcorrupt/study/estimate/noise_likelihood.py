@@ -1,32 +1,35 @@
-"""Likelihood of the residuals as a function of the noise parameters, and its maximisation; linear terms are profiled.
+"""Maximum-likelihood fit of the noise coefficients and of the truth noise; linear terms are profiled.
 
 The maximum is found by Newton steps with the average information, within a box and a trust region. The average of
 observed and expected information needs no second derivatives and is never negative; near the maximum its steps are
-nearly Newton's (Gilmour, Thompson & Cullis 1995, Biometrics 51, 1440). It changes slowly, so it is recomputed only
-after a step whose gain differs from the predicted one.
+nearly Newton's (Gilmour, Thompson & Cullis 1995, Biometrics 51, 1440).
 
 The covariance of the residuals under a noise law is a weighted sum of fixed matrices, its variance components.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from scipy.linalg import blas, lapack
+from scipy.linalg import blas
+from scipy.optimize import lsq_linear
+from scipy.stats import chi2
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients, magnitudes
-from odomcorrupt.study.estimate.banded import inverse_band
 from odomcorrupt.study.estimate.whitener import (
     BAND,
     Whitener,
+    band_factor,
     band_of,
+    band_solve,
     factored,
     fixed_band,
+    half_log_det,
     odometry_piece,
     rho_of,
     truth_pieces,
@@ -121,10 +124,9 @@ _DEAD, _FAINT = 1e-4, 1e-3
 _MOST_STEPS = 60
 _FAR, _NEAREST = 3.0, 1e-3
 """Largest and smallest trust region, in logarithms."""
-_AS_PROMISED = 0.2
-"""Relative error of a step's predicted gain up to which the information matrix is kept."""
+_DIFFERENCE = 1e-5
+"""Step of the log determinant's difference, in logarithms; the maximum moves by half of it."""
 _RIDGE = 1e-6
-_SWEEPS, _STILL = 40, 1e-3
 _BENDS = (0.7, 3.0)
 """Bounds of the ratio of the curvature along a step to that of the information matrix."""
 
@@ -154,13 +156,43 @@ class NoiseFit:
     whitener: Whitener
     free: Array
 
+    @classmethod
+    def estimated(
+        cls,
+        white: Whitener,
+        stacked: Array,
+        *,
+        coefficients: Coefficients,
+        truth: TruthNoise,
+        weights: Array,
+        free: Array,
+    ) -> Self:
+        """Return the fit with given noise: columns by generalised least squares.
 
-@dataclass(frozen=True, slots=True)
-class _Box:
-    """Bounds (m,) of the maximisation; a parameter with equal bounds is held."""
+        stacked : (3 K, 1 + q) residual and columns, each contiguous in memory
+        """
+        whitened = white.whitened(stacked)
+        r, b = whitened[:, 0], whitened[:, 1:]
+        covariance = pseudo_inverse(b.T @ b)
+        theta = covariance @ (b.T @ r)
+        r = r - b @ theta
+        return cls(
+            coefficients=coefficients,
+            truth=truth,
+            log_likelihood=white.log_likelihood(r),
+            theta=theta,
+            theta_covariance=covariance,
+            weights=weights,
+            innovations=r,
+            whitener=white,
+            free=free,
+        )
 
-    low: Array
-    high: Array
+    def with_covariance(self, white: Whitener, stacked: Array) -> Self:
+        """Return the fit with another covariance of the same noise; `stacked` as in `estimated`."""
+        return self.estimated(
+            white, stacked, coefficients=self.coefficients, truth=self.truth, weights=self.weights, free=self.free
+        )
 
 
 class NoiseLikelihood:
@@ -189,14 +221,16 @@ class NoiseLikelihood:
         if not components.active:
             raise FitError("the odometry never moves; a noise law has nothing to act on")
         self._intervals, self._components, self._weights, self._headings = intervals, components, weights, headings
-        # arrays for LAPACK are in Fortran order, bands included
-        self._stacked = by_column(np.concatenate((intervals.residual[:, :, None], columns), axis=2))
+        self._stacked = with_residual(intervals, columns)
         bands = [band_of(*odometry_piece(intervals, part * weights[:, None, None])) for part in components.parts()]
         bands += [band_of(*piece) for piece in truth_pieces(intervals)]
         self._bands = np.stack([band.T for band in bands]).reshape(len(bands), -1)
         self._floor = np.asfortranarray(fixed_band(intervals))
         self._rho = rho_of(intervals)
         self._localised = bool(intervals.localised.all())
+        self._precision = np.zeros(len(components.active) + 3)
+        if self._localised:
+            self._precision[-3:-1] = _SPREAD**-2.0
 
     def initial_guess(self) -> Array:
         """Return noise parameters (m,) with which truth and odometry each explain part of the residual."""
@@ -209,32 +243,13 @@ class NoiseLikelihood:
     def evaluate(self, free: Array) -> NoiseFit:
         """Return the fit at given noise parameters, with columns estimated by generalised least squares."""
         coefficients, truth = self._unpack(free)
-        white = factored(self._sum(self._shares(free)) + self._floor, self._rho)
         k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
-        nothing = np.zeros(0)
-        blank = NoiseFit(
-            coefficients=k,
-            truth=truth,
-            log_likelihood=0.0,
-            theta=nothing,
-            theta_covariance=nothing,
-            weights=self._weights,
-            innovations=nothing,
-            whitener=white,
-            free=free,
-        )
-        return estimated(blank, white, self._stacked)
+        white = factored(self._covariance(free), self._rho)
+        return NoiseFit.estimated(white, self._stacked, coefficients=k, truth=truth, weights=self._weights, free=free)
 
     def posterior(self, noise: NoiseFit) -> float:
         """Return the log posterior of a fit, nats: its log likelihood plus the log prior of a localisation's errors."""
         return noise.log_likelihood + (prior_of_errors(noise.free[-3:-1]) if self._localised else 0.0)
-
-    def _usual(self, free: Array) -> Array:
-        """Return the prior median (m,) of the noise parameters; those without a prior keep their value."""
-        usual = free.copy()
-        if self._localised:
-            usual[-3:-1] = _USUAL
-        return usual
 
     def maximise(self, free: Array, *, fixed: int | None = None) -> NoiseFit:
         """Return the fit of largest posterior from a start (m,); less precise with one held (for a profile)."""
@@ -247,7 +262,7 @@ class NoiseLikelihood:
             high[-1] = low[-1]
         if fixed is not None:
             low[fixed] = high[fixed] = free[fixed]
-        return self._ascend(np.clip(free, low, high), _Box(low, high), _NATS if fixed is None else _PROFILE_NATS)
+        return self._ascend(np.clip(free, low, high), low, high, _NATS if fixed is None else _PROFILE_NATS)
 
     def restart(self, done: NoiseFit) -> NoiseFit:
         """Return the better of a maximum and the one reached from a start without near-zero coefficients.
@@ -268,79 +283,63 @@ class NoiseLikelihood:
         lively = np.where(coefficients < np.log(_DEAD), np.log(_FAINT), coefficients)
         return np.concatenate((lively, np.maximum(truth, np.log(_DEAD))))
 
-    def slope(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
-        """Return the gradient (m,) of the log posterior in the movable parameters, with the columns held.
+    def derivatives(self, done: NoiseFit, movable: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return slope (m,) and average information (m, m) of the log posterior in the movable parameters.
 
-        With p = V^-1 r, it is half of p' dV p - trace(V^-1 dV), plus the prior's; dV is inside the band.
+        With the columns held and p = V^-1 r, the slope of the log likelihood is half of p' dV p, less the change of
+        half the log determinant. The information is half of (dV p)' P (dV p) (Gilmour, Thompson & Cullis 1995, eq. 5).
         """
-        factor = done.whitener.factor
-        pull, _ = lapack.dtbtrs(factor, done.innovations, uplo="L", trans="T")
-        lever = -inverse_band(factor)
-        for below in range(BAND + 1):
-            count = len(pull) - below
-            lever[below, :count] += pull[below:] * pull[:count]
-        # entries below the diagonal also count for those above it
-        lever[0] *= 0.5
-        by_band = self._bands @ np.ascontiguousarray(lever.T).ravel()
-        prior = (self._usual(done.free) - done.free) / _SPREAD**2
-        return (self._share_slopes(done.free) @ by_band + prior)[movable]
-
-    def information(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
-        """Return the average information (m, m) of the movable parameters.
-
-        Gilmour, Thompson & Cullis 1995, Biometrics 51, eq. 5: half of (dV p)' P (dV p), with p = P r.
-        """
-        white = done.whitener
-        pull, _ = lapack.dtbtrs(white.factor, done.innovations, uplo="L", trans="T")
+        factor, whole = done.whitener.factor, self._covariance(done.free)
+        pull = band_solve(factor, done.innovations[:, None], transposed=True)[:, 0]
         changes = self._share_slopes(done.free)[movable] @ self._bands
-        rows = self._floor.shape[::-1]
-        pushes = np.empty((len(pull), len(movable)), order="F")
+        growth, pushes = np.empty(len(movable)), np.empty((len(pull), len(movable)), order="F")
         for i, change in enumerate(changes):
-            pushes[:, i] = blas.dsbmv(BAND, 1.0, change.reshape(rows).T, pull, lower=1)
-        pushes = white.solved(pushes)
-        information: Array = 0.5 * pushes.T @ pushes
-        if self._localised:
-            sizes = np.isin(movable, len(done.free) - np.array([3, 2]))
-            information += np.diag(sizes / _SPREAD**2)
-        return information
+            band = change.reshape(whole.shape[::-1]).T
+            growth[i] = half_log_det(band_factor(whole + _DIFFERENCE * band)) - done.whitener.log_det
+            pushes[:, i] = blas.dsbmv(BAND, 1.0, band, pull, lower=1)
+        white = band_solve(factor, pushes)
+        usual = np.zeros(len(done.free))
+        usual[-3:-1] = _USUAL
+        prior = (self._precision * (usual - done.free))[movable]
+        slope: Array = 0.5 * pull @ pushes - growth / _DIFFERENCE + prior
+        information: Array = 0.5 * white.T @ white + np.diag(self._precision[movable])
+        return slope, information
 
-    def _ascend(self, begin: Array, box: _Box, enough: float) -> NoiseFit:
-        """Return the maximum reached from `begin`; ends when the next step's predicted gain is below `enough` nats."""
-        movable = np.flatnonzero(box.low < box.high)
+    def _ascend(self, begin: Array, low: Array, high: Array, enough: float) -> NoiseFit:
+        """Return the maximum reached from `begin` (m,) between bounds (m,); equal bounds hold a parameter.
+
+        Ends when the next step's predicted gain is below `enough` nats.
+        """
+        movable = np.flatnonzero(low < high)
         done, reach, bend = self.evaluate(begin), _FAR, 1.0
-        slope, information, fresh = (self.slope(done, movable), self.information(done, movable), True)
+        slope, information = self.derivatives(done, movable)
         for _ in range(_MOST_STEPS):
             here = done.free[movable]
-            room = (np.maximum(box.low[movable] - here, -reach), np.minimum(box.high[movable] - here, reach))
+            room = np.maximum(low[movable] - here, -reach), np.minimum(high[movable] - here, reach)
             step = _best_step(slope, bend * information, *room)
-            promise = float(slope @ step - 0.5 * bend * step @ information @ step)
-            if promise < enough:
-                # the information is fresh, or its last prediction was right
+            curvature = float(step @ information @ step)
+            if float(slope @ step) - 0.5 * bend * curvature < enough:
                 break
             free = done.free.copy()
             free[movable] += step
-            new = self.evaluate(np.clip(free, box.low, box.high))
-            gain = self.posterior(new) - self.posterior(done)
-            if gain > 0.0:
-                done, before, slope = new, slope, self.slope(new, movable)
+            new = self.evaluate(np.clip(free, low, high))
+            if self.posterior(new) > self.posterior(done):
+                done, before = new, slope
+                slope, information = self.derivatives(new, movable)
                 reach = min(2.0 * reach, _FAR)
                 # outliers make the curvature at the maximum larger than the average information
-                bend = float(np.clip((before - slope) @ step / (step @ information @ step), *_BENDS))
-                if abs(gain - promise) < _AS_PROMISED * promise:
-                    fresh = False
-                    continue
-            elif fresh:
+                bend = float(np.clip((before - slope) @ step / curvature, *_BENDS))
+            else:
                 reach = 0.3 * min(reach, float(np.abs(step).max()))
                 if reach < _NEAREST:
                     break
-                continue
-            information, fresh = self.information(done, movable), True
         return done
 
-    def _shares(self, free: Array) -> Array:
-        """Return the weight of every band."""
+    def _covariance(self, free: Array) -> Array:
+        """Return the band (6, 3 K) of the covariance."""
         coefficients, truth = self._unpack(free)
-        return np.concatenate((self._components.shares(coefficients), truth_weights(truth)))
+        shares = np.concatenate((self._components.shares(coefficients), truth_weights(truth)))
+        return (shares @ self._bands).reshape(self._floor.shape[::-1]).T + self._floor
 
     def _share_slopes(self, free: Array) -> Array:
         """Return the derivatives (m, bands) of every band's weight by every parameter."""
@@ -350,10 +349,6 @@ class NoiseLikelihood:
         slopes[: len(own), : own.shape[1]] = own
         slopes[len(own) :, own.shape[1] :] = 2.0 * np.diag(of_truth)
         return slopes
-
-    def _sum(self, shares: Array) -> Array:
-        """Return the weighted sum of the bands."""
-        return (shares @ self._bands).reshape(self._floor.shape[::-1]).T
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
         """Return coefficients (8,) and truth noise; a coefficient at its lower bound is exactly zero."""
@@ -370,43 +365,18 @@ class NoiseLikelihood:
 def _best_step(slope: Array, information: Array, low: Array, high: Array) -> Array:
     """Return the step (m,) to the maximum of a quadratic within bounds that contain zero."""
     whole = information + _RIDGE * np.eye(len(slope))
-    step = np.linalg.solve(whole, slope)
-    inside: Array = np.clip(step, low, high)
-    if np.array_equal(inside, step):
-        return inside
-    # coordinate descent: maximise over each parameter with the others held
-    for _ in range(_SWEEPS):
-        before = inside.copy()
-        for i in range(len(slope)):
-            inside[i] += (slope[i] - whole[i] @ inside) / whole[i, i]
-            inside[i] = min(max(inside[i], low[i]), high[i])
-        if np.abs(inside - before).max() < _STILL:
-            break
-    return inside
+    step: Array = np.linalg.solve(whole, slope).astype(np.float64, copy=False)
+    if np.all((low <= step) & (step <= high)):
+        return step
+    root = np.linalg.cholesky(whole)
+    bounded: Array = lsq_linear(root.T, np.linalg.solve(root, slope), (low, high), method="bvls").x
+    return bounded
 
 
-def by_column(columns: Array) -> Array:
-    """Return columns (K, 3, c) as (3 K, c), each contiguous in memory."""
-    return np.asfortranarray(columns.reshape(-1, columns.shape[2]))
-
-
-def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
-    """Return a fit with its linear part re-estimated; `stacked` (3 K, 1 + m) is the residual and the columns."""
-    whitened = white.whitened(stacked)
-    r, b = whitened[:, 0], whitened[:, 1:]
-    theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
-    if b.shape[1]:
-        covariance = pseudo_inverse(b.T @ b)
-        theta = covariance @ (b.T @ r)
-        r = r - b @ theta
-    return replace(
-        noise,
-        log_likelihood=white.log_likelihood(r),
-        theta=theta,
-        theta_covariance=covariance,
-        innovations=r,
-        whitener=white,
-    )
+def with_residual(intervals: Intervals, columns: Array) -> Array:
+    """Return the residuals and columns (K, 3, c) as (3 K, 1 + c), each contiguous in memory, as LAPACK needs them."""
+    both = np.concatenate((intervals.residual[:, :, None], columns), axis=2)
+    return np.asfortranarray(both.reshape(-1, both.shape[2]))
 
 
 def pseudo_inverse(normal: Array) -> Array:
@@ -418,3 +388,71 @@ def pseudo_inverse(normal: Array) -> Array:
     scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
     both = np.outer(scale, scale)
     return np.linalg.pinv(normal * both, rcond=1e-10, hermitian=True) * both
+
+
+_ROBUST_ROUNDS = 5
+_CHANCE, _SIGNAL = 0.002, 0.05
+"""Fraction of outliers, or probability of the largest, that chance explains; fraction above which they are signal."""
+_OUTLIER = float(chi2.isf(2e-4, 3))
+"""Sum of squared innovations above which a node is an outlier: 1 in 5000 by chance, so trimming adds no bias."""
+
+
+def outliers(square: Array) -> NDArray[np.bool_]:
+    """Return a mask (K,) of the intervals that are outliers; none if chance explains their number and size.
+
+    square : (K,) sums of three squared innovations. The largest of K normal triples exceeds its limit in one fit of
+        500, so a single jump of the truth is an outlier in a recording of any length
+    """
+    odd: NDArray[np.bool_] = square > _OUTLIER
+    by_chance = odd.mean() < _CHANCE and not (square > chi2.isf(_CHANCE / len(square), 3)).any()
+    return np.zeros_like(odd) if by_chance else odd
+
+
+def fit_noise(
+    intervals: Intervals,
+    components: VarianceComponents,
+    columns: Array,
+    *,
+    headings: bool = True,
+    start: Array | None = None,
+    weights: Array | None = None,
+    elsewhere: bool = False,
+    bursts: bool = False,
+) -> NoiseFit:
+    """Return maximum-likelihood coefficients and truth noise; columns (K, 3, q) are free linear terms throughout.
+
+    Intervals with innovations too large for chance get a larger covariance, which never shrinks again, and the fit is
+    repeated: slips and gross errors of the truth are then not fitted as noise. If more than a few per cent of the
+    intervals are outliers they are signal, and the fit without weights is returned.
+
+    headings : whether the truth has headings; if not, its heading noise is held at a large constant
+    start : (m,) noise of an earlier fit, see `NoiseFit.free`; default: an initial guess
+    weights : (K,) robust weights to keep, so that likelihoods can be compared; default: estimated
+    elsewhere : whether `start` is from a fit with other columns; then the fit is also tried from revived coefficients
+    bursts : whether the model has slip bursts; then any number of outliers is accepted
+    """
+
+    def weighted(weights: Array) -> NoiseLikelihood:
+        return NoiseLikelihood(intervals, components, columns, weights, headings=headings)
+
+    likelihood = weighted(np.ones(len(intervals)) if weights is None else weights)
+    guess = likelihood.initial_guess()
+    if start is None or len(start) != len(guess):
+        plain = likelihood.restart(likelihood.maximise(guess))
+    elif weights is not None:
+        plain = likelihood.maximise(start)
+    else:
+        # a coefficient that fell to zero while effects were still wrong may be non-zero now
+        plain = likelihood.maximise(likelihood.revived(start))
+        plain = likelihood.restart(plain) if elsewhere else plain
+    if weights is not None:
+        return plain
+    done = plain
+    for _ in range(_ROBUST_ROUNDS):
+        square = np.sum(done.innovations.reshape(-1, 3) ** 2, axis=1)
+        worse = outliers(square)
+        if not worse.any():
+            break
+        likelihood = weighted(np.where(worse, done.weights * square / 3.0, done.weights))
+        done = likelihood.maximise(likelihood.revived(done.free))
+    return plain if np.mean(done.weights > 1.0) > _SIGNAL and not bursts else done

@@ -1,4 +1,9 @@
-"""Random coefficients as Gaussian processes over the intervals: their columns, and a whitener that includes them."""
+"""Random coefficients as Gaussian processes over the intervals: their columns, and a whitener that includes them.
+
+The variation that they explain must not be counted again as noise of each step. The process is drawn from its posterior
+and subtracted, and the noise of the rest is fitted, over a few iterations. A draw, unlike the posterior mean, leaves
+the right amount of noise: stochastic EM (Celeux & Diebolt 1985, Computational Statistics Quarterly 2, section 2).
+"""
 
 from __future__ import annotations
 
@@ -10,17 +15,17 @@ from scipy.sparse import block_diag, csr_array, diags_array, hstack
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
-from odomcorrupt.study.estimate.banded import band_factor, band_solve, sparse_band
-from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
+from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood, fit_noise, with_residual
 from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
-from odomcorrupt.study.estimate.whitener import KnotPosterior
+from odomcorrupt.study.estimate.whitener import KnotPosterior, band_factor, band_solve, sparse_band
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.estimate.noise_likelihood import NoiseFit
+    from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, VarianceComponents
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.estimate.whitener import Whitener
 
@@ -36,6 +41,12 @@ _COARSELY, FINELY = 2.0, 8.0
 _LEAST_SCALE = 1e-9
 _WALK_S = 20.0
 _BREAK_S = 1e3
+_MOST_ROUNDS, _SETTLED = 8, 0.03
+"""Largest number of draws of a process, and the change of a log coefficient at which they end: about as large as the
+scatter between draws."""
+_FAINT = 1e-4
+"""Noise below this is negligible; its logarithm is not tested for convergence."""
+_SEED = 20261121
 
 
 def part_name(effect: Effect) -> str:
@@ -99,6 +110,69 @@ class Process:
         return _WALK_S if self.tau is None else self.tau
 
 
+def fit_noise_beside(
+    problem: Problem,
+    components: VarianceComponents,
+    columns: Array,
+    random: Sequence[Effect],
+    *,
+    start: Array | None = None,
+    weights: Array | None = None,
+    elsewhere: bool = False,
+    bursts: bool = False,
+) -> NoiseFit:
+    """Return the noise fitted to the residuals without the random coefficients' part; see `fit_noise` for the rest."""
+    intervals, headings = problem.intervals, problem.headings
+    if not random or start is None:
+        noise = fit_noise(
+            intervals, components, columns,
+            headings=headings, start=start, weights=weights, elsewhere=elsewhere, bursts=bursts,
+        )  # fmt: skip
+        if not random:
+            return noise
+    else:
+        even = np.ones(len(intervals)) if weights is None else weights
+        noise = NoiseLikelihood(intervals, components, columns, even, headings=headings).evaluate(start)
+    knots = joined([knots_of(effect, problem) for effect in random])
+    for normal in _normals(knots):
+        before = noise.free
+        rest = replace(intervals, residual=intervals.residual - _drawn(noise, problem, columns, knots, normal))
+        noise = fit_noise(rest, components, columns, headings=headings, start=before, weights=weights, bursts=bursts)
+        weights = noise.weights
+        plain = before > np.log(_FAINT)
+        if np.abs(noise.free - before)[plain].max(initial=0.0) < _SETTLED:
+            break
+    return noise
+
+
+def without_process(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> Intervals:
+    """Return the intervals with a posterior draw of the random coefficients subtracted; the step noise is left."""
+    if not random:
+        return problem.intervals
+    knots = joined([knots_of(effect, problem) for effect in random])
+    drawn = _drawn(noise, problem, columns, knots, _normals(knots)[0])
+    return replace(problem.intervals, residual=problem.intervals.residual - drawn)
+
+
+def _normals(knots: Knots) -> Array:
+    """Return standard normal draws, one row per round; always the same for the same process."""
+    return np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, len(knots.time_s)))
+
+
+def _drawn(noise: NoiseFit, problem: Problem, columns: Array, knots: Knots, normal: Array) -> Array:
+    """Return a posterior draw (K, 3) of the processes' contribution to the residuals."""
+    whiten = noise.whitener.whiten
+    r, design = whiten(problem.intervals.residual)[:, None], whiten(columns)
+    posterior = KnotPosterior.of(noise.whitener.knots(knots.spread), knots.precision)
+    if columns.shape[2]:
+        own = posterior.scores(design)
+        normal_matrix = design.T @ design - own.T @ own
+        theta = np.linalg.lstsq(normal_matrix, design.T @ r - own.T @ posterior.scores(r), rcond=None)[0]
+        r = r - design @ theta
+    process: Array = knots.spread @ posterior.values(posterior.scores(r) + normal[:, None])
+    return process.reshape(-1, 3)
+
+
 def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
     """Return a noise fit with random coefficients and the truth's bias in its covariance, its linear part re-estimated.
 
@@ -107,7 +181,7 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
     if not random and not has_bias(problem):
         return noise
     wider = widened(noise.whitener, problem, random)
-    return estimated(noise, wider, by_column(np.concatenate((problem.intervals.residual[:, :, None], columns), axis=2)))
+    return noise.with_covariance(wider, with_residual(problem.intervals, columns))
 
 
 def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFit:
@@ -116,8 +190,7 @@ def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFi
     if white.process is None:
         return noise
     plain = replace(white, process=None, log_det=white.log_det - white.process.log_growth)
-    plain = widened(plain, problem, ())
-    return estimated(noise, plain, by_column(np.concatenate((problem.intervals.residual[:, :, None], columns), axis=2)))
+    return noise.with_covariance(widened(plain, problem, ()), with_residual(problem.intervals, columns))
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:

@@ -11,11 +11,11 @@ rho_k = m_{k-1} B_k B_{k-1}^-1 and B_k = A_k N_k - m_k N_{k+1}, contain only the
 map into those of a node). Their covariance is block tridiagonal again. They have the same likelihood as the residuals,
 because the transformation between the two has determinant 1.
 
-Knots of a random process: their whitened columns, and their posterior given whitened residuals.
-
 The values of a Markov process at its knots have a banded precision, and so has their posterior, because a knot acts
 only between its neighbours (Rue & Held 2005, Gaussian Markov Random Fields, sections 2.4 and 3.1). The covariance that
 the process adds to the residuals is never formed.
+
+Banded matrices are in LAPACK's lower storage: entry (i, j) of a matrix (n, n) is band[i - j, j], shape (b + 1, n).
 """
 
 from __future__ import annotations
@@ -24,73 +24,49 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from scipy.linalg import lapack
+from scipy.sparse import csc_array, hstack
 
-from odomcorrupt.study.estimate.banded import band_factor, band_solve, diagonals, half_log_det, sparse_band
+from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from scipy.sparse import csr_array
+    from scipy.sparse import csr_array, sparray
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
 
 
-@dataclass(frozen=True, slots=True)
-class WhitenedKnots:
-    """L^-1 S of a sparse S (3 K, k), stored as blocks of columns over the rows in which they are not negligible.
+def band_factor(band: Array) -> Array:
+    """Return the banded Cholesky factor L of a positive definite matrix, both (b + 1, n)."""
+    factor, info = lapack.dpbtrf(band, lower=1)
+    if info != 0:
+        raise FitError("the covariance of the residuals is not positive definite")
+    return factor
 
-    A knot acts only between its neighbours, and L^-1 decays after it. Dense columns would slow down every product.
 
-    blocks : first row, first knot, and values (rows, knots) of each block, in order of knots
-    count : number of knots k
-    """
+def band_solve(factor: Array, flat: Array, *, transposed: bool = False) -> Array:
+    """Return L^-1 z, or L^-T z, for z of shape (n, c) and a lower banded L (b + 1, n)."""
+    if not flat.size:  # LAPACK must not be called without columns
+        return flat
+    solved, info = lapack.dtbtrs(factor, flat, uplo="L", trans="T" if transposed else "N")
+    if info != 0:
+        raise FitError("the covariance of the residuals is singular")
+    return solved
 
-    blocks: tuple[tuple[int, int, Array], ...]
-    count: int
 
-    def inner(self, other: WhitenedKnots) -> Array:
-        """Return S' V^-1 T (k, l) with other knots T, whitened by the same factor."""
-        inner = np.zeros((self.count, other.count))
-        for knot, there, own, values in self._overlaps(other):
-            inner[knot : knot + own.shape[1], there : there + values.shape[1]] = own.T @ values
-        return inner
+def half_log_det(factor: Array) -> float:
+    """Return half the log determinant of a matrix with Cholesky factor (b + 1, n)."""
+    return float(np.log(factor[0]).sum())
 
-    def _overlaps(self, other: WhitenedKnots) -> Iterator[tuple[int, int, Array, Array]]:
-        """Yield the first knots of two blocks that share rows, and the values of each on these rows."""
-        for row, knot, own in self.blocks:
-            for later, there, values in other.blocks:
-                begin, end = max(row, later), min(row + len(own), later + len(values))
-                if begin < end:
-                    yield knot, there, own[begin - row : end - row], values[begin - later : end - later]
 
-    def information(self, precision: csr_array) -> Array:
-        """Return S' V^-1 S + Q (b + 1, k), as a lower band, for the precision Q (k, k) of the knots' prior."""
-        below = ((knot, there, own, values) for knot, there, own, values in self._overlaps(self) if there >= knot)
-        products = [(there, knot, values.T @ own) for knot, there, own, values in below]
-        prior = precision.tocoo()
-        width = max((there + block.shape[0] - 1 - knot for there, knot, block in products), default=0)
-        width = min(max(width, int((prior.row - prior.col).max())), self.count - 1)
-        whole = np.zeros((self.count + width, self.count))
-        for there, knot, block in products:
-            whole[there : there + block.shape[0], knot : knot + block.shape[1]] = block
-        whole[prior.row, prior.col] += prior.data
-        return np.asfortranarray(diagonals(whole, width))
-
-    def products(self, white: Array) -> Array:
-        """Return S' L^-T z (k, c) of whitened data (3 K, c)."""
-        products = np.zeros((self.count, white.shape[1]))
-        for row, knot, values in self.blocks:
-            products[knot : knot + values.shape[1]] = values.T @ white[row : row + len(values)]
-        return products
-
-    def columns(self, values: Array, rows: int) -> Array:
-        """Return L^-1 S x (3 K, c) of values x (k, c) at the knots; rows is 3 K."""
-        columns = np.zeros((rows, values.shape[1]), order="F")
-        for row, knot, own in self.blocks:
-            columns[row : row + len(own)] += own @ values[knot : knot + own.shape[1]]
-        return columns
+def sparse_band(matrix: sparray, width: int | None = None) -> Array:
+    """Return the lower band (width + 1, n) of a symmetric sparse matrix (n, n); by default as wide as necessary."""
+    entries = matrix.tocoo()
+    below = entries.row - entries.col
+    band = np.zeros((int(below.max()) + 1 if width is None else width + 1, matrix.shape[0]), order="F")
+    band[below[below >= 0], entries.col[below >= 0]] = entries.data[below >= 0]
+    return band
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,18 +77,18 @@ class KnotPosterior:
     whitened for the process, too, by T = I - W (C + D)^-T C^-1 W', because T' T = I - W (Q + W' W)^-1 W' (a square root
     as in Andrews 1968, AIAA Journal 6(6), with banded factors).
 
-    knots : W
+    knots : W (3 K, k), sparse
     factor, prior : C and D, lower banded (b + 1, k)
     """
 
-    knots: WhitenedKnots
+    knots: csc_array
     factor: Array
     prior: Array
 
     @classmethod
-    def of(cls, knots: WhitenedKnots, precision: csr_array) -> Self:
+    def of(cls, knots: csc_array, precision: csr_array) -> Self:
         """Return the posterior for the precision (k, k) of the prior."""
-        information = knots.information(precision)
+        information = sparse_band(knots.T @ knots + precision)
         prior = sparse_band(precision, len(information) - 1)
         return cls(knots, band_factor(information), band_factor(prior))
 
@@ -123,7 +99,7 @@ class KnotPosterior:
 
     def scores(self, white: Array) -> Array:
         """Return C^-1 W' z (k, c) of band-whitened data z (3 K, c)."""
-        return band_solve(self.factor, self.knots.products(white))
+        return band_solve(self.factor, self.knots.T @ white)
 
     def values(self, scores: Array) -> Array:
         """Return values C^-T y (k, c) at the knots: of `scores` the posterior mean, of normals its deviations."""
@@ -133,10 +109,10 @@ class KnotPosterior:
         """Return z - T z, or z - T' z, of band-whitened data z (3 K, c)."""
         both = self.factor + self.prior
         if transposed:
-            values = self.values(band_solve(both, self.knots.products(white)))
+            values = self.values(band_solve(both, self.knots.T @ white))
         else:
             values = band_solve(both, self.scores(white), transposed=True)
-        return self.knots.columns(values, len(white))
+        return self.knots @ values
 
 
 FLOOR = np.array([1e-10, 1e-10, 1e-12])
@@ -144,12 +120,9 @@ FLOOR = np.array([1e-10, 1e-10, 1e-12])
 BAND = 5
 _KEPT = (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
 _TINY = 1e-18 * np.eye(3)
-
-
-_KNOTS, _ROWS = 32, 96
-"""Number of knots that are whitened together, and of rows after them in the first attempt."""
-_FADED = 1e-11
-"""Fraction of its largest value below which a knot's contribution to later innovations is dropped."""
+_KNOTS, _FADED = 32, 1e-11
+"""Number of knots that are whitened together; fraction of its largest value below which a knot's contribution to later
+innovations is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,48 +145,29 @@ class Whitener:
         solved = self.whitened(columns.reshape(self.factor.shape[1], -1))
         return solved[:, 0] if columns.ndim == 2 else solved
 
-    def solved(self, flat: Array) -> Array:
-        """Return L^-1 z for quasi-differences z of shape (3 K, c)."""
-        return band_solve(self.factor, flat)
-
     def whitened(self, flat: Array) -> Array:
         """Return L^-1 x like `whiten`, for x of shape (3 K, c)."""
         white = self._by_band(flat)
         return white if self.process is None else white - self.process.lost(white)
 
-    def knots(self, spread: csr_array) -> WhitenedKnots:
-        """Return L^-1 S of the knots of a process (3 K, k), whitened by the band alone."""
-        by_knot, rows = spread.tocsc(), spread.shape[0]
-        blocks = []
+    def knots(self, spread: csr_array) -> csc_array:
+        """Return L^-1 S (3 K, k) of the knots of a process (3 K, k), whitened by the band alone.
+
+        A knot acts only between its neighbours, and L^-1 decays after it: what is negligible is left out.
+        """
+        by_knot, parts = spread.tocsc(), []
         for knot in range(0, spread.shape[1], _KNOTS):
-            own = by_knot[:, knot : knot + _KNOTS]
-            if not own.nnz:
-                continue
-            first, last = 3 * (int(own.indices.min()) // 3), int(own.indices.max()) + 1
-            length = _ROWS
-            while True:
-                end = min(3 * (-(-last // 3)) + length, rows)
-                part = replace(
-                    self,
-                    factor=self.factor[:, first:end],
-                    rho=None if self.rho is None else self.rho[first // 3 : end // 3],
-                )
-                values = part._by_band(own[first:end].toarray(order="F"))  # noqa: SLF001 - of the same class
-                if end == rows or np.abs(values[-2 * BAND :]).max() <= _FADED * np.abs(values).max():
-                    break
-                length *= 3
-            size = np.abs(values).max(axis=1)
-            there = np.flatnonzero(size > _FADED * size.max(initial=0.0))
-            if len(there):
-                blocks.append((first, knot, np.asfortranarray(values[: there[-1] + 1])))
-        return WhitenedKnots(tuple(blocks), spread.shape[1])
+            values = self._by_band(by_knot[:, knot : knot + _KNOTS].toarray(order="F"))
+            size = np.abs(values)
+            parts.append(csc_array(np.where(size > _FADED * size.max(axis=0), values, 0.0)))
+        return csc_array(hstack(parts, format="csc"))
 
     def information(self, spread: csr_array) -> Array:
         """Return W' W (k, k) of the whitened columns W of a sparse S (3 K, k)."""
         knots = self.knots(spread)
-        information = knots.inner(knots)
+        information: Array = (knots.T @ knots).toarray()
         if self.process is not None:
-            along = band_solve(self.process.factor, self.process.knots.inner(knots))
+            along = band_solve(self.process.factor, (self.process.knots.T @ knots).toarray(order="F"))
             information -= along.T @ along
         return information
 
@@ -223,20 +177,18 @@ class Whitener:
 
     def transposed(self, white: Array) -> Array:
         """Return L^-T z (3 K, c) of whitened data z (3 K, c), the transpose of `whitened`."""
-        return self._back(white if self.process is None else white - self.process.lost(white, transposed=True))
+        if self.process is not None:
+            white = white - self.process.lost(white, transposed=True)
+        back = band_solve(self.factor, white, transposed=True)
+        if self.rho is None:
+            return back
+        blocks = back.reshape(len(self.rho), 3, -1)
+        carried = np.einsum("kji,kjc->kic", self.rho[1:], blocks[1:])
+        return np.concatenate((blocks[:-1] - carried, blocks[-1:])).reshape(white.shape)
 
     def _by_band(self, flat: Array) -> Array:
         """Return x of shape (3 K, c) whitened by the band alone."""
-        return self.solved(flat if self.rho is None else quasi_differences(flat, self.rho))
-
-    def _back(self, white: Array) -> Array:
-        """Return the transpose of `_by_band` applied to data (3 K, c)."""
-        back = band_solve(self.factor, white, transposed=True)
-        if self.rho is not None:
-            blocks = back.reshape(len(self.rho), 3, -1)
-            carried = np.einsum("kji,kjc->kic", self.rho[1:], blocks[1:])
-            back = np.concatenate((blocks[:-1] - carried, blocks[-1:])).reshape(white.shape)
-        return back
+        return band_solve(self.factor, flat if self.rho is None else quasi_differences(flat, self.rho))
 
     def log_likelihood(self, innovations: Array) -> float:
         """Return the log density, nats, of residuals whose whitened values (3 K,) are given."""
@@ -246,8 +198,9 @@ class Whitener:
 
 def interval_covariance(intervals: Intervals, q: Array, truth: TruthNoise) -> Array:
     """Return the marginal covariance (K, 3, 3) of residuals: noise q of the odometry plus the truth's at both ends."""
-    total = q + unseen_piece(intervals)[0]
-    for weight, diagonal in zip(truth_weights(truth), _single_pieces(intervals), strict=True):
+    alone = replace(intervals, linked=np.zeros_like(intervals.linked))
+    total = q + unseen_piece(alone)[0]
+    for weight, (diagonal, _) in zip(truth_weights(truth), truth_pieces(alone), strict=True):
         total += weight * diagonal
     total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
     return total
@@ -264,16 +217,20 @@ def truth_pieces(intervals: Intervals) -> list[tuple[Array, Array]]:
     Each is a pair: the contribution to the covariance (K, 3, 3) of each residual (or quasi-difference, if errors of the
     truth are correlated) and to that with the previous one (K - 1, 3, 3).
     """
-    if intervals.memory.any():
-        pieces = _correlated_pieces(intervals)
-    else:
-        a = _adjoint_of_inverse(intervals.truth_step)
-        pieces = [
-            _at_ends(intervals, a, kept @ intervals.start_shape @ kept, kept @ intervals.end_shape @ kept)
-            for kept in _KEPT
-        ]
-    pieces.append(odometry_piece(intervals, _random_walk(intervals)))
-    return pieces
+    start, end, b = map_axes(intervals)
+    rho, linked = rho_of(intervals), intervals.linked
+    # the new error at the interval's end, and that of the previous end; the first of a chain has the full variance
+    before = b if rho is None else b + rho @ start
+    fresh = 1.0 - intervals.memory**2
+    earlier = np.where(linked, np.concatenate(([1.0], fresh[:-1])), 1.0)
+    pieces = []
+    for kept in _KEPT:
+        diagonal = _congruent(end, kept, fresh) + _congruent(before, kept, earlier)
+        below = before[1:] @ kept @ np.swapaxes(end[:-1], 1, 2)
+        pieces.append((diagonal, -below * (earlier * linked)[1:, None, None]))
+    walk = np.zeros((len(intervals), 3, 3))
+    walk[:, [0, 1], [0, 1]] = (intervals.random_walk_level**2 * (intervals.end_s - intervals.start_s))[:, None]
+    return [*pieces, odometry_piece(intervals, walk)]
 
 
 def odometry_piece(intervals: Intervals, q: Array) -> tuple[Array, Array]:
@@ -299,39 +256,6 @@ def rho_of(intervals: Intervals) -> Array | None:
     return rho
 
 
-def _correlated_pieces(intervals: Intervals) -> list[tuple[Array, Array]]:
-    """Return the contributions of unit correlated truth errors to quasi-differences, for position and heading."""
-    start, end, b = map_axes(intervals)
-    rho = rho_of(intervals)
-    linked = intervals.linked[:, None, None]
-    # the new error at the interval's end, and that of the previous end; the first of a chain has the full variance
-    before = b + (0.0 if rho is None else rho @ start)
-    fresh = 1.0 - intervals.memory**2
-    earlier = np.where(intervals.linked, np.concatenate(([1.0], fresh[:-1])), 1.0)
-    before = np.where(linked, before, b)
-    pieces = []
-    for kept in _KEPT:
-        diagonal = _congruent(end, kept, fresh) + _congruent(before, kept, earlier)
-        below = -(before @ kept @ np.swapaxes(np.concatenate((end[:1], end[:-1])), 1, 2)) * earlier[:, None, None]
-        pieces.append((diagonal, (below * linked)[1:]))
-    return pieces
-
-
-def _single_pieces(intervals: Intervals) -> list[Array]:
-    """Return the contributions of unit truth noise to the marginal covariance (K, 3, 3) of each residual."""
-    if not intervals.memory.any():
-        a = _adjoint_of_inverse(intervals.truth_step)
-        at_ends = [
-            _at_ends(intervals, a, kept @ intervals.start_shape @ kept, kept @ intervals.end_shape @ kept)
-            for kept in _KEPT
-        ]
-        return [*(diagonal for diagonal, _ in at_ends), _random_walk(intervals)]
-    _, end, b = map_axes(intervals)
-    fresh, one = 1.0 - intervals.memory**2, np.ones(len(intervals))
-    pieces = [_congruent(end, kept, fresh) + _congruent(b, kept, one) for kept in _KEPT]
-    return [*pieces, _random_walk(intervals)]
-
-
 def map_axes(intervals: Intervals) -> tuple[Array, Array, Array]:
     """Return N at the start and the end of each interval, and B, all (K, 3, 3), see above."""
     start_rad = intervals.truth_xyt[:, 2]
@@ -353,12 +277,6 @@ def _congruent(m: Array, kept: Array, weight: Array) -> Array:
     return (m @ kept @ np.swapaxes(m, 1, 2)) * weight[:, None, None]
 
 
-def _random_walk(intervals: Intervals) -> Array:
-    walk = np.zeros((len(intervals), 3, 3))
-    walk[:, [0, 1], [0, 1]] = (intervals.random_walk_level**2 * (intervals.end_s - intervals.start_s))[:, None]
-    return walk
-
-
 def quasi_differences(flat: Array, rho: Array) -> Array:
     """Return z_k = x_k - rho_k x_{k-1} of columns (3 K, c), each contiguous in memory."""
     x = flat.reshape(len(rho), 3, -1)
@@ -369,13 +287,10 @@ def quasi_differences(flat: Array, rho: Array) -> Array:
 
 def unseen_piece(intervals: Intervals) -> tuple[Array, Array]:
     """Return the contribution of axes that the truth does not measure, as a pair like `truth_pieces`."""
-    return _at_ends(intervals, _adjoint_of_inverse(intervals.truth_step), intervals.start_unseen, intervals.end_unseen)
-
-
-def _at_ends(intervals: Intervals, a: Array, start: Array, end: Array) -> tuple[Array, Array]:
-    """Return the contribution of truth covariances (K, 3, 3) at both ends of intervals, a pair like `truth_pieces`."""
-    ar = a @ start
-    return end + ar @ np.swapaxes(a, 1, 2), -ar[1:] * intervals.linked[1:, None, None]
+    a = _adjoint_of_inverse(intervals.truth_step)
+    at_start = a @ intervals.start_unseen
+    below = -at_start[1:] * intervals.linked[1:, None, None]
+    return intervals.end_unseen + at_start @ np.swapaxes(a, 1, 2), below
 
 
 def band_of(diagonal: Array, below: Array | None = None) -> Array:

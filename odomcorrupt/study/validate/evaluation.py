@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
-from odomcorrupt.study.estimate.noise_fit import outliers
+from odomcorrupt.study.estimate.noise_likelihood import outliers
 from odomcorrupt.study.estimate.problem import Problem, pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
 from odomcorrupt.study.estimate.regressors import truth_noise
