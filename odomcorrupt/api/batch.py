@@ -16,7 +16,7 @@ from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.bags.pipeline import default_threads
 from odomcorrupt.batching import split_layout
-from odomcorrupt.batching.dispersion import measure, spread_brief, spread_text
+from odomcorrupt.batching.dispersion import measure
 from odomcorrupt.batching.engine import Shard, need_of, require_odometry, require_space, run_batch
 from odomcorrupt.batching.job import BatchSpec, Job, plan
 from odomcorrupt.batching.manifest import fingerprint_of, read_beginning, read_records, seed_of
@@ -24,7 +24,7 @@ from odomcorrupt.batching.parameter_draws import fleet_model
 from odomcorrupt.corruption.summary import places_lines
 from odomcorrupt.errors import BatchError, BatchOptionError
 from odomcorrupt.model.model_file import read_model
-from odomcorrupt.report.plain import finite
+from odomcorrupt.report.plain import picked
 from odomcorrupt.summary import ALWAYS, MOST_LINES, USUAL, Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -38,11 +38,10 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Format, Output
     from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.conditioned import MapCondition
-    from odomcorrupt.model.motion_model import MotionModel
 
 
-_NAMED = 8
-"""Failed runs that are named."""
+_ERRORS = 2.0
+"""Standard errors beyond which a dispersion differs from the prediction."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -111,15 +110,12 @@ class Batch(Result):
         said = f"{self.made_now} runs made now, {len(self)} in {self.directory}, seed {self.seed}."
         if self.failures:
             first, reason = self.failures[0]
-            names = ", ".join(str(run) for run, _ in self.failures[:_NAMED])
-            names += ", ..." if len(self.failures) > _NAMED else ""
+            names = ", ".join([*(str(run) for run, _ in self.failures[:8]), *["..."] * (len(self.failures) > 8)])
             said += f" Not made, tried twice: {len(self.failures)} runs ({names}); run {first}: {reason}"
         return said + "".join(f" Lost: {loss}." for loss in self.losses)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the manifest: the directory, the seed, and a record of each run."""
+    def _values(self) -> dict[str, Any]:
         return {
-            "schema": 2,
             "directory": str(self.directory),
             "seed": self.seed,
             "made_now": self.made_now,
@@ -132,10 +128,7 @@ class Batch(Result):
         return [{"run": r["run"], "file": r["file"], "input": r["input"], **r.get("drift", {})} for r in self.records]
 
     def _figure(self) -> Figure:
-        """Return a figure of dispersion against distance, with the prediction of the linearised model."""
-        from odomcorrupt.report.plots.samples import draw_spread
-
-        return draw_spread(measure(self.jobs[0].directory))
+        return Spread(measure(self.jobs[0].directory)).plot()
 
 
 def _drift(job: Job) -> str:
@@ -143,10 +136,10 @@ def _drift(job: Job) -> str:
     drifts = [one["drift"] for one in read_records(job.directory).values() if "end_drawn_m" in one.get("drift", {})]
     if not drifts:
         return ""
-    metres = math.sqrt(sum(d["end_drawn_m"] ** 2 for d in drifts) / len(drifts))
-    radians = math.sqrt(sum(d["end_drawn_rad"] ** 2 for d in drifts) / len(drifts))
-    far = max(d["distance_m"] for d in drifts)
-    return f"{metres:.3g} m, {math.degrees(radians):.3g} deg RMS at the end of {far:.4g} m"
+    metres, radians = (
+        math.sqrt(sum(d[name] ** 2 for d in drifts) / len(drifts)) for name in ("end_drawn_m", "end_drawn_rad")
+    )
+    return f"{_size(metres, radians)} RMS at the end of {max(d['distance_m'] for d in drifts):.4g} m"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -179,13 +172,8 @@ class BatchCost(Result):
             text += f" --output overlay would write {need.overlay_bytes / 1e9:.3g} GB, {saved:.0%} less."
         return text + " The disk cannot hold it." * (need.bytes > need.free_bytes)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return number of runs, bytes and core seconds."""
-        return {"schema": 2, **asdict(self.result)}
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return the same in one row."""
-        return [asdict(self.result)]
+    def _values(self) -> dict[str, Any]:
+        return asdict(self.result)
 
 
 class BatchOptions(BagOptions, total=False):
@@ -337,10 +325,16 @@ def _plan(
     own = set(BatchOptions.__annotations__) - set(BagOptions.__annotations__)
     given: dict[str, Any] = {name: value for name, value in options.items() if name in own}
     moved, container = split_options(cast("BagOptions", {k: v for k, v in options.items() if k not in own}))
+    alike = {name: given[name] for name in ("points", "output", "to", "model_words", "map_words") if name in given}
     jobs, shard, fleet = given.get("jobs", 1), given.get("shard"), given.get("fleet", ())
     for name, count in (("runs", runs), ("jobs", jobs)):
         if count < 1:
             raise BatchError(f"{name}: {count}; make one or more")
+    if fleet and model is not None:
+        raise BatchOptionError("--fleet and --model: the files of a fleet are its whole model; leave --model out")
+    if len(set(fleet)) < len(fleet):
+        raise BatchOptionError("--fleet: a file is named twice; a robot counts once")
+    robots = {fspath(path): read_model(Path(fspath(path))) for path in fleet}
     if shard and seed is None:
         raise BatchOptionError("--shard: all shards need the same --seed; give one")
     file = given.get("model_file")
@@ -348,33 +342,20 @@ def _plan(
         file = Path(fspath(model))
     target = Path(fspath(directory))
     spec = BatchSpec(
-        model=_fleet(fleet, model) if fleet else as_model(model).motion_model,
+        model=fleet_model(robots) if fleet else as_model(model).motion_model,
         seed=seed_of(target) if seed is None else seed,
         model_file=file,
         sweeps=tuple(given.get("sweeps", ())),
-        points=given.get("points", 0),
         posterior=given.get("robots") == "posterior" or bool(fleet),
         options=moved,
         # an existing run is complete, and the threads are shared by the processes
         container=replace(container, overwrite=False, threads=max(1, (container.threads or default_threads()) // jobs)),
-        output=given.get("output", "full"),
         split=given.get("layout") == "split",
         condition=as_condition(given.get("within")),
-        to=given.get("to"),
         also=tuple(given.get("also", ())),
-        model_words=given.get("model_words"),
-        map_words=given.get("map_words", ()),
+        **alike,
     )
     return _Plan(plan(as_paths(inputs), target, spec), range(runs), Shard(*(shard or (1, 1))), jobs)
-
-
-def _fleet(files: Sequence[str | PathLike[str]], model: ModelLike | None) -> MotionModel:
-    """Return the model of a fleet: mean and spread of its robots."""
-    if model is not None:
-        raise BatchOptionError("--fleet and --model: the files of a fleet are its whole model; leave --model out")
-    if len(set(files)) < len(files):
-        raise BatchOptionError("--fleet: a file is named twice; a robot counts once")
-    return fleet_model({fspath(path): read_model(Path(fspath(path))) for path in files})
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -400,14 +381,8 @@ class Assembly(Result):
         """Return the same with paths."""
         return f"{self.path}: {self.messages} messages of {self.run} in place of those of {self.original}."
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the three paths and the number of messages."""
-        return {"schema": 2, **self.rows()[0]}
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return the same in one row."""
-        paths = {"output": str(self.path), "messages": self.messages, "run": str(self.run)}
-        return [{**paths, "input": str(self.original)}]
+    def _values(self) -> dict[str, Any]:
+        return {"output": str(self.path), "messages": self.messages, "run": str(self.run), "input": str(self.original)}
 
 
 def assemble(
@@ -465,34 +440,58 @@ class Spread(Result):
 
     def summary(self) -> Summary:
         """Return whether the dispersion at the end is as predicted, and its values along the drive."""
-        return spread_brief(self.result)
+        report = self.result
+        last = report.rows[-1]
+        ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
+        # standard error of the logarithm of the root of a sum of variances, estimated from this many normal errors
+        chance = _ERRORS * math.sqrt(report.concentration / (2.0 * max(report.runs - 1, 1)))
+        off = math.inf if not ratio else math.log(ratio)
+        verdict = "AS PREDICTED" if abs(off) <= chance else "WIDER" if off > 0.0 else "NARROWER"
+        by_chance = f"{report.runs} runs: {math.exp(-chance):.2f} to {math.exp(chance):.2f} by chance"
+        said = f"{ratio:.3g} times the predicted spread after {last.after_m:.4g} m ({by_chance})"
+        lines = [Line(verdict, said, "good" if abs(off) <= chance else "warning")]
+        for row in (report.rows[i] for i in sorted({0, len(report.rows) // 2, len(report.rows) - 1})):
+            measured = _size(row.position_m, row.heading_rad)
+            predicted = _size(row.position_predicted_m, row.heading_predicted_rad)
+            lines.append(Line(f"{row.after_m:.4g} m", f"{measured} (predicted {predicted})"))
+        lines.append(Line("mean", f"{_size(last.mean_m, last.mean_rad)} off on average at the end"))
+        if report.random_effects:
+            lines.append(Line("note", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
+        return Summary(tuple(lines))
 
     def details(self) -> str:
         """Return a table of the dispersion along the drive, measured and predicted."""
-        return spread_text(self.result)
+        report, degrees = self.result, math.degrees
+        about = "standard deviations about their mean, and as linearised (predicted)"
+        lines = [
+            f"{report.directory}: {report.runs} runs; {about}",
+            "   after m   position m   predicted   heading deg   predicted    mean m   mean deg",
+        ]
+        lines += [
+            f"{row.after_m:10.4g} {row.position_m:12.4g} {row.position_predicted_m:11.4g} "
+            f"{degrees(row.heading_rad):13.4g} {degrees(row.heading_predicted_rad):11.4g} "
+            f"{row.mean_m:9.3g} {degrees(row.mean_rad):10.3g}"
+            for row in report.rows
+        ]
+        if report.random_effects:
+            lines.append(f"The prediction does not include the draws of {', '.join(report.random_effects)}.")
+        return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return directory, number of runs, random effects, and the rows: metres and radians."""
-        report = self.result
-        return finite(
-            {
-                "schema": 2,
-                "directory": report.directory,
-                "runs": report.runs,
-                "random_effects": report.random_effects,
-                "rows": self.rows(),
-            }
-        )
+    def _values(self) -> dict[str, Any]:
+        return picked(self.result, "directory", "runs", "random_effects") | {"rows": self.rows()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per distance: standard deviations of the runs and predicted, and the mean error."""
         return [asdict(row) for row in self.result.rows]
 
     def _figure(self) -> Figure:
-        """Return a figure of the clean path and the runs, and of their errors against distance."""
         from odomcorrupt.report.plots.samples import draw_spread
 
         return draw_spread(self.result)
+
+
+def _size(position_m: float, heading_rad: float) -> str:
+    return f"{position_m:.3g} m, {math.degrees(heading_rad):.3g} deg"
 
 
 def spread(directory: str | PathLike[str]) -> Spread:

@@ -46,9 +46,8 @@ class EffectList(Result):
         rows = [f"{n:<{width}}  {k.kind:<6}  {k.summary}" for n, k in self.kinds.items()]
         return "\n".join([*rows, _LEGEND])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the rows."""
-        return {"schema": 2, "effects": self.rows()}
+    def _values(self) -> dict[str, Any]:
+        return {"effects": self.rows()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return name, kind and meaning of every effect."""
@@ -101,16 +100,13 @@ class EffectDescription(Result):
             lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
             lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
         if kind.aliased_with is not None:
-            lines.append(
-                f"alias          {kind.aliased_with}: the same motion; no recording of poses can separate them"
-            )
+            said = "the same motion; no recording of poses can separate them"
+            lines.append(f"alias          {kind.aliased_with}: {said}")
         return "\n".join([*lines, "", _example(kind)])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return all of it by name."""
+    def _values(self) -> dict[str, Any]:
         kind, about = self.kind, self.kind.about
         return {
-            "schema": 2,
             **picked(kind, "name", "kind", "summary"),
             "equation": about.equation if about else None,
             "parameters": self.rows(),
@@ -122,7 +118,7 @@ class EffectDescription(Result):
             "drive": about.drive if about else None,
             "drive_types": sorted(kind.drives) if kind.drives is not None else None,
             **picked(kind, "needs_gyro", "needs_track", "needs_sideways"),
-        }  # fmt: skip
+        }
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameters: meaning, unit, range, typical value, value if not given, and role."""
@@ -158,7 +154,7 @@ class PresetList(Result):
     def details(self) -> str:
         """Return law, numbers, ranges and source of each."""
         lines = []
-        for row in self._values():
+        for row in self._presets():
             ranges = row["ranges"]
             numbers = "  ".join(
                 f"{key} {value:.4g}" + (f" +- {ranges[key]:.2g}" if key in ranges else "")
@@ -168,15 +164,15 @@ class PresetList(Result):
         use = "odomcorrupt INPUT OUTPUT --preset NAME uses it; odomcorrupt presets NAME > robot.toml writes a file"
         return "\n".join([*lines, use])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return name, law, coefficients, ranges and source of each."""
-        return {"schema": 2, "presets": self._values()}
+    def _values(self) -> dict[str, Any]:
+        return {"presets": self._presets()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the presets, with a column for every coefficient."""
-        return [{**row, **row.pop("coefficients"), "ranges": len(row["ranges"])} for row in self._values()]
+        return [{**row, **row.pop("coefficients"), "ranges": len(row["ranges"])} for row in self._presets()]
 
-    def _values(self) -> list[dict[str, Any]]:
+    def _presets(self) -> list[dict[str, Any]]:
+        """Return name, law, coefficients, ranges and source of each."""
         found = []
         for preset in self.presets:
             noise = preset.noise

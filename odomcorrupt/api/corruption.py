@@ -31,7 +31,7 @@ from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.forecasting.forecast import clean_drive_of
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.motion_model import NOISE_FREE
-from odomcorrupt.report.plain import finite
+from odomcorrupt.report.plain import picked
 from odomcorrupt.rng import draw_seed
 from odomcorrupt.trajectories import read_drive
 
@@ -109,42 +109,35 @@ class Corruption(Result):
             for one in self.earlier
         ]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return seed, run, model, modified messages, drift and warnings as plain values."""
+    def _values(self) -> dict[str, Any]:
         outcome = self.outcome
-        return finite(
-            {
-                "schema": 2,
-                "input": self.source,
-                "output": self.target,
-                "seed": outcome.seed,
-                "run": outcome.run,
-                "law": outcome.model.noise.law_name,
-                "parameters": self.model.parameters,
-                "odometry": outcome.odometry,
-                "odom_frame": outcome.frames.odom,
-                "base_frame": outcome.frames.base,
-                "moved": self.moved,
-                "added": dict(outcome.added),
-                "drift": outcome.drift._asdict(),
-                "remarks": oddities(outcome),
-                "losses": list(outcome.losses),
-                "earlier": list(self.earlier),
-            }
-        )
+        return {
+            "input": self.source,
+            "output": self.target,
+            **picked(outcome, "seed", "run"),
+            "law": outcome.model.noise.law_name,
+            "parameters": self.model.parameters,
+            "odometry": outcome.odometry,
+            "odom_frame": outcome.frames.odom,
+            "base_frame": outcome.frames.base,
+            "moved": self.moved,
+            "added": outcome.added,
+            "drift": outcome.drift._asdict(),
+            "remarks": oddities(outcome),
+            **picked(outcome, "losses"),
+            **picked(self, "earlier"),
+        }
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the drift at the end and per 10 m, drawn and expected."""
-        d = self.outcome.drift
-        rows = [("end", d.end_drawn_m, d.end_drawn_rad, d.end_expected_m, d.end_expected_rad)]
-        if d.leg_drawn_m is not None:
-            own = (d.leg_drawn_rad or 0.0, d.leg_expected_m or 0.0, d.leg_expected_rad or 0.0)
-            rows.append(("10 m", d.leg_drawn_m, *own))
-        names = ("after", "drawn_m", "drawn_rad", "expected_m", "expected_rad")
-        return [dict(zip(names, row, strict=True)) for row in rows]
+        drift, names = self.drift._asdict(), ("drawn_m", "drawn_rad", "expected_m", "expected_rad")
+        return [
+            {"after": after, **{name: drift[f"{part}_{name}"] or 0.0 for name in names}}
+            for after, part in (("end", "end"), ("10 m", "leg"))
+            if drift[f"{part}_drawn_m"] is not None
+        ]
 
     def _figure(self) -> Figure:
-        """Return a figure of the clean path and the noisy one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
 
         if "-" in (self.source, self.target):
@@ -246,22 +239,18 @@ class Correction(Result):
         """Return the complete result in one paragraph."""
         return correction_summary(self.outcome)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the effects removed and left, the messages modified, and the change of the odometry."""
-        outcome = self.outcome
-        return finite(
-            {
-                "schema": 2,
-                "input": self.source,
-                "output": self.target,
-                "taken_out": [effect.name for effect in outcome.effects.undone],
-                "left": [effect.name for effect in outcome.effects.left],
-                "odometry": outcome.run.odometry,
-                "moved": {**outcome.run.changes.odometry, **outcome.run.changes.edges},
-                "drift": outcome.run.drift._asdict(),
-                "losses": list(outcome.run.losses),
-            }
-        )
+    def _values(self) -> dict[str, Any]:
+        effects, run = self.outcome.effects, self.outcome.run
+        return {
+            "input": self.source,
+            "output": self.target,
+            "taken_out": [effect.name for effect in effects.undone],
+            "left": [effect.name for effect in effects.left],
+            "odometry": run.odometry,
+            "moved": {**run.changes.odometry, **run.changes.edges},
+            "drift": run.drift._asdict(),
+            "losses": run.losses,
+        }
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per effect, and whether it was removed."""
@@ -269,7 +258,6 @@ class Correction(Result):
         return [{"effect": e.name, "taken_out": e in undone} for e in (*undone, *left)]
 
     def _figure(self) -> Figure:
-        """Return a figure of the measured path and the corrected one, read from the two bags."""
         from odomcorrupt.report.plots.paths import draw_corruption
 
         before, after = (read_drive(Path(path), self.outcome.run.odometry) for path in (self.source, self.target))

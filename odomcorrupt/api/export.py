@@ -7,19 +7,10 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from odomcorrupt import export
 from odomcorrupt.api.model import as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError
-from odomcorrupt.export import (
-    Steady,
-    amcl_alphas,
-    amcl_snippet,
-    number,
-    twist_variances,
-    twists_snippet,
-    wheel_multipliers,
-    wheels_snippet,
-)
 from odomcorrupt.result_files import refuse_existing, write_text
 from odomcorrupt.summary import Line, Summary
 
@@ -48,7 +39,7 @@ class Export(Result):
         lines = [Line("EXPORTED", f"{self.name} for {self.to}", "warning" if left else "good")]
         if left:
             lines.append(Line("left out", f"{', '.join(left)}: comments in the file say why", "warning"))
-        values = {name: number(value) for name, value in self.result.values.items()}
+        values = {name: export.number(value) for name, value in self.result.values.items()}
         shown = [f"{name} {value}" for name, value in values.items()]
         if self.to == "robot_localization":
             shown = [f"twist covariance diagonal {', '.join(values.values())}"]
@@ -59,9 +50,8 @@ class Export(Result):
         """Return the YAML, with assumptions and effects left out as comments."""
         return self.result.text
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the program and the YAML."""
-        return {"schema": 2, "to": self.to, "yaml": self.result.text}
+    def _values(self) -> dict[str, Any]:
+        return {"to": self.to, "yaml": self.result.text}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return names and values of the parameters."""
@@ -128,15 +118,15 @@ def export_parameters(
     [('alpha1', 0.025), ('alpha2', 0.001)]
     """
     robot = as_model(model).motion_model
-    drive = Steady(speed, turn_rate, rate)
+    drive = export.Steady(speed, turn_rate, rate)
     match to:
         case "nav2":
-            alphas = amcl_alphas(robot.noise, update_min_d, update_min_a, turn=turn, drive=drive)
-            snippet = amcl_snippet(robot, alphas, update_min_d, update_min_a, turn)
+            alphas = export.amcl_alphas(robot.noise, update_min_d, update_min_a, turn=turn, drive=drive)
+            snippet = export.amcl_snippet(robot, alphas, update_min_d, update_min_a, turn)
         case "robot_localization":
-            snippet = twists_snippet(robot, twist_variances(robot.noise, drive), drive, controller)
+            snippet = export.twists_snippet(robot, export.twist_variances(robot.noise, drive), drive, controller)
         case "ros2_control":
-            snippet = wheels_snippet(robot, wheel_multipliers(robot, track_m), controller)
+            snippet = export.wheels_snippet(robot, export.wheel_multipliers(robot, track_m), controller)
         case _:
             raise ModelError(f"to: {to!r}; write ros2_control, nav2 or robot_localization")
     return Export(Path(fspath(model)).name if isinstance(model, str | PathLike) else "model", to, snippet)

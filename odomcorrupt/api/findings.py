@@ -12,32 +12,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from odomcorrupt.api.model import Model, ModelLike, as_model
-from odomcorrupt.api.recordings import (
-    PathLikes,
-    Recordings,
-    as_paths,
-    as_recordings,
-    refuse_turns_alone,
-    require_travel,
-)
+from odomcorrupt.api.recordings import PathLikes, Recordings, as_paths, as_recordings, require_travel
 from odomcorrupt.api.result import Result
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import ModelError, OdomCorruptError, RecordingError
 from odomcorrupt.extras import part_of_study
 from odomcorrupt.model.motion_model import NOISE_FREE
+from odomcorrupt.report import diagnosis as texts
 from odomcorrupt.report.brief import findings_brief, fit_brief, mistakes_first
 from odomcorrupt.report.comparison import comparison_brief, comparison_json, comparison_text, reproduction_sentence
-from odomcorrupt.report.diagnosis import (
-    candidates_table,
-    drive_sentence,
-    fit_json,
-    fit_text,
-    found_text,
-    laws_table,
-    learned_json,
-    reproduction_json,
-    shares_text,
-)
 from odomcorrupt.report.findings import clock_lines, effects_with_errors, numbers_text
 from odomcorrupt.result_files import refuse_existing, write_bytes
 from odomcorrupt.study.design.plan import drive_bag
@@ -96,21 +79,23 @@ class Fit(Result):
 
     def details(self) -> str:
         """Return all coefficients with their intervals, effects, clocks, and downweighted segments."""
-        return "\n\n".join(
-            [*([laws_table(self.laws)] if self.laws else []), fit_text(self.result), *self.proof.changes]
-        )
+        table = [texts.laws_table(self.laws)] if self.laws else []
+        return "\n\n".join([*table, texts.fit_text(self.result), *self.proof.changes])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return law, coefficients with intervals, effects, clocks and the error on the fitted data."""
-        return fit_json(self.result, self.laws)
+    def _values(self) -> dict[str, Any]:
+        return texts.fit_json(self.result, self.laws)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per parameter: value and standard error."""
-        errors = self.model.standard_errors
-        return [
-            {"parameter": name, "value": value, "standard_error": errors.get(name)}
-            for name, value in self.model.parameters.items()
-        ]
+        return _parameters(self.model)
+
+
+def _parameters(model: Model) -> list[dict[str, Any]]:
+    errors = model.standard_errors
+    return [
+        {"parameter": name, "value": value, "standard_error": errors.get(name)}
+        for name, value in model.parameters.items()
+    ]
 
 
 @part_of_study
@@ -201,7 +186,7 @@ class SquareTest(Result):
             Line("" if i else "FITTED", f"{effect.name}  {', '.join(numbers_text(effect, errors))}", "good")
             for i, (effect, errors) in enumerate(effects_with_errors(found))
         ]
-        before, after = (self._rms(ends) for ends in (found.before, found.after))
+        before, after = (_rms(ends) for ends in (found.before, found.after))
         lines.append(Line("ends", f"{before} -> {after} (RMS of {len(found.before)} drives)"))
         if all(abs(row["value"]) < 2.0 * row["standard_error"] for row in self.rows()):
             lines.append(Line("none", "no effect exceeds two standard errors: these ends show none", "warning"))
@@ -212,38 +197,31 @@ class SquareTest(Result):
         """Return the summary, and the end of every drive before and after."""
         lines = [self.summary().text()]
         for drive, before, after in zip(self.result.recordings, self.result.before, self.result.after, strict=True):
-            said = " -> ".join(self._end(end) for end in (before, after))
+            said = " -> ".join(_end(end) for end in (before, after))
             lines.append(f"  {drive.name}: {said}")
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return effects with standard errors, and the ends before and after, m and rad."""
+    def _values(self) -> dict[str, Any]:
         return {
-            "schema": 2,
             "parameters": {row["parameter"]: row for row in self.rows()},
-            "ends_before": self.result.before.tolist(),
-            "ends_after": self.result.after.tolist(),
+            "ends_before": self.result.before,
+            "ends_after": self.result.after,
             "spread": self.result.spread,
         }
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per parameter: value and standard error."""
-        errors = self.model.standard_errors
-        return [
-            {"parameter": name, "value": value, "standard_error": errors[name]}
-            for name, value in self.model.parameters.items()
-            if name in errors
-        ]
+        return [row for row in _parameters(self.model) if row["standard_error"] is not None]
 
-    @staticmethod
-    def _end(end: Any) -> str:
-        along, across, yaw = end.tolist()
-        return f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, {degrees(yaw):.2f} deg"
 
-    @staticmethod
-    def _rms(ends: Any) -> str:
-        distance = float(np.sqrt(np.mean(np.sum(ends[:, :2] ** 2, axis=1))))
-        return f"{1e3 * distance:.1f} mm, {np.degrees(np.sqrt(np.mean(ends[:, 2] ** 2))):.2f} deg"
+def _end(end_xyt: Any) -> str:
+    along, across, yaw = end_xyt.tolist()
+    return f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, {degrees(yaw):.2f} deg"
+
+
+def _rms(ends_xyt: Any) -> str:
+    distance = float(np.sqrt(np.mean(np.sum(ends_xyt[:, :2] ** 2, axis=1))))
+    return f"{1e3 * distance:.1f} mm, {np.degrees(np.sqrt(np.mean(ends_xyt[:, 2] ** 2))):.2f} deg"
 
 
 @part_of_study
@@ -324,8 +302,7 @@ class Comparison(Result):
         lines = clock_lines(self.result.recordings, self.result.clocks)
         return "\n".join([*lines, comparison_text(self.result)])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the comparison as docs/json.md describes it."""
+    def _values(self) -> dict[str, Any]:
         return comparison_json(self.result)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -479,7 +456,7 @@ class Findings(Result):
         if plan is None:
             return ""
         write_bytes(target, drive_bag(plan))
-        return drive_sentence(plan)
+        return texts.drive_sentence(plan)
 
     @property
     def _evaluated(self) -> ModelEvaluation | None:
@@ -491,10 +468,9 @@ class Findings(Result):
         """Fit whose standard errors are reported; None for the fit of the search."""
         return None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the findings in the form of docs/json.md."""
+    def _values(self) -> dict[str, Any]:
         found = self.result
-        return learned_json(
+        return texts.learned_json(
             found.search, found.sequence.evaluations, found.advice, evaluated=self._evaluated, fit=self._fit
         )
 
@@ -531,14 +507,13 @@ class Diagnosis(Findings):
     def details(self) -> str:
         """Return the candidates, the findings, the gain of each addition, and undecided alternatives."""
         found = self.result
-        said = found_text(found.search, found.advice, evaluated=self._evaluated)
-        parts = [candidates_table(found.search.rounds[0]), said]
+        said = texts.found_text(found.search, found.advice, evaluated=self._evaluated)
+        parts = [texts.candidates_table(found.search.rounds[0]), said]
         if found.search.added:
-            parts.append(shares_text(found.sequence.evaluations))
+            parts.append(texts.shares_text(found.sequence.evaluations))
         return "\n\n".join([*parts, *([f"next: {self.following}"] if self.following else [])])
 
     def _figure(self) -> Figure:
-        """Return a figure of the candidates with their evidence."""
         from odomcorrupt.report.plots.comparison import draw_candidates
 
         return draw_candidates(self.result.search)
@@ -572,7 +547,7 @@ def diagnose(
     'missing'
     """
     known = None if model is None else as_model(model).motion_model
-    runs = refuse_turns_alone(as_recordings(recordings))
+    runs = require_travel(as_recordings(recordings), turns=True)
     if known is not None:
         runs = runs.on_track(known.track_m).of_drive_type(known.setup.drive_type).in_frame(known.setup.origin)
     name = Path(fspath(model)).name if isinstance(model, str | PathLike) else "the model" if known else ""
@@ -627,15 +602,14 @@ class Learned(Findings):
     def details(self) -> str:
         """Return the findings, undecided alternatives, the fit, and the full comparison."""
         found = self.result
-        said = found_text(found.search, found.advice, evaluated=self._evaluated, fit=self._fit)
-        fitted = [fit_text(found.robot, clocks=False), *found.proof.changes]
+        said = texts.found_text(found.search, found.advice, evaluated=self._evaluated, fit=self._fit)
+        fitted = [texts.fit_text(found.robot, clocks=False), *found.proof.changes]
         drifts = [one for one in (reproduction_sentence(found.reproduction),) if one]
         return "\n".join([said, *drifts, *found.alerts, *found.dropped, *fitted, "", comparison_text(found.comparison)])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the findings and the comparison in the form of docs/json.md."""
-        return Findings.to_dict(self) | {
-            "reproduction": reproduction_json(self.result.reproduction),
+    def _values(self) -> dict[str, Any]:
+        return Findings._values(self) | {  # noqa: SLF001 - a class with slots has no super()
+            "reproduction": texts.reproduction_json(self.result.reproduction),
             "comparison": self.comparison.to_dict(),
         }
 

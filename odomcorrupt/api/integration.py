@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.trajectories import Drive, Hold, PathError, Rewritten, Rule
 
+_HELD = {"next": "until the next stamp", "previous": "since the previous stamp"}
+
 
 @dataclass(frozen=True, slots=True, repr=False, kw_only=True)
 class Integration(Result):
@@ -54,7 +56,7 @@ class Integration(Result):
         """Return the odometry's length, the rule, the errors, and the effect of the noise."""
         drive = self.drive
         whole = f"{len(drive)} twists of {drive.topic}, {drive.distance_m[-1]:.4g} m in {drive.t_s[-1]:.4g} s"
-        lines = [Line("INTEGRATED", whole, "good"), Line("rule", f"{self.rule}, a twist holds {self._held}")]
+        lines = [Line("INTEGRATED", whole, "good"), Line("rule", f"{self.rule}, a twist holds {_HELD[self.hold]}")]
         lines += [Line("note", note, "warning") for note in drive.notes]
         for label, sentences in (("error", self._errors), ("noise", self._spread)):
             lines += [Line("" if i else label, sentence) for i, sentence in enumerate(sentences)]
@@ -64,9 +66,8 @@ class Integration(Result):
         """Return the summary in sentences."""
         return "\n".join(self._sentences)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the rule and the sentences of the text."""
-        return {"schema": 2, "rule": self.rule, "hold": self.hold, "sentences": self._sentences}
+    def _values(self) -> dict[str, Any]:
+        return {"rule": self.rule, "hold": self.hold, "sentences": self._sentences}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the poses integrated from the twists as they are, one row per message."""
@@ -114,16 +115,12 @@ class Integration(Result):
         return draw_runs(self.runs_xyt, error.truth_xyt, name, title)
 
     @property
-    def _held(self) -> str:
-        return "until the next stamp" if self.hold == "next" else "since the previous stamp"
-
-    @property
     def _sentences(self) -> list[str]:
         drive = self.drive
         hertz = (len(drive) - 1) / float(drive.t_s[-1])
         said = (
             f"{drive.topic}: {len(drive)} twists in {drive.t_s[-1]:.4g} s ({hertz:.3g} Hz), "
-            f"{drive.distance_m[-1]:.4g} m; rule {self.rule}, each twist holds {self._held}"
+            f"{drive.distance_m[-1]:.4g} m; rule {self.rule}, each twist holds {_HELD[self.hold]}"
         )
         return [said, *drive.notes, *self._errors, *self._spread]
 

@@ -19,8 +19,15 @@ from odomcorrupt.extras import part_of_study
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.occupancy_grid import format_map
-from odomcorrupt.mapping.scan_map import WINDOW_M, maps_brief, maps_json, maps_table, read_rays, scan_maps, slow_rays
-from odomcorrupt.report.plain import finite
+from odomcorrupt.mapping.scan_map import (
+    WINDOW_M,
+    added_thickness,
+    maps_brief,
+    maps_table,
+    read_rays,
+    scan_maps,
+    slow_rays,
+)
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.rng import draw_seed
 from odomcorrupt.trajectories import read_drive, read_poses
@@ -88,9 +95,17 @@ class Maps(Result):
         noise = f"noise: {self.model.motion_model.noise.words}{origin}, seed {self.seed}, run {self.run}"
         return "\n".join([noise, *self.notes, maps_table(self.maps)])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return seed, wall thickness and distance of hits from the walls along the drive, and notes; metres."""
-        return finite(maps_json(self.maps, self.notes, self.seed))
+    def _values(self) -> dict[str, Any]:
+        clean, noisy = self.maps[:2]
+        return {
+            "seed": self.seed,
+            "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
+            "travelled_m": clean.marks_m,
+            "thickness_m": {one.name: one.thickness_m for one in self.maps},
+            "added_m": added_thickness(clean.thickness_m, noisy.thickness_m),
+            "off_surface_m": {one.name: one.off_surface_m for one in self.maps[1:]},
+            "notes": self.notes,
+        }
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per map and distance travelled: wall thickness so far, distance of hits from the walls."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ import numpy as np
 from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.corruption.summary import model_words
+from odomcorrupt.corruption.summary import model_brief, model_words
 from odomcorrupt.effects.effect import Effect, parameters
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model import motion_model
@@ -22,8 +22,8 @@ from odomcorrupt.model.motion_model import MotionModel, Step, parse_alpha
 from odomcorrupt.model.noise_laws import law_named
 from odomcorrupt.model.presets import PRESETS, preset_named
 from odomcorrupt.result_files import refuse_existing, write_text
-from odomcorrupt.sampling.convert import conversion_brief, conversion_json, conversion_text, convert
-from odomcorrupt.summary import Line, Summary
+from odomcorrupt.sampling.convert import convert, drift_of, drift_words, flags_of
+from odomcorrupt.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -117,21 +117,33 @@ class Conversion(Result):
 
     def summary(self) -> Summary:
         """Return the coefficients of the other law, the drift of both, and how to use them."""
-        return conversion_brief(self.before, self.after)
+        straight, turn = drift_words(self.after)
+        new, old = (f"{model_brief(MotionModel(one), '')}; {one.law.meaning}" for one in (self.after, self.before))
+        lines = [Line("CONVERTED", new, "good"), Line("from", old), Line("10 m", f"{straight} (1 sigma, both laws)")]
+        lines.append(Line("360 deg", f"on the spot: {turn} (1 sigma, both laws)"))
+        return Summary((*lines, command_line(f"odomcorrupt in.bag out.bag {flags_of(self.after)}")))
 
     def details(self) -> str:
         """Return both laws in words, their drift, and the options that select the other law."""
-        return conversion_text(self.before, self.after)
+        straight, turn = drift_words(self.after)
+        return f"""{self.before.words}
+makes the same drift on straight drives and on turns as
+{self.after.words}
+  10 m straight: {straight} (1 sigma, both)
+  one turn on the spot: {turn} (1 sigma, both)
+{flags_of(self.after)}"""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return both laws, and the growth of the variances per metre and per radian."""
-        return conversion_json(self.before, self.after)
+    def _values(self) -> dict[str, Any]:
+        def side(noise: motion_model.Noise) -> dict[str, Any]:
+            step = None if noise.step is None else str(noise.step)
+            return {"law": noise.law_name, "step": step, "coefficients": asdict(noise.coefficients)}
+
+        return {"from": side(self.before), "to": side(self.after), "variance_growth": asdict(drift_of(self.after))}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return law, step and coefficients: one row before, one after."""
-        values = self.to_dict()
-        sides = (values["from"], values["to"])
-        return [{"law": side["law"], "step": side["step"], **side["coefficients"]} for side in sides]
+        values = self._values()
+        return [side | side.pop("coefficients") for side in (values["from"], values["to"])]
 
 
 def convert_alpha(noise: Noise, law: str, *, step: str | None = None) -> Conversion:

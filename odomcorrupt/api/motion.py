@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,26 +16,10 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.summary import model_brief
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.mapping.conditioned import free_paths
-from odomcorrupt.report.plain import finite
+from odomcorrupt.report.plain import picked
 from odomcorrupt.rng import draw_seed, stream
+from odomcorrupt.sampling import samples
 from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
-from odomcorrupt.sampling.samples import (
-    Moments,
-    brief,
-    csv_text,
-    ellipse,
-    linearised_moments,
-    move_between,
-    move_sampled,
-    move_sampled_in_map,
-    move_variances,
-    particles_at,
-    particles_json,
-    places_along,
-    report_text,
-    sample_moments,
-    sample_particles,
-)
 from odomcorrupt.summary import Line, Summary
 from odomcorrupt.trajectories import read_drive
 
@@ -82,10 +65,10 @@ class Samples(Result):
 
     def summary(self) -> Summary:
         """Return mean and spread of the samples beside those of the linearised model."""
-        own = sample_moments(self.xyt)
+        own = samples.sample_moments(self.xyt)
         lines = [Line("SAMPLES", f"{len(self.xyt)} of seed {self.seed}, mean {_pose(own.mean_xyt)}", "good")]
-        for name, moments in (("spread", own), ("linearised", linearised_moments(self.move, self.variances))):
-            about = ellipse(moments, 1.0)
+        for name, moments in (("spread", own), ("linearised", samples.linearised_moments(self.move, self.variances))):
+            about = samples.ellipse(moments, 1.0)
             heading = math.degrees(math.sqrt(moments.covariance[2, 2]))
             axes = f"{about.major_m:.3g} m by {about.minor_m:.3g} m at {math.degrees(about.angle_rad) % 180.0:.3g} deg"
             lines.append(Line(name, f"{axes}, heading {heading:.3g} deg (1 sigma)"))
@@ -96,7 +79,6 @@ class Samples(Result):
 
     @property
     def _squared(self) -> list[str]:
-        """Note that standard deviations are squared, as in the article's listing."""
         return [_ARTICLE_CODE] if self.noise.law_name == "article-code" else []
 
     def details(self) -> str:
@@ -112,11 +94,11 @@ class Samples(Result):
             f"{len(self.xyt)} samples, seed {self.seed}",
             *self._squared,
         ]
-        sets = [("linearised", linearised_moments(move, v))]
+        sets = [("linearised", samples.linearised_moments(move, v))]
         if len(self.xyt) > 1:
-            sets.insert(0, ("samples", sample_moments(self.xyt)))
+            sets.insert(0, ("samples", samples.sample_moments(self.xyt)))
         for name, moments in sets:
-            about = ellipse(moments, 1.0)
+            about = samples.ellipse(moments, 1.0)
             axes = f"{about.major_m:.4g} m by {about.minor_m:.4g} m"
             angle = f"{degrees(about.angle_rad) % 180.0:.3g} deg"
             lines += [
@@ -126,49 +108,32 @@ class Samples(Result):
             ]
         return "\n".join([*lines, *self.notes])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return motion, noise, moments (of the samples and linearised) and samples."""
-        noise, v, parts = self.noise, self.variances, self.move.parts
-        linear = linearised_moments(self.move, v)
-        about = ellipse(linear, 1.0)
+    def _values(self) -> dict[str, Any]:
+        noise, linear = self.noise, samples.linearised_moments(self.move, self.variances)
+        parts = picked(self.move.parts, "rot1_rad", "trans_m", "rot2_rad")
+        deviations = picked(self.variances, "rot1", "trans", "across", "rot2")
         return {
-            "schema": 2,
             "law": noise.law_name,
-            "step": None if noise.step is None else str(noise.step),
-            "coefficients": dataclasses.asdict(noise.coefficients),
-            "source": self.origin,
-            "seed": self.seed,
-            "start_xyt": self.move.start_xyt.tolist(),
-            "odometry_end_xyt": self.move.end_xyt.tolist(),
-            "rot1_rad": float(parts.rot1_rad[0]),
-            "trans_m": float(parts.trans_m[0]),
-            "rot2_rad": float(parts.rot2_rad[0]),
-            "standard_deviations": {
-                name: math.sqrt(float(getattr(v, name)[0])) for name in ("rot1", "trans", "across", "rot2")
-            },
-            "samples": _moments(sample_moments(self.xyt)) if len(self.xyt) > 1 else None,
-            "linearised": _moments(linear),
-            "linearised_ellipse_1_sigma": {
-                "centre_xy": about.centre_xy.tolist(),
-                "major_m": about.major_m,
-                "minor_m": about.minor_m,
-                "angle_rad": about.angle_rad,
-            },
-            "notes": list(self.notes),
-            "xyt": self.xyt.tolist(),
+            "step": noise.step and str(noise.step),
+            "coefficients": asdict(noise.coefficients),
+            **picked(self, "seed", "notes", "xyt", source="origin"),
+            **picked(self.move, "start_xyt", odometry_end_xyt="end_xyt"),
+            **{name: own[0] for name, own in parts.items()},
+            "standard_deviations": {name: math.sqrt(own[0]) for name, own in deviations.items()},
+            "samples": asdict(samples.sample_moments(self.xyt)) if len(self.xyt) > 1 else None,
+            "linearised": asdict(linear),
+            "linearised_ellipse_1_sigma": asdict(samples.ellipse(linear, 1.0)),
         }
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per sample."""
-        return [dict(zip(("x_m", "y_m", "theta_rad"), map(float, row), strict=True)) for row in self.xyt]
+        return [_named(row) for row in self.xyt]
 
     def csv(self) -> str:
         """Return the samples as lines of x, y, theta that parse to the same bits."""
-        rows = [",".join(repr(float(value)) for value in row) for row in self.xyt]
-        return "\n".join(["x_m,y_m,theta_rad", *rows]) + "\n"
+        return _csv(self.rows())
 
     def _figure(self) -> Figure:
-        """Return a figure of the samples with the covariance ellipse of a Kalman filter."""
         from odomcorrupt.report.plots.samples import draw_banana
 
         numbers = "  ".join(f"{name} {value:.3g}" for name, value in self.noise.numbers)
@@ -182,8 +147,12 @@ def _pose(xyt: NDArray[Any]) -> str:
     return f"({xyt[0]:.4g} m, {xyt[1]:.4g} m, {math.degrees(xyt[2]):.4g} deg)"
 
 
-def _moments(moments: Moments) -> dict[str, Any]:
-    return {"mean_xyt": moments.mean_xyt.tolist(), "covariance": moments.covariance.tolist()}
+def _named(xyt: NDArray[Any]) -> dict[str, float]:
+    return dict(zip(("x_m", "y_m", "theta_rad"), map(float, xyt), strict=True))
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    return "\n".join([",".join(rows[0]), *(",".join(map(repr, row.values())) for row in rows)]) + "\n"
 
 
 def sample(
@@ -227,9 +196,9 @@ def sample(
     space: FreeSpace | None = None
     notes: tuple[str, ...] = ()
     if condition is None:
-        xyt = move_sampled(move, variances, count, rng)
+        xyt = samples.move_sampled(move, variances, count, rng)
     else:
-        free = move_sampled_in_map(move, variances, count, rng, condition)
+        free = samples.move_sampled_in_map(move, variances, count, rng, condition)
         xyt, space, notes = free.xyt, condition.space, (free.account(),)
     return Samples(
         move=move, noise=chosen.motion_model.noise, variances=variances, xyt=xyt, seed=seed, origin=chosen.origin,
@@ -245,8 +214,8 @@ def _motion(start_xyt: Sequence[float], end_xyt: Sequence[float], model: Any) ->
     start, end = (np.asarray(pose, dtype=np.float64) for pose in (start_xyt, end_xyt))
     if start.shape != (3,) or end.shape != (3,):
         raise ModelError(f"poses of shapes {start.shape} and {end.shape}; give x, y and heading of each")
-    move = move_between(start, end, arc=model.noise.law.arc)
-    return move, move_variances(model.noise, move)
+    move = samples.move_between(start, end, arc=model.noise.law.arc)
+    return move, samples.move_variances(model.noise, move)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -297,20 +266,15 @@ class Density(Result):
         """Return the summary, with the noise in full."""
         return "\n".join([f"noise: {self.law}", *self._sentences()])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return poses, values and the integral."""
-        said = {"schema": 2, "reading": self.reading, "unit": self.unit, "law": self.law}
-        return {**said, "integral": self.grid.integral, "at": self.rows()}
+    def _values(self) -> dict[str, Any]:
+        return {**picked(self, "reading", "unit", "law", integral="grid.integral"), "at": self.rows()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per pose."""
-        return [
-            {"x_m": x, "y_m": y, "theta_rad": t, "density": value}
-            for (x, y, t), value in zip(self.poses.tolist(), self.values.tolist(), strict=True)
-        ]
+        pairs = zip(self.poses, self.values, strict=True)
+        return [_named(pose) | {"density": float(value)} for pose, value in pairs]
 
     def _figure(self) -> Figure:
-        """Return a figure of the density beside a thousand samples of seed 0."""
         return self.draw_beside(1000, 0)
 
     def draw_beside(self, count: int, seed: int) -> Figure:
@@ -321,7 +285,7 @@ class Density(Result):
         """
         from odomcorrupt.report.plots.samples import draw_density
 
-        xyt = move_sampled(self.move, self.variances, count, stream(seed, 0, "sample"))
+        xyt = samples.move_sampled(self.move, self.variances, count, stream(seed, 0, "sample"))
         if self.within is not None:
             starts = self.move.start_xyt[:2] + 0.0 * xyt[:, :2]
             xyt = xyt[self.within.allows(starts, xyt[:, :2])]
@@ -406,33 +370,52 @@ class Particles(Result):
 
     def summary(self) -> Summary:
         """Return the spread at the end and on the way, and the model."""
-        words = model_brief(self.model.motion_model, self.model.origin.partition(":")[0])
-        return brief(self.result, words, self.odometry)
+        cloud, last = self.result, len(self.result.distance_m) - 1
+        between = sorted({last // 3, 2 * last // 3} - {last})
+        said = [f"{self._spread(i)} (1 sigma) after {cloud.distance_m[i]:.4g} m" for i in (last, *between)]
+        lines = [Line("SPREAD", said[0], "good"), *(Line("", one) for one in said[1:])]
+        lines.append(Line("model", model_brief(self.model.motion_model, self.model.origin.partition(":")[0])))
+        return Summary((*lines, Line("runs", f"{len(cloud.xyt)} of seed {cloud.seed}, over {self.odometry}")))
 
     def details(self) -> str:
         """Return the noise, and the spread at each distance."""
-        origin = f" ({self.model.origin})" if self.model.origin else ""
-        return f"noise: {self.model.motion_model.noise.words}{origin}\n{report_text(self.result)}"
+        cloud, origin = self.result, f" ({self.model.origin})" if self.model.origin else ""
+        lines = [f"noise: {self.model.motion_model.noise.words}{origin}", f"{len(cloud.xyt)} runs, seed {cloud.seed}"]
+        lines += [f"after {d:6.2f} m: 1 sigma {self._spread(i)}" for i, d in enumerate(cloud.distance_m)]
+        return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return seed, number of runs, and mean and covariance at every place."""
-        return finite({"schema": 2, **particles_json(self.result)})
+    def _spread(self, place: int) -> str:
+        """Return the standard deviations at one place along the drive, in words."""
+        moments = samples.sample_moments(self.result.xyt[:, place])
+        about, heading = samples.ellipse(moments, 1.0), math.degrees(math.sqrt(moments.covariance[2, 2]))
+        return f"{about.major_m:.3g} m by {about.minor_m:.3g} m, heading {heading:.3g} deg"
+
+    def _values(self) -> dict[str, Any]:
+        cloud = self.result
+        places = zip(cloud.distance_m, cloud.clean_xyt, cloud.xyt.swapaxes(0, 1), strict=True)
+        return {
+            "seed": cloud.seed,
+            "runs": len(cloud.xyt),
+            "places": [
+                {"distance_m": distance, "odometry_xyt": clean, **asdict(samples.sample_moments(xyt))}
+                for distance, clean, xyt in places
+            ],
+        }
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per run and place: distance and pose."""
-        names, cloud = ("x_m", "y_m", "theta_rad"), self.result
+        cloud = self.result
         return [
-            {"run": run, "distance_m": float(distance), **dict(zip(names, map(float, pose), strict=True))}
+            {"run": run, "distance_m": float(distance), **_named(pose)}
             for run, poses in enumerate(cloud.xyt)
             for distance, pose in zip(cloud.distance_m, poses, strict=True)
         ]
 
     def csv(self) -> str:
         """Return the poses as lines of run, distance, x, y, theta that parse to the same bits."""
-        return csv_text(self.result)
+        return _csv(self.rows())
 
     def _figure(self) -> Figure:
-        """Return a figure of the odometry's path, with the poses at each distance and their ellipse."""
         from odomcorrupt.report.plots.samples import draw_cloud
 
         within = "" if self.space is None else " within the map"
@@ -483,13 +466,13 @@ def sample_along(
         raise OdomCorruptError(f"runs: {runs}; draw one or more")
     chosen = as_model(model)
     drive = read_drive(Path(fspath(bag)), odom_topic)
-    places = places_along(drive, every_m or _rounded_up(float(drive.distance_m[-1]) / 6.0))
+    places = samples.places_along(drive, every_m or _rounded_up(float(drive.distance_m[-1]) / 6.0))
     seed, condition = draw_seed() if seed is None else seed, as_condition(within)
     odometry, robot = f"{drive.topic} of {fspath(bag)}", chosen.motion_model
     if condition is None:
-        return Particles(sample_particles(drive, robot, places, seed=seed, runs=runs), chosen, odometry)
+        return Particles(samples.sample_particles(drive, robot, places, seed=seed, runs=runs), chosen, odometry)
     free = free_paths(drive.stamps_ns, drive.xyt, robot, condition, seed=seed, runs=range(runs), places=places)
-    cloud = particles_at(drive, places, free.xyt, seed)
+    cloud = samples.particles_at(drive, places, free.xyt, seed)
     return Particles(cloud, chosen, odometry, condition.space, (free.account(),))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any, Unpack
@@ -15,19 +16,19 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.provenance import ProvenanceWatcher
 from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.corruption.summary import per_message
+from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message, size_words
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError, RecordingError
-from odomcorrupt.forecasting.forecast import brief, forecast, forecast_json, forecast_text, read_clean_drive
+from odomcorrupt.forecasting.forecast import forecast, read_clean_drive
 from odomcorrupt.inspection.scan import scan_bag
 from odomcorrupt.inspection.summary import brief as contents_brief
 from odomcorrupt.inspection.summary import summarise, summary_text
-from odomcorrupt.report.plain import finite
+from odomcorrupt.report.plain import picked
 from odomcorrupt.rng import draw_seed
+from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from os import PathLike
 
     from matplotlib.figure import Figure
 
@@ -35,7 +36,9 @@ if TYPE_CHECKING:
     from odomcorrupt.forecasting.forecast import Forecast
     from odomcorrupt.inspection.scan import OdometryRecord
     from odomcorrupt.mapping.conditioned import MapCondition
-    from odomcorrupt.summary import Summary
+
+_SAME = 0.03
+"""Deviation of a factor from 1 that the discretisation of a drive explains."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -59,9 +62,8 @@ class Info(Result):
         """Return tables of topics and TF edges, then sentences about the odometry."""
         return summary_text(dict(self.values))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the contents as docs/json.md describes them: metres, radians, seconds."""
-        return finite(self.values)
+    def _values(self) -> dict[str, Any]:
+        return dict(self.values)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per topic: type, number and rate of its messages, and whether corruption modifies it."""
@@ -150,22 +152,82 @@ class Preview(Result):
 
     def summary(self) -> Summary:
         """Return the drift at the end and on the way, the model, and whether the message rate matters."""
-        return brief(self.result, self.model.motion_model, self.model.origin, self.seed)
+        outlook, model = self.result, self.model.motion_model
+        *middle, end = outlook.rows
+        said = f"{size_words(end.position_rms_m, end.heading_rms_rad)} RMS after {outlook.distance_m:.4g} m"
+        lines = [Line("DRIFT", f"{said}; 9 of 10 below {end.position_90_m:.3g} m")]
+        lines += [
+            Line(f"at {row.after_m:g} m", f"{size_words(row.position_rms_m, row.heading_rms_rad)} RMS")
+            for row in [row for row in middle if row.after_m >= 1.0][-2:]
+        ]
+        if per_message(model.noise):
+            lines += [Line("rate", sentence, "warning") for sentence in self._rate]
+        lines += [Line("anomaly", sentence, "warning") for sentence in self._warnings]
+        lines.append(Line("runs", f"{outlook.runs} of seed {self.seed}, over {outlook.name}"))
+        lines.append(Line("model", model_brief(model, self.model.origin.partition(":")[0])))
+        if not per_message(model.noise) and not model.noise.coefficients.noise_free:
+            lines.append(Line("rate", "the noise does not depend on the message rate"))
+        return Summary(tuple(lines))
 
     def details(self) -> str:
         """Return drive, model, a table of the drift, and whether the message rate matters."""
-        return forecast_text(self.result, self.model.motion_model, self.model.origin, self.seed)
+        outlook, model = self.result, self.model.motion_model
+        systematic = any(effect.acts and effect.kind != "noise" for effect in model.effects)
+        rate = "" if outlook.rate_hz is None else f" at {outlook.rate_hz:.3g} Hz"
+        runs = f"runs {outlook.first_run} to {outlook.first_run + outlook.runs - 1} of seed {self.seed}"
+        lines = [
+            f"{outlook.name}: {outlook.distance_m:.4g} m in {outlook.duration_s:.4g} s{rate}",
+            f"{model_words(model, self.model.origin)}; {runs}",
+            "",
+            "    after     position   9 of 10 below       heading" + "   of it constant" * systematic,
+        ]
+        for row in outlook.rows:
+            after = "the end" if row is outlook.rows[-1] else f"{row.after_m:.0f} m"
+            line = f"{after:>9}   {row.position_rms_m:8.3g} m   {row.position_90_m:11.3g} m"
+            line += f"   {math.degrees(row.heading_rms_rad):7.3g} deg"
+            line += f"   {size_words(row.position_mean_m, row.heading_mean_rad)}" if systematic else ""
+            lines.append(line)
+        said = self._rate + self._warnings
+        return "\n".join([*lines, *([""] if said else []), *said])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the forecast as docs/json.md describes it: metres, radians, seconds."""
-        return finite(forecast_json(self.result, self.model.motion_model, self.seed))
+    @property
+    def _rate(self) -> list[str]:
+        """Whether the noise depends on the message rate, in sentences; none without noise."""
+        outlook, noise = self.result, self.model.motion_model.noise
+        if noise.coefficients.noise_free:
+            return []
+        factors = (outlook.half_rate_position, outlook.half_rate_heading)
+        grown = "travel would be {:.3g} and heading {:.3g} times as uncertain.".format(*factors)
+        if per_message(noise):
+            return [f"The noise depends on the message rate: at half of it, {grown}"]
+        said = "The noise does not depend on the message rate."
+        if max(abs(factor - 1.0) for factor in factors) > _SAME:
+            said += f" This recording does: jitter between messages counts as motion; with every second message {grown}"
+        return [said]
+
+    @property
+    def _warnings(self) -> list[str]:
+        return holonomic_words(self.model.motion_model, self.result.sideways_m, self.result.distance_m)
+
+    def _values(self) -> dict[str, Any]:
+        outlook = self.result
+        return {
+            "odometry_source": outlook.name,
+            **picked(outlook, "distance_m", "duration_s", "sideways_m", "rate_hz"),
+            "seed": self.seed,
+            **picked(outlook, "first_run", "runs"),
+            "rows": self.rows(),
+            "depends_on_rate": bool(per_message(self.model.motion_model.noise)),
+            "half_rate_position_factor": outlook.half_rate_position,
+            "half_rate_heading_factor": outlook.half_rate_heading,
+            "warnings": self._warnings,
+        }
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the drift after each distance, the last one at the end: RMS, 90 % quantile, mean error."""
         return [asdict(row) for row in self.result.rows]
 
     def _figure(self) -> Figure:
-        """Return a figure of the noisy paths over the clean one, and of the drift against distance."""
         from odomcorrupt.report.plots.paths import draw_fan
 
         title = f"{self.result.name}: what this model does to {self.result.distance_m:.3g} m"

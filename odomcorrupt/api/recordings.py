@@ -262,8 +262,13 @@ def as_recordings(given: Recordings | PathLikes, like: Recordings | None = None)
     return read_recordings(given) if like is None else like.read_alike(given)
 
 
-def require_travel(runs: Recordings) -> Recordings:
+def require_travel(runs: Recordings, *, turns: bool = False) -> Recordings:
     """Return the recordings if all their truths measure travel, and the robot travelled.
+
+    The noise of an odometry that only turns on the spot is its only travel. An effect of travel then removes this
+    noise, with a small standard error: it would be named with any size.
+
+    turns : whether truths of headings alone are accepted
 
     Raises
     ------
@@ -271,27 +276,13 @@ def require_travel(runs: Recordings) -> Recordings:
         If the only truth of a recording is a gyro, or if the robot only turned on the spot: a model needs travel.
     """
     blind = [run.name for run in runs if not run.positioned]
-    if blind:
+    if blind and not turns:
         raise RecordingError(
             f"{blind[0]}: wheels and a gyro alone do not measure travel, which a model needs: only diagnose can use "
             "them; give a truth, scans or relative motions (--truth, --scan, --relative)"
         )
-    return refuse_turns_alone(runs)
-
-
-def refuse_turns_alone(runs: Recordings) -> Recordings:
-    """Return the recordings, unless their truths measure travel and the robot only turned on the spot in all of them.
-
-    The noise of such an odometry is its only travel. An effect of travel then removes this noise, with a small standard
-    error: it would be named with any size.
-
-    Raises
-    ------
-    RecordingError
-        With the travel found.
-    """
     travelled_m = max((run.travel_m for run in runs), default=0.0)
-    if travelled_m < _LEAST_TRAVEL_M and all(run.positioned for run in runs):
+    if travelled_m < _LEAST_TRAVEL_M and not blind:
         raise RecordingError(
             f"{runs[0].name}: travels {travelled_m:.2f} m only, at least {_LEAST_TRAVEL_M:g} m are needed: turns on "
             "the spot show nothing about travel; add a drive of some metres"

@@ -7,10 +7,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.extras import require
+from odomcorrupt.report.plain import finite
 from odomcorrupt.result_files import refuse_existing, write_bytes
 from odomcorrupt.summary import command_line
 
@@ -29,6 +30,7 @@ class Result(ABC):
     """
 
     following: str = ""
+    schema: ClassVar[int] = 2
 
     @abstractmethod
     def summary(self) -> Summary:
@@ -38,13 +40,17 @@ class Result(ABC):
     def details(self) -> str:
         """Return the full text."""
 
-    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """Return plain values as printed by `--json`: metres, radians, seconds; see docs/json.md."""
+        return {"schema": self.schema, **finite(self._values())}
 
     @abstractmethod
+    def _values(self) -> dict[str, Any]:
+        """Return the values of `to_dict` by name; numbers may be numpy's, and unknown or infinite."""
+
     def rows(self) -> list[dict[str, Any]]:
-        """Return the rows of `to_pandas`, with units in the column names."""
+        """Return the rows of `to_pandas`, with units in the column names; by default one row with all values."""
+        return [self._values()]
 
     def then(self, *words: object) -> Self:
         """Return this result with another suggested next command.

@@ -80,10 +80,8 @@ class Simulation(Result):
         robot = f"heading from {self.settings['heading']}, nominal track {self.track_m} m"
         return f"{self.settings['duration_s']:g} s of /odom and /ground_truth", robot
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the settings and the files; the answer stays in its file."""
-        return {
-            "schema": 2,
+    def _values(self) -> dict[str, Any]:
+        return {  # the answer stays in its file
             "output": None if self.target is None else str(self.target),
             "answer": None if self.answer_path is None else str(self.answer_path),
             "track_m": self.track_m,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,6 @@ from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import BatchError, EffectError
 from odomcorrupt.model.model_file import parse_model, read_model
-from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -64,10 +62,6 @@ class SpreadReport:
     band: Array
     errors: Array
     concentration: float
-
-
-_ERRORS = 2.0
-"""Standard errors beyond which a dispersion differs from the prediction."""
 
 
 class _Quiet:
@@ -169,42 +163,3 @@ def _path(
     source = NoisyPath(model, seed, record["run"], covariance=False, systematic=shared)
     samples = source.feed(clean.stamps_ns, clean.xyt)
     return samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]
-
-
-def spread_brief(report: SpreadReport) -> Summary:
-    """Return whether the dispersion at the end is as predicted, and its values along the drive."""
-    last = report.rows[-1]
-    ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
-    # standard error of the logarithm of the root of a sum of variances, estimated from this many normal errors
-    chance = _ERRORS * math.sqrt(report.concentration / (2.0 * max(report.runs - 1, 1)))
-    off = math.inf if not ratio else math.log(ratio)
-    verdict = "AS PREDICTED" if abs(off) <= chance else "WIDER" if off > 0.0 else "NARROWER"
-    by_chance = f"{report.runs} runs: {math.exp(-chance):.2f} to {math.exp(chance):.2f} by chance"
-    said = f"{ratio:.3g} times the predicted spread after {last.after_m:.4g} m ({by_chance})"
-    lines = [Line(verdict, said, "good" if abs(off) <= chance else "warning")]
-    for row in (report.rows[i] for i in sorted({0, len(report.rows) // 2, len(report.rows) - 1})):
-        measured = f"{row.position_m:.3g} m, {math.degrees(row.heading_rad):.3g} deg"
-        predicted = f"{row.position_predicted_m:.3g} m, {math.degrees(row.heading_predicted_rad):.3g} deg"
-        lines.append(Line(f"{row.after_m:.4g} m", f"{measured} (predicted {predicted})"))
-    mean = f"{last.mean_m:.3g} m, {math.degrees(last.mean_rad):.3g} deg off on average at the end"
-    lines.append(Line("mean", mean))
-    if report.random_effects:
-        lines.append(Line("note", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
-    return Summary(tuple(lines))
-
-
-def spread_text(report: SpreadReport) -> str:
-    """Return a table of the dispersion along the drive, measured and predicted."""
-    lines = [
-        f"{report.directory}: {report.runs} runs; standard deviations about their mean, and as linearised (predicted)",
-        "   after m   position m   predicted   heading deg   predicted    mean m   mean deg",
-    ]
-    lines += [
-        f"{row.after_m:10.4g} {row.position_m:12.4g} {row.position_predicted_m:11.4g} "
-        f"{math.degrees(row.heading_rad):13.4g} {math.degrees(row.heading_predicted_rad):11.4g} "
-        f"{row.mean_m:9.3g} {math.degrees(row.mean_rad):10.3g}"
-        for row in report.rows
-    ]
-    if report.random_effects:
-        lines.append(f"The prediction does not include the draws of {', '.join(report.random_effects)}.")
-    return "\n".join(lines)

@@ -184,9 +184,6 @@ def disagreement_m(record: OdometryRecord, edge: EdgeRecord, *, turned: bool) ->
     return float(np.nanmax(off)) if np.isfinite(off).any() else None
 
 
-SCHEMA = 2
-"""Version of the schema of `summarise`."""
-
 SCANS = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2")
 _GAP_S, _GAP_PERIODS = 2.0, 5.0
 """A reported gap between scans is longer than this, in seconds and in usual periods."""
@@ -225,7 +222,6 @@ def summarise(
     }
     edges = [_edge(e, frames if shares(e.topic) else None) for e in scan.edges]
     return {
-        "schema": SCHEMA,
         "odometry_source": None if source is None else source.topic,
         "odom_frame": None if frames is None else frames.odom,
         "base_frame": None if frames is None else frames.base,

@@ -12,7 +12,7 @@ every map, so the difference between two maps of one drive measures the effect o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -350,17 +350,3 @@ def maps_table(maps: Sequence[ScanMap]) -> str:
     hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
     lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
     return "\n".join(lines)
-
-
-def maps_json(maps: Sequence[ScanMap], notes: Sequence[str], seed: int) -> dict[str, Any]:
-    """Return the wall thickness and the distance of hits from the walls as plain values, metres."""
-    return {
-        "schema": 2,
-        "seed": seed,
-        "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
-        "travelled_m": maps[0].marks_m.tolist(),
-        "thickness_m": {s.name: s.thickness_m.tolist() for s in maps},
-        "added_m": added_thickness(maps[0].thickness_m, maps[1].thickness_m).tolist(),
-        "off_surface_m": {s.name: s.off_surface_m.tolist() for s in maps[1:]},
-        "notes": list(notes),
-    }

@@ -7,7 +7,7 @@ from math import degrees, isfinite
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.report.findings import plainly
-from odomcorrupt.report.plain import finite, picked
+from odomcorrupt.report.plain import picked
 from odomcorrupt.study.validate.compare import NOT_APPLIED, agreement_of
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR, size_question
 from odomcorrupt.summary import Line, Summary, Tone
@@ -378,105 +378,63 @@ def _p(p: float) -> str:
     return "< 0.001" if p < 1e-3 else f"{p:.2g}"
 
 
-SCHEMA = 2
-
-
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """Return a comparison as plain values."""
-    return finite(
-        {
-            "schema": SCHEMA,
-            "signs": SIGNS,
-            "recordings": list(comparison.recordings),
-            "clocks": [
-                {"recording": name, "offset_s": clock.offset_s, "skew": clock.rate}
-                for name, clock in zip(comparison.recordings, comparison.clocks.clocks, strict=True)
-            ],
-            "raw_ten_second_error_m": comparison.raw_error_m,
-            "aligned_ten_second_error_m": comparison.clock_error_m,
-            "aligned_trajectory": _trajectory(comparison.clock_trajectory),
-            "models": [_evaluation(j) for j in comparison.evaluations],
-        }
-    )
+    """Return a comparison as values by name, without the schema."""
+    clocks = zip(comparison.recordings, comparison.clocks.clocks, strict=True)
+    return {
+        "signs": SIGNS,
+        **picked(comparison, "recordings"),
+        "clocks": [{"recording": name, **picked(clock, "offset_s", skew="rate")} for name, clock in clocks],
+        **picked(comparison, raw_ten_second_error_m="raw_error_m", aligned_ten_second_error_m="clock_error_m"),
+        "aligned_trajectory": _trajectory(comparison.clock_trajectory),
+        "models": [_evaluation(j) for j in comparison.evaluations],
+    }
 
 
 def _evaluation(j: ModelEvaluation) -> dict[str, Any]:
     return {
-        "name": j.name,
-        "held_out": j.judged_on,
-        "ten_second_error_m": j.ten_second_error_m,
-        "nats_per_m": j.nats.per_m,
-        "nats_per_m_error": j.nats.error,
-        "gain_over_first_nats_per_m": j.nats.gain_per_m,
-        "gain_error": j.nats.gain_error,
-        "blocks": j.nats.blocks,
+        **picked(j, "name", "ten_second_error_m", "notes", held_out="judged_on"),
+        **picked(j.nats, "gain_error", "blocks", nats_per_m="per_m", nats_per_m_error="error"),
+        **picked(j.nats, gain_over_first_nats_per_m="gain_per_m"),
         "verdict": {
-            **picked(j.verdict, "rejected", "fails", "misfit", "level"),
-            "checks": [{"question": test.question, "p": test.p} for test in j.verdict.checks],
-            "threshold": j.verdict.threshold,
+            **picked(j.verdict, "rejected", "fails", "misfit", "level", "threshold"),
+            "checks": [picked(test, "question", "p") for test in j.verdict.checks],
             "sentence": evaluation_sentence(j),
         },
         "horizons": [_horizon(h) for h in j.horizons],
         "pit": {
-            name: {"p": pit.p, "inside_95": pit.inside, **picked(pit, "at", "difference", "low", "high")}
+            name: picked(pit, "p", "at", "difference", "low", "high", inside_95="inside")
             for name, pit in j.pits.items()
         },
-        "whiteness": {
-            name: {"p": w.p, "ljung_box": w.statistic, "correlation": w.correlation}
-            for name, w in j.whiteness.items()
-        },
+        "whiteness": {name: picked(w, "p", "correlation", ljung_box="statistic") for name, w in j.whiteness.items()},
         "trajectory": _trajectory(j.trajectory),
         "fails": [_failure(f) for f in j.failures],
-        "notes": list(j.notes),
-    }  # fmt: skip
+    }
 
 
 def _failure(f: Failure) -> dict[str, Any]:
     return {
-        **picked(f, "kind", "channel", "where"),
+        **picked(f, "kind", "channel", "where", "measured", "expected", "amount", "log_p", "span_s"),
         "unit": ("rad" if f.channel == "yaw" else "m") + (f"/{f.per}" if f.per else ""),
-        **picked(f, "measured", "expected", "amount"),
         "p": math.exp(f.log_p),
-        "log_p": f.log_p,
         "besides_the_ones_before": f.besides,
         "recording": f.recording or None,
-        "span_s": None if f.span_s is None else list(f.span_s),
         "place": None if f.place is None else dict(zip(("x_m", "y_m", "radius_m"), f.place, strict=True)),
         "sentence": sentence(f),
     }
 
 
 def _horizon(h: Horizon) -> dict[str, Any]:
+    sized = {name: getattr(h, name) for name in ("measured", "expected", "bias", "crps")}
+    plain = {name: getattr(h, name) for name in ("excess_p", "coverage_50", "coverage_90")}
     return {
-        "distance_m": h.distance_m,
-        "windows": h.windows,
-        "measured": _channels(h.measured),
-        "expected": _channels(h.expected),
-        "bias": _channels(h.bias),
-        "excess_p": _by_name(h.excess_p),
-        "position_measured_m": h.position_measured,
-        "position_expected_m": h.position_expected,
-        "nees_per_dof": h.nees,
-        "nees_95": h.nees_bounds,
-        "nees_p": h.nees_p,
-        "coverage_50": _by_name(h.coverage_50),
-        "coverage_90": _by_name(h.coverage_90),
-        "crps": _channels(h.crps),
+        **picked(h, "distance_m", "windows", "nees_p", nees_per_dof="nees", nees_95="nees_bounds"),
+        **picked(h, position_measured_m="position_measured", position_expected_m="position_expected"),
+        **{name: dict(zip(("along_m", "across_m", "yaw_rad"), own, strict=True)) for name, own in sized.items()},
+        **{name: dict(zip(("along", "across", "yaw"), own, strict=True)) for name, own in plain.items()},
     }
 
 
 def _trajectory(e: TrajectoryError) -> dict[str, Any]:
-    return {
-        "ate_rmse_m": e.ate_m,
-        "ate_origin_rmse_m": e.ate_origin_m,
-        "rpe_1m_rmse_m": e.rpe_m,
-        "rpe_1m_rmse_rad": e.rpe_rad,
-    }
-
-
-def _channels(values: Iterable[float]) -> dict[str, float]:
-    return dict(zip(("along_m", "across_m", "yaw_rad"), values, strict=True))
-
-
-def _by_name(values: Iterable[float]) -> dict[str, float]:
-    return dict(zip(("along", "across", "yaw"), values, strict=True))
+    errors = picked(e, ate_rmse_m="ate_m", ate_origin_rmse_m="ate_origin_m")
+    return errors | picked(e, rpe_1m_rmse_m="rpe_m", rpe_1m_rmse_rad="rpe_rad")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any
 
 
-def picked(one: object, *names: str) -> dict[str, Any]:
-    """Return attributes of an object by their names."""
-    return {name: getattr(one, name) for name in names}
+def picked(one: object, *names: str, **renamed: str) -> dict[str, Any]:
+    """Return attributes of an object by their names, and others, also of attributes as "nats.per_m", by new names."""
+    return {name: attrgetter(path)(one) for name, path in (*zip(names, names, strict=True), *renamed.items())}
 
 
 def finite(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Conversion of coefficients between noise laws, and its result in words.
+"""Conversion of coefficients between noise laws.
 
 Two laws count as equal if they give the same drift per metre of a straight drive and per radian of a turn on the spot.
 This determines the four coefficients separately: each is the only one that acts on its kind of error (heading, travel)
@@ -11,15 +11,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from odomcorrupt.corruption.summary import model_brief
 from odomcorrupt.errors import ModelError
-from odomcorrupt.model.motion_model import MotionModel, Noise, Step
+from odomcorrupt.model.motion_model import Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients, Law
-from odomcorrupt.summary import Line, Summary, command_line
 
 ANY_STEP = Step(1.0, 1.0)
 """For laws that do not depend on the step."""
@@ -95,16 +92,7 @@ def _drift(law: Law, k: Coefficients, step: Step) -> Drift:
     )
 
 
-def conversion_brief(before: Noise, after: Noise) -> Summary:
-    """Return the coefficients of the other law, the drift of both, and how to use them."""
-    straight, turn = _drifts(after)
-    new, old = (f"{model_brief(MotionModel(noise), '')}; {noise.law.meaning}" for noise in (after, before))
-    lines = [Line("CONVERTED", new, "good"), Line("from", old), Line("10 m", f"{straight} (1 sigma, both laws)")]
-    lines.append(Line("360 deg", f"on the spot: {turn} (1 sigma, both laws)"))
-    return Summary((*lines, command_line(f"odomcorrupt in.bag out.bag {_flags(after)}")))
-
-
-def _flags(noise: Noise) -> str:
+def flags_of(noise: Noise) -> str:
     """Return the options that select a noise."""
     values = [getattr(noise.coefficients, name) for name in noise.law.alphas]
     while len(values) > 4 and not values[-1]:  # the first four must be typed
@@ -113,7 +101,7 @@ def _flags(noise: Noise) -> str:
     return f"--law {noise.law_name} --alpha {alphas}{f' --step {noise.step}' if noise.step is not None else ''}"
 
 
-def _drifts(noise: Noise) -> tuple[str, str]:
+def drift_words(noise: Noise) -> tuple[str, str]:
     """Return the standard deviations after ten metres straight, and after a whole turn on the spot, in words."""
     drift = drift_of(noise)
     heading, travel = math.degrees(math.sqrt(10.0 * drift.rot_trans)), math.sqrt(10.0 * drift.trans_trans)
@@ -122,25 +110,3 @@ def _drifts(noise: Noise) -> tuple[str, str]:
         f"heading {heading:.3g} deg, along {travel:.3g} m",
         f"heading {math.degrees(turned):.3g} deg, along {shifted:.3g} m",
     )
-
-
-def conversion_text(before: Noise, after: Noise) -> str:
-    """Return both laws in words, and the drift that they make."""
-    straight, turn = _drifts(after)
-    return f"""{before.words}
-makes the same drift on straight drives and on turns as
-{after.words}
-  10 m straight: {straight} (1 sigma, both)
-  one turn on the spot: {turn} (1 sigma, both)
-{_flags(after)}"""
-
-
-def conversion_json(before: Noise, after: Noise) -> dict[str, Any]:
-    """Return both laws as plain values, and the growth of the variances."""
-
-    def side(noise: Noise) -> dict[str, Any]:
-        step = None if noise.step is None else str(noise.step)
-        return {"law": noise.law_name, "step": step, "coefficients": dataclasses.asdict(noise.coefficients)}
-
-    growth = dataclasses.asdict(drift_of(after))
-    return {"schema": 2, "from": side(before), "to": side(after), "variance_growth": growth}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from odomcorrupt.errors import MapError, ModelError, RecordingError
 from odomcorrupt.geometry.se2 import BEARING_MIN_M, Increments, RotTransRot, increments, rot_trans_rot, rotate
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
-from odomcorrupt.summary import Line, Summary
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -331,57 +330,3 @@ def sample_particles(
 def particles_at(drive: Drive, places: NDArray[np.intp], xyt: Array, seed: int) -> ParticleSet:
     """Return the particle set of noisy poses (runs, k, 3) at the pose indices (k,) of a drive."""
     return ParticleSet(drive.distance_m[places], drive.xyt[places], xyt, drive.xyt, seed)
-
-
-def report_text(particles: ParticleSet) -> str:
-    """Return the particle set as text: one line per place."""
-    lines = [f"{len(particles.xyt)} runs, seed {particles.seed}"]
-    lines += [f"after {d:6.2f} m: 1 sigma {_spread(particles, i)}" for i, d in enumerate(particles.distance_m)]
-    return "\n".join(lines)
-
-
-def brief(particles: ParticleSet, model: str, drive: str) -> Summary:
-    """Return a summary of the runs' spread at the end and on the way.
-
-    particles : the particle set
-    model, drive : descriptions of noise model and odometry
-    """
-    runs, places = len(particles.xyt), len(particles.distance_m)
-    between = sorted({(places - 1) // 3, 2 * (places - 1) // 3} - {places - 1})
-    said = [f"{_spread(particles, i)} (1 sigma) after {particles.distance_m[i]:.4g} m" for i in (places - 1, *between)]
-    lines = [Line("SPREAD", said[0], "good"), *(Line("", one) for one in said[1:])]
-    lines += [Line("model", model), Line("runs", f"{runs} of seed {particles.seed}, over {drive}")]
-    return Summary(tuple(lines))
-
-
-def _spread(particles: ParticleSet, place: int) -> str:
-    """Return the standard deviations at one place along the drive, in words."""
-    moments = sample_moments(particles.xyt[:, place])
-    about = ellipse(moments, 1.0)
-    heading_deg = np.degrees(np.sqrt(moments.covariance[2, 2]))
-    return f"{about.major_m:.3g} m by {about.minor_m:.3g} m, heading {heading_deg:.3g} deg"
-
-
-def csv_text(particles: ParticleSet) -> str:
-    """Return the particle set as CSV: one line per pose and run."""
-    lines = ["run,distance_m,x_m,y_m,theta_rad"]
-    for run, poses in enumerate(particles.xyt):
-        for distance, pose in zip(particles.distance_m, poses, strict=True):
-            lines.append(",".join([str(run), repr(float(distance)), *(repr(float(value)) for value in pose)]))
-    return "\n".join(lines) + "\n"
-
-
-def particles_json(particles: ParticleSet) -> dict[str, Any]:
-    """Return mean and covariance at every place as plain values."""
-    places: list[dict[str, Any]] = []
-    for i, distance in enumerate(particles.distance_m):
-        moments = sample_moments(particles.xyt[:, i])
-        places.append(
-            {
-                "distance_m": float(distance),
-                "odometry_xyt": particles.clean_xyt[i].tolist(),
-                "mean_xyt": moments.mean_xyt.tolist(),
-                "covariance": moments.covariance.tolist(),
-            }
-        )
-    return {"seed": particles.seed, "runs": len(particles.xyt), "places": places}

@@ -13,8 +13,8 @@ from mcap.writer import Writer
 from test_batch_bytes import BAGS, bytes_of, messages_of, records
 
 import odomcorrupt as oc
+from odomcorrupt.api.batch import Spread
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.batching.dispersion import spread_brief
 from odomcorrupt.cli import run
 from terminal import on_a_terminal
 
@@ -177,13 +177,13 @@ def test_a_spread_differs_from_the_prediction_by_chance_as_rarely_as_it_says(her
     report = oc.spread("runs").result
     errors = np.array([one["errors"][-1] for one in records(here / "runs")])[:, 1:3].reshape(20, 20, 2)
     ratios = np.linalg.norm(errors.std(axis=1, ddof=1), axis=1)
-    said = [
-        spread_brief(replace(report, runs=20, rows=(replace(report.rows[-1], position_m=float(one)),))).lines[0].label
-        for one in ratios
-    ]
-    assert 17 <= said.count("AS PREDICTED") <= 20
-    wide = spread_brief(replace(report, rows=(replace(report.rows[-1], position_m=float(1.2 * ratios.mean())),)))
-    assert wide.lines[0].label == "WIDER"
+
+    def verdict(runs, ratio):
+        last = replace(report.rows[-1], position_m=float(ratio))
+        return Spread(replace(report, runs=runs, rows=(last,))).summary().lines[0].label
+
+    assert 17 <= [verdict(20, one) for one in ratios].count("AS PREDICTED") <= 20
+    assert verdict(report.runs, 1.2 * ratios.mean()) == "WIDER"
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])

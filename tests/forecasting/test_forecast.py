@@ -8,13 +8,15 @@ from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, odometry, robot
 from drives import model, office, silent
 from test_run import FIXTURES
 
+from odomcorrupt.api.model import Model
+from odomcorrupt.api.preview import Preview
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
-from odomcorrupt.forecasting.forecast import CleanDrive, forecast, forecast_json, forecast_text, read_clean_drive
+from odomcorrupt.forecasting.forecast import CleanDrive, forecast, read_clean_drive
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
 
@@ -25,6 +27,10 @@ DRIVE = CleanDrive("/odom", T, POSES)
 def outlook_of(chosen, seed=1, runs=2, drive=DRIVE, first=0):
     paths = (NoisyPath(chosen, seed, run) for run in range(first, first + runs))
     return forecast(drive, chosen, paths, first_run=first)
+
+
+def preview_of(chosen, **options):
+    return Preview(outlook_of(chosen, **options), Model.of(chosen), 1)
 
 
 def bag(messages):
@@ -72,9 +78,9 @@ def test_rows_are_the_moments_of_its_runs():
     [(model(), False), (model("linear"), True), (model("linear", step="0.25m,0.2rad"), False), (model("omni"), True)],
 )
 def test_it_says_whether_the_message_rate_matters(chosen, depends):
-    outlook = outlook_of(chosen)
-    assert forecast_json(outlook, chosen, 1)["depends_on_rate"] == depends
-    assert ("noise depends on the message rate" in forecast_text(outlook, chosen, "", 1)) == depends
+    shown = preview_of(chosen)
+    assert shown.to_dict()["depends_on_rate"] == depends
+    assert ("noise depends on the message rate" in shown.details()) == depends
 
 
 def test_half_the_rate_makes_a_linear_law_drift_by_the_square_root_of_two():
@@ -84,29 +90,27 @@ def test_half_the_rate_makes_a_linear_law_drift_by_the_square_root_of_two():
 def test_jitter_of_the_recording_is_not_blamed_on_the_law():
     rng = np.random.default_rng(3)
     shaken = CleanDrive("/odom", T, POSES + np.array([0.0, 0.0, 0.01]) * rng.standard_normal(POSES.shape))
-    outlook = outlook_of(model(), drive=shaken)
-    text = forecast_text(outlook, model(), "", 1)
+    shown = preview_of(model(), drive=shaken)
+    text = shown.details()
     assert "The noise does not depend on the message rate. This recording does: jitter between messages" in text
-    assert f"heading {outlook.half_rate_heading:.3g} times as uncertain" in text
-    assert not forecast_json(outlook, model(), 1)["depends_on_rate"]
+    assert f"heading {shown.result.half_rate_heading:.3g} times as uncertain" in text
+    assert not shown.to_dict()["depends_on_rate"]
 
 
 def test_a_robot_that_strafes_is_warned_of_a_law_that_does_not_know_it():
     aside = CleanDrive("/odom", T, np.column_stack((0.0 * T, np.linspace(0.0, 5.0, len(T)), 0.0 * T)))
-    outlook = outlook_of(model("linear"), drive=aside)
-    assert "The robot moves sideways (5 m of 5 m), which the law linear does not model" in forecast_text(
-        outlook, model("linear"), "", 1
-    )
-    assert forecast_json(outlook, model("linear"), 1)["warnings"]
-    assert not forecast_json(outlook_of(model("omni"), drive=aside), model("omni"), 1)["warnings"]
+    shown = preview_of(model("linear"), drive=aside)
+    assert "The robot moves sideways (5 m of 5 m), which the law linear does not model" in shown.details()
+    assert shown.to_dict()["warnings"]
+    assert not preview_of(model("omni"), drive=aside).to_dict()["warnings"]
 
 
 def test_effects_are_reported_as_the_constant_part():
     chosen = silent([effect_from_values("wheel_scale", {"e": 0.01})])
-    outlook = outlook_of(chosen)
-    assert outlook.rows[-1].position_mean_m == pytest.approx(outlook.rows[-1].position_rms_m)
-    assert "of it constant" in forecast_text(outlook, chosen, "", 1)
-    assert "of it constant" not in forecast_text(outlook, model(), "", 1)
+    shown = preview_of(chosen)
+    assert shown.result.rows[-1].position_mean_m == pytest.approx(shown.result.rows[-1].position_rms_m)
+    assert "of it constant" in shown.details()
+    assert "of it constant" not in preview_of(model()).details()
 
 
 def test_the_command_prints_a_table_or_values_and_draws(capsys, tmp_path):

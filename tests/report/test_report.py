@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from odomcorrupt.api.findings import Comparison
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.report.comparison import MOST, comparison_brief, comparison_json, evaluation_sentence, sentence
+from odomcorrupt.report.comparison import MOST, comparison_brief, evaluation_sentence, sentence
 from odomcorrupt.report.findings import noise_text
 from odomcorrupt.report.html.study import report_html
 from odomcorrupt.report.plain import finite
@@ -102,10 +103,10 @@ def test_the_page_says_what_the_terminal_and_the_json_say(page, comparison):
         assert evaluation_sentence(evaluation) in text
         for failure in evaluation.failures[:MOST]:
             assert sentence(failure) in text
-    printed = [f["sentence"] for model in comparison_json(comparison)["models"] for f in model["fails"][:MOST]]
+    printed = [f["sentence"] for model in Comparison(comparison).to_dict()["models"] for f in model["fails"][:MOST]]
     assert printed
     assert all(s in text for s in printed)
-    json.dumps(comparison_json(comparison), allow_nan=False)
+    json.dumps(Comparison(comparison).to_dict(), allow_nan=False)
 
 
 def test_the_cause_is_seen_in_the_first_model_and_gone_in_the_second(comparison):
@@ -148,7 +149,7 @@ def test_a_truth_of_positions_alone_gets_its_page_without_a_word_on_yaw(case, ba
     assert not any(f.channel == "yaw" for f in evaluation.failures)
     assert np.isnan(evaluation.horizons[0].measured[2])
     assert (
-        json.loads(json.dumps(comparison_json(found), allow_nan=False))["models"][0]["trajectory"]["rpe_1m_rmse_m"]
+        json.loads(json.dumps(Comparison(found).to_dict(), allow_nan=False))["models"][0]["trajectory"]["rpe_1m_rmse_m"]
         is None
     )
     page = report_html(found)

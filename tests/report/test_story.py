@@ -21,6 +21,7 @@ from odomcorrupt.report.brief import _contact_words, _found_lines, _mounting_wor
 from odomcorrupt.report.comparison import comparison_text, rejection, within
 from odomcorrupt.report.findings import dependences_found, effects_found, foremost, is_unexplained
 from odomcorrupt.report.html.study import found_html
+from odomcorrupt.report.plain import finite
 from odomcorrupt.report.plots.comparison import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
@@ -429,7 +430,7 @@ def test_names_too_long_for_their_column_stand_above_their_row(sequence):
 
 
 def test_json_has_no_number_that_is_none(rich, poor, sequence):
-    printed = texts.learned_json(rich, sequence.evaluations, ADVICE)
+    printed = finite(texts.learned_json(rich, sequence.evaluations, ADVICE))
     assert json.loads(json.dumps(printed, allow_nan=False))["verdict"] == "unknown"
     assert len(printed["unknown"]) == len(UNKNOWNS)
     assert [one["effect"] for one in printed["not_testable"]] == [one.effect for one in UNTESTABLE]
