@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.result import Result
@@ -105,19 +104,14 @@ class EffectDescription(Result):
         return "\n".join([*lines, "", _example(kind)])
 
     def _values(self) -> dict[str, Any]:
-        kind, about = self.kind, self.kind.about
+        kind, names = self.kind, ("equation", "typical", "source", "confused_with", "drive")
         return {
-            **picked(kind, "name", "kind", "summary"),
-            "equation": about.equation if about else None,
+            **picked(kind, "name", "kind", "summary", "needs_gyro", "needs_track", "needs_sideways"),
+            **(picked(kind.about, *names) if kind.about else dict.fromkeys(names) | {"confused_with": []}),
             "parameters": self.rows(),
-            "words": {word: list(options) for word, options in choices(kind).items()},
-            "typical": about.typical if about else None,
-            "source": about.source if about else None,
-            "confused_with": list(about.confused_with) if about else [],
+            "words": choices(kind),
             "twin_of": kind.aliased_with,
-            "drive": about.drive if about else None,
             "drive_types": sorted(kind.drives) if kind.drives is not None else None,
-            **picked(kind, "needs_gyro", "needs_track", "needs_sideways"),
         }
 
     def rows(self) -> list[dict[str, Any]]:
@@ -173,16 +167,12 @@ class PresetList(Result):
 
     def _presets(self) -> list[dict[str, Any]]:
         """Return name, law, coefficients, ranges and source of each."""
-        found = []
-        for preset in self.presets:
-            noise = preset.noise
-            numbers = dataclasses.asdict(noise.coefficients)
-            shown = {key: value for key, value in numbers.items() if value or key in noise.law.alphas}
-            found.append(
-                {"name": preset.name, "law": noise.law_name, "coefficients": shown, "ranges": dict(preset.spread),
-                 "track_m": preset.track_m, "drive_type": preset.drive_type, "source": preset.source}
-            )  # fmt: skip
-        return found
+        return [
+            picked(p, "name", "track_m", "drive_type", "source", law="noise.law_name", ranges="spread")
+            | {"coefficients": {k: v for k, v in numbers.items() if v or k in p.noise.law.alphas}}
+            for p in self.presets
+            for numbers in [asdict(p.noise.coefficients)]
+        ]
 
 
 def list_effects() -> EffectList:

@@ -96,13 +96,14 @@ class Corruption(Result):
 
     def summary(self) -> Summary:
         """Return the messages modified, model, seed, the drift at the end, and warnings."""
-        return brief(self.outcome, self.model.origin, self.target, [*self._again(), self.map_account])
+        return brief(self.outcome, self.model.origin, self.target, [*self._again, self.map_account])
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        said = (paragraph(self.outcome, self.model.origin), self.map_account, *self._again())
+        said = (paragraph(self.outcome, self.model.origin), self.map_account, *self._again)
         return " ".join(part for part in said if part)
 
+    @property
     def _again(self) -> list[str]:
         return [
             f"The input was corrupted before (seed {one.get('seed', '?')}, run {one.get('run', '?')}): drifts add up."

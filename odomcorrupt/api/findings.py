@@ -22,6 +22,7 @@ from odomcorrupt.report import diagnosis as texts
 from odomcorrupt.report.brief import findings_brief, fit_brief, mistakes_first
 from odomcorrupt.report.comparison import comparison_brief, comparison_json, comparison_text, reproduction_sentence
 from odomcorrupt.report.findings import clock_lines, effects_with_errors, numbers_text
+from odomcorrupt.report.plain import picked
 from odomcorrupt.result_files import refuse_existing, write_bytes
 from odomcorrupt.study.design.plan import drive_bag
 from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
@@ -40,9 +41,8 @@ from odomcorrupt.summary import Line, Summary
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.model.motion_model import Origin
+    from odomcorrupt.model.motion_model import MotionModel, Origin
     from odomcorrupt.study.estimate.calibrate import RobotFit
-    from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
     from odomcorrupt.study.estimate.returns import ReturnsFit
     from odomcorrupt.study.io.recording import Mistake
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
@@ -169,15 +169,11 @@ class SquareTest(Result):
         """The effects as a model without noise, which a few end poses cannot determine."""
         found = self.result
         names = [f"{e.name}.{p.name}" for e in found.effects for p in amplitudes(e)]
-        return Model.of(
-            replace(
-                NOISE_FREE,
-                effects=found.effects,
-                track_m=found.recordings[0].track_m,
-                standard_errors=dict(zip(names, map(float, found.standard_errors), strict=True)),
-                source={"recordings": [r.name for r in found.recordings]},
-            )
-        )
+        errors = dict(zip(names, map(float, found.standard_errors), strict=True))
+        source = {"recordings": [r.name for r in found.recordings]}
+        track_m = found.recordings[0].track_m
+        model = replace(NOISE_FREE, effects=found.effects, track_m=track_m, standard_errors=errors, source=source)
+        return Model.of(model)
 
     def summary(self) -> Summary:
         """Return the effects with standard errors, and the distance of the ends from the start before and after."""
@@ -307,18 +303,9 @@ class Comparison(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per model: errors in metres, log likelihood in nats per metre, whether it is rejected."""
-        return [
-            {
-                "model": j.name,
-                "error_10s_m": j.ten_second_error_m,
-                "nats_per_m": j.nats.per_m,
-                "nats_per_m_error": j.nats.error,
-                "ate_m": j.trajectory.ate_m,
-                "rpe_1m_m": j.trajectory.rpe_m,
-                "rejected": j.verdict.rejected,
-            }
-            for j in self.result.evaluations
-        ]
+        names = {"model": "name", "error_10s_m": "ten_second_error_m", "nats_per_m": "nats.per_m"}
+        names |= {"nats_per_m_error": "nats.error", "ate_m": "trajectory.ate_m", "rpe_1m_m": "trajectory.rpe_m"}
+        return [picked(j, **names, rejected="verdict.rejected") for j in self.result.evaluations]
 
     def report(self) -> str:
         """Return the comparison as a self-contained HTML page with tables and figures, usable offline."""
@@ -366,22 +353,19 @@ def compare(
     ['typical', 'model 2']
     """
     named = named_models(models)
-    track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
-    drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")
-    runs = (
-        require_travel(as_recordings(recordings))
-        .on_track(track)
-        .of_drive_type(drive_type)
-        .in_frame(_shared_origin(named))
-    )
-    found = compare_models(runs, {name: model.motion_model for name, model in named.items()})
+    robots = {name: model.motion_model for name, model in named.items()}
+    track = next((robot.track_m for robot in robots.values() if robot.track_m is not None), None)
+    drive_type = next((robot.setup.drive_type for robot in robots.values() if robot.setup.drive_type), "")
+    runs = require_travel(as_recordings(recordings)).on_track(track).of_drive_type(drive_type)
+    runs = runs.in_frame(_shared_origin(robots))
+    found = compare_models(runs, robots)
     return Comparison(found, mistakes=runs.mistakes)
 
 
-def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
+def _shared_origin(models: Mapping[str, MotionModel]) -> Origin | None:
     """Return the common origin of the positions in all models; None if no model states one."""
-    origins = {name: m.motion_model.setup.origin for name, m in models.items() if m.motion_model.setup.origin}
-    placed = {origins[n] for n in origins if any(e.reads_places for e in models[n].motion_model.effects)}
+    origins = {name: model.setup.origin for name, model in models.items() if model.setup.origin}
+    placed = {origins[n] for n in origins if any(e.reads_places for e in models[n].effects)}
     if len(placed) > 1:
         raise ModelError(
             f"{', '.join(origins)}: position-dependent effects with different origins; compare one model at a time"
@@ -458,22 +442,6 @@ class Findings(Result):
         write_bytes(target, drive_bag(plan))
         return texts.drive_sentence(plan)
 
-    @property
-    def _evaluated(self) -> ModelEvaluation | None:
-        """Held-out evaluation of the model with all findings; None if it lacks one of them."""
-        raise NotImplementedError
-
-    @property
-    def _fit(self) -> ModelFit | None:
-        """Fit whose standard errors are reported; None for the fit of the search."""
-        return None
-
-    def _values(self) -> dict[str, Any]:
-        found = self.result
-        return texts.learned_json(
-            found.search, found.sequence.evaluations, found.advice, evaluated=self._evaluated, fit=self._fit
-        )
-
     def report(self) -> str:
         """Return the findings as a self-contained HTML page with tables and figures, usable offline."""
         from odomcorrupt.report.html.study import found_html
@@ -491,6 +459,10 @@ class Diagnosis(Findings):
     def _evaluated(self) -> ModelEvaluation | None:
         # the sequence contains no noise term: its lack of fit may be due to the noise found
         return None if self.result.search.noise else self.result.sequence.evaluations[-1]
+
+    def _values(self) -> dict[str, Any]:
+        found = self.result
+        return texts.learned_json(found.search, found.sequence.evaluations, found.advice, evaluated=self._evaluated)
 
     def summary(self) -> Summary:
         """Return the missing effects, their size and probability, and the gain of each."""
@@ -576,14 +548,6 @@ class Learned(Findings):
         """Comparison of the model without and with the findings, on held-out recordings."""
         return Comparison(self.result.comparison)
 
-    @property
-    def _evaluated(self) -> ModelEvaluation:
-        return self.result.comparison.evaluations[-1]
-
-    @property
-    def _fit(self) -> ModelFit:
-        return self.result.robot.fit
-
     def summary(self) -> Summary:
         """Return the findings, their size and probability, and the held-out errors without and with them."""
         found = self.result
@@ -602,16 +566,20 @@ class Learned(Findings):
     def details(self) -> str:
         """Return the findings, undecided alternatives, the fit, and the full comparison."""
         found = self.result
-        said = texts.found_text(found.search, found.advice, evaluated=self._evaluated, fit=self._fit)
+        said = texts.found_text(found.search, found.advice, **self._final)
         fitted = [texts.fit_text(found.robot, clocks=False), *found.proof.changes]
         drifts = [one for one in (reproduction_sentence(found.reproduction),) if one]
         return "\n".join([said, *drifts, *found.alerts, *found.dropped, *fitted, "", comparison_text(found.comparison)])
 
     def _values(self) -> dict[str, Any]:
-        return Findings._values(self) | {  # noqa: SLF001 - a class with slots has no super()
-            "reproduction": texts.reproduction_json(self.result.reproduction),
-            "comparison": self.comparison.to_dict(),
-        }
+        found = self.result
+        values = texts.learned_json(found.search, found.sequence.evaluations, found.advice, **self._final)
+        values["reproduction"] = texts.reproduction_json(found.reproduction)
+        return values | {"comparison": self.comparison.to_dict()}
+
+    @property
+    def _final(self) -> dict[str, Any]:
+        return {"evaluated": self.result.comparison.evaluations[-1], "fit": self.result.robot.fit}
 
     def draw(self, picture: str) -> Figure:
         """Return a figure of the errors without and with the findings, or by name one of `Comparison.draw`."""

@@ -265,12 +265,11 @@ def draw_maps(
         noise = NoisyPath(chosen.motion_model, drawn_seed, run)
         return noise.feed(odometry.stamps_ns, odometry.xyt).error_xyt
 
+    made: dict[str, Any] = {"source": fspath(bag), "model": chosen, "seed": drawn_seed, "run": run}
     if method == "laser":
         drawn = _laser_maps(path, odom_topic, scan, watch, error_of, resolution)
-        return Maps(
-            source=fspath(bag), model=chosen, seed=drawn_seed, run=run, maps=drawn.maps, notes=drawn.notes,
-            matched=drawn,
-        ).then("odomcorrupt", "map", path, "--method", "laser", "-o", "map.yaml")  # fmt: skip
+        result = Maps(**made, maps=drawn.maps, notes=drawn.notes, matched=drawn)
+        return result.then("odomcorrupt", "map", path, "--method", "laser", "-o", "map.yaml")
     watch("drawing maps", 0.0)
     drive = read_drive(path, odom_topic)
     rays = read_rays(path, scan, drive.child_frame_id, mount)
@@ -281,9 +280,7 @@ def draw_maps(
         paths[f"truth ({truth})"] = read_poses(path, truth)
     maps = scan_maps(slow.rays, slow.travelled_m, paths, resolution)
     notes = (*drive.notes, f"{len(slow.rays)} rays of {rays.scans} scans from {rays.frame_id}", *slow.notes)
-    return Maps(source=fspath(bag), model=chosen, seed=drawn_seed, run=run, maps=maps, notes=notes).then(
-        "odomcorrupt", "preview", path
-    )
+    return Maps(**made, maps=maps, notes=notes).then("odomcorrupt", "preview", path)
 
 
 @part_of_study

@@ -206,9 +206,8 @@ class Model:
     def __init__(self, noise: Noise | None = None, *, effects: EffectsLike = (), track_m: float | None = None) -> None:
         self.motion_model = motion_model.MotionModel((noise or Noise()).as_motion_noise(), track_m=track_m)
         self.origin = ""
-        if effects:
-            added = self.with_effects(effects)
-            self.motion_model, self.origin = added.motion_model, added.origin
+        added = self.with_effects(effects)
+        self.motion_model, self.origin = added.motion_model, added.origin
 
     @classmethod
     def of(cls, motion_model: MotionModel, origin: str = "") -> Model:
@@ -310,7 +309,7 @@ class Model:
     def parameters(self) -> dict[str, float]:
         """All parameters by name: non-zero coefficients, then "effect.parameter"."""
         noise = self.motion_model.noise
-        numbers = {name: getattr(noise.coefficients, name) for name in noise.coefficients.__slots__}
+        numbers = asdict(noise.coefficients)
         own = {f"{e.name}.{p.name}": getattr(e, p.name) for e in self.effects for p in parameters(e)}
         return {name: value for name, value in numbers.items() if value or name in noise.law.alphas} | own
 

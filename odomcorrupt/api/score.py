@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.extras import part_of_study
-from odomcorrupt.report.score import (
-    gate_lines,
-    score_brief,
-    score_csv,
-    score_json,
-    score_junit,
-    score_markdown,
-    score_text,
-)
+from odomcorrupt.report import score as texts
 from odomcorrupt.scoring.gate import check
 from odomcorrupt.scoring.run import score as score_runs
 
@@ -42,6 +34,7 @@ class Score(Result):
 
     result: ScoreReport
     verdicts: tuple[Verdict, ...] = ()
+    schema: ClassVar[int] = 1
 
     @property
     def failed(self) -> bool:
@@ -69,27 +62,26 @@ class Score(Result):
 
     def summary(self) -> Summary:
         """Return the gate's result, the number of failed runs, the errors and the break-down point."""
-        return score_brief(self.result, self.verdicts)
+        return texts.score_brief(self.result, self.verdicts)
 
     def details(self) -> str:
         """Return sentences, the tables of points and over runs, a line for each run, and the gate's verdicts."""
-        return "\n".join([score_text(self.result), *gate_lines(self.verdicts)])
+        return "\n".join([texts.score_text(self.result), *texts.gate_lines(self.verdicts)])
 
     def markdown(self) -> str:
         """Return the gate's result, what failed, and the tables of points and over runs, for a summary page of CI."""
-        return score_markdown(self.result, self.verdicts)
+        return texts.score_markdown(self.result, self.verdicts)
 
     def junit(self) -> str:
         """Return the gate as JUnit XML, a test case for each rule."""
-        return score_junit(self.result, self.verdicts)
+        return texts.score_junit(self.result, self.verdicts)
 
     def points_csv(self) -> str:
         """Return drift, number of runs, failed runs, median and p90 of the ATE for each point of a sweep, as CSV."""
-        return score_csv(self.result)
+        return texts.score_csv(self.result)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the score as docs/json.md describes it: metres, radians, seconds."""
-        return score_json(self.result, self.verdicts)
+    def _values(self) -> dict[str, Any]:
+        return texts.score_json(self.result, self.verdicts)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per run: its state, the drift of its odometry, and the errors."""
@@ -103,7 +95,6 @@ class Score(Result):
         return score_html(self.result, self.verdicts)
 
     def _figure(self) -> Figure:
-        """Return a figure of the errors against the drift and along the path."""
         from odomcorrupt.report.plots.score import draw_score
 
         return draw_score(self.result)

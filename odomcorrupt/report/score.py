@@ -10,7 +10,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape, quoteattr
 
-from odomcorrupt.report.plain import finite, picked
+from odomcorrupt.report.plain import picked
 from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
 from odomcorrupt.scoring.gate import quantity
 from odomcorrupt.scoring.run import METRICS, RunScore, ScoreReport
@@ -281,49 +281,30 @@ def _interval(metric: str, q: Quantile) -> str:
     return f"{quantity(metric, q.low)} to {quantity(metric, q.high)}"
 
 
-SCHEMA = 1
-
-
-def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[str, Any]:
-    """Return a report, and the verdicts of a gate: metres, radians, seconds; unknown and infinite are null."""
-    found = report.breakdown
-    grown = report.growth
-    return finite(
-        {
-            "schema": SCHEMA,
-            **picked(report, "estimate", "truth", "align"),
-            "limits": asdict(report.limits),
-            "inputs": report.inputs,
-            "summary": {name: asdict(report.summary(name)) for name in METRICS},
-            "failed": report.failed,
-            "identical": report.identical,
-            "points": [
-                {
-                    "name": p.runs[0].point,
-                    "drift": p.drift,
-                    "runs": len(p.runs),
-                    "lost": p.failed,
-                    "ate": asdict(p.summary("ate_m")),
-                }
-                for p in report.points
-            ],
-            "breakdown": asdict(found),
-            "growth": None if grown is None else asdict(grown),
-            "sections": [asdict(section) for section in report.sections],
-            "runs": [_run(run) for run in report.runs],
-            "verdicts": [asdict(verdict) for verdict in verdicts],
-            "notes": list(report.notes),
-        }
-    )
+def score_json(report: ScoreReport, verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    """Return a report, and the verdicts of a gate, as values by name, without the schema: metres, radians, seconds."""
+    return {
+        **picked(report, "estimate", "truth", "align", "inputs", "failed", "identical", "notes"),
+        **{name: asdict(getattr(report, name)) for name in ("limits", "breakdown")},
+        "summary": {name: asdict(report.summary(name)) for name in METRICS},
+        "points": [
+            {**picked(p, "drift", lost="failed"), "name": p.runs[0].point, "runs": len(p.runs)}
+            | {"ate": asdict(p.summary("ate_m"))}
+            for p in report.points
+        ],
+        "growth": report.growth and asdict(report.growth),
+        "sections": [asdict(section) for section in report.sections],
+        "runs": [_run(run) for run in report.runs],
+        "verdicts": [asdict(verdict) for verdict in verdicts],
+    }
 
 
 def _run(run: RunScore) -> dict[str, Any]:
+    names = ("name", "seed", "run", "status", "reason", "scored", "failed", "drift", "drift_end_m", "jumps_s",
+             "coverage", "frame", "source", "notes")  # fmt: skip
     return {
-        **picked(run, "name", "seed", "run", "status", "reason", "scored", "failed", "drift", "drift_end_m"),
+        **picked(run, *names),
         "metrics": {name: run.metrics.get(name) for name in METRICS},
-        "failure": None if run.failure is None else asdict(run.failure),
-        "jumps_s": list(run.jumps_s),
-        **picked(run, "coverage", "frame", "source"),
+        "failure": run.failure and asdict(run.failure),
         "events": [{"effect": name, "from_s": begin, "to_s": end} for name, begin, end in run.events],
-        "notes": list(run.notes),
     }
