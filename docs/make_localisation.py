@@ -85,9 +85,8 @@ def made(data: Path, folder: Path, robot: MotionModel) -> Path:
 
 def settings(robot: MotionModel) -> dict[str, tuple[float, ...]]:
     """Return amcl's alphas by name: too small by far, those of the learned robot, nav2's defaults."""
-    own = amcl_alphas(robot.noise, 0.25, 0.2, drive=Steady(0.5, 0.5, 50.0))
-    exported = (own.alpha1, own.alpha2, own.alpha3, own.alpha4)
-    return {"1e-8": (1e-8,) * 4, "exported": exported, "defaults (0.2)": (0.2,) * 4}
+    *exported, _ = amcl_alphas(robot.noise, 0.25, 0.2, drive=Steady(0.5, 0.5, 50.0)).values()
+    return {"1e-8": (1e-8,) * 4, "exported": tuple(exported), "defaults (0.2)": (0.2,) * 4}
 
 
 def results(data: Path, folder: Path, runs: Path, chosen: dict[str, tuple[float, ...]]) -> dict[str, list[ScoreReport]]:

@@ -21,7 +21,7 @@ from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import variances
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel, Noise
@@ -82,49 +82,29 @@ def message_noise(noise: Noise, drive: Steady) -> MessageNoise:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class TwistVariances:
-    """Variances of forward and leftward speed, (m/s)^2, and of the yaw rate, (rad/s)^2."""
+def twist_variances(noise: Noise, drive: Steady) -> tuple[float, float, float]:
+    """Return the twist variances in a corrupted message's covariance on this steady drive.
 
-    forward: float
-    leftward: float
-    yaw: float
-
-
-def twist_variances(noise: Noise, drive: Steady) -> TwistVariances:
-    """Return the twist variances in a corrupted message's covariance on this steady drive."""
+    Those of forward and leftward speed, (m/s)^2, and of the yaw rate, (rad/s)^2.
+    """
     message = message_noise(noise, drive)
     moved = drive.speed / drive.rate_hz
-    per_s2 = drive.rate_hz**2
     # rot1 and rot2 noise displaces the translation laterally at mid heading; rot1 of an arc does not
     swing = message.late if noise.law.arc else message.heading
     sideways = message.across + 0.25 * swing * (moved**2 + message.along)
-    return TwistVariances(message.along * per_s2 + FLOOR, sideways * per_s2 + FLOOR, message.heading * per_s2 + FLOOR)
+    forward, leftward, yaw = (v * drive.rate_hz**2 + FLOOR for v in (message.along, sideways, message.heading))
+    return forward, leftward, yaw
 
 
 Turn = Literal["rolling", "spot"]
 
 
-@dataclass(frozen=True, slots=True)
-class AmclAlphas:
-    """Alpha1 to alpha5 of nav2, and the motion model they apply to; alpha5 is used by the omnidirectional one only.
-
-    depends_on : rate and speeds assumed, if the model's law depends on them; None otherwise
-    """
-
-    alpha1: float
-    alpha2: float
-    alpha3: float
-    alpha4: float
-    alpha5: float
-    motion_model: str
-    depends_on: Steady | None
-
-
 def amcl_alphas(
     noise: Noise, update_min_d: float, update_min_a: float, *, turn: Turn = "rolling", drive: Steady
-) -> AmclAlphas:
+) -> dict[str, float]:
     """Return the amcl alphas with the model's variances after one update, for a straight drive and for a turn.
+
+    alpha5 is noise across the travel, which the omnidirectional motion model alone reads.
 
     update_min_d, update_min_a : distance (m) and angle (rad) after which amcl updates its particles
     turn : whether the reference turn is along an arc (`rolling`) or on the spot
@@ -141,37 +121,31 @@ def amcl_alphas(
     turning = message_noise(noise, Steady(0.0, drive.yaw_rate, drive.rate_hz))
     per_d2 = update_min_d * drive.rate_hz / drive.speed / update_min_d**2
     per_a2 = update_min_a * drive.rate_hz / drive.yaw_rate / update_min_a**2
-    k = noise.coefficients
-    stepwise = noise.law.per_step and noise.step is None
-    depends_on = drive if stepwise or k.white_v or k.white_omega or k.rot_time else None
-    if noise.law.along_travel:
-        return AmclAlphas(
-            turning.heading * per_a2, straight.heading * per_d2, straight.along * per_d2, turning.along * per_a2,
-            straight.across * per_d2, "nav2_amcl::OmniMotionModel", depends_on,
-        )  # fmt: skip
-    # on a straight line, heading noise is drawn twice (rot1, rot2); a rolling turn is divided into two halves
-    halves = 2.0 if turn == "rolling" else 1.0
-    return AmclAlphas(
-        halves * turning.heading * per_a2, straight.heading * per_d2 / 2.0, straight.along * per_d2,
-        halves * turning.along * per_a2, straight.across * per_d2, "nav2_amcl::DifferentialMotionModel", depends_on,
+    # unless the noise acts along the travel: on a straight line, heading noise is drawn twice (rot1, rot2), and a
+    # rolling turn is divided into two halves
+    twice = 1.0 if noise.law.along_travel else 2.0
+    halves = twice if turn == "rolling" else 1.0
+    alphas = (
+        halves * turning.heading * per_a2, straight.heading * per_d2 / twice, straight.along * per_d2,
+        halves * turning.along * per_a2, straight.across * per_d2,
     )  # fmt: skip
+    return {f"alpha{i}": alpha for i, alpha in enumerate(alphas, start=1)}
+
+
+def depends_on_rate(noise: Noise) -> bool:
+    """Return whether the growth of the noise depends on the message rate and the speeds."""
+    k = noise.coefficients
+    return bool((noise.law.per_step and noise.step is None) or k.white_v or k.white_omega or k.rot_time)
 
 
 WHEEL_EFFECTS = frozenset({WheelScale.name, UnequalWheels.name, Wheelbase.name})
 """Effects that are equivalent to a wrong radius or a wrong track."""
 
 
-@dataclass(frozen=True, slots=True)
-class WheelMultipliers:
-    """Ratios of true to nominal wheel separation, left and right radius."""
+def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> dict[str, float]:
+    """Return the ratios of true to nominal track and radii, by their names in a controller.
 
-    separation: float
-    left_radius: float
-    right_radius: float
-
-
-def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> WheelMultipliers:
-    """Return the multipliers with which a controller computes v = v' + f_along and omega = omega' + f_yaw.
+    With them a controller computes v = v' + f_along and omega = omega' + f_yaw.
 
     track_m : nominal distance between the wheels, if the model does not contain it
 
@@ -195,7 +169,11 @@ def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> Wheel
     half = 0.5 * curvature * separation * (track or 0.0)
     if not abs(half) < scale:
         raise ModelError(f"unequal_wheels: curvature {curvature:g} rad/m leaves one wheel no radius on {track} m")
-    return WheelMultipliers(separation, scale - half, scale + half)
+    return {
+        "wheel_separation_multiplier": separation,
+        "left_wheel_radius_multiplier": scale - half,
+        "right_wheel_radius_multiplier": scale + half,
+    }
 
 
 _UNKNOWN = 1e6
@@ -240,7 +218,7 @@ class Snippet:
         return "\n".join(lines).replace("\0", " ")
 
 
-def wheels_snippet(model: MotionModel, multipliers: WheelMultipliers, controller: str) -> Snippet:
+def wheels_snippet(model: MotionModel, track_m: float | None, controller: str) -> Snippet:
     """Return the multipliers as parameters of diff_drive_controller."""
     assumed = (
         "True over nominal wheel radii and track. They replace multipliers of 1; multiply them by others that were "
@@ -253,20 +231,14 @@ def wheels_snippet(model: MotionModel, multipliers: WheelMultipliers, controller
             "gyro_scale is left out: it is the gain of a heading sensor. Where the heading comes from the wheels it "
             "is wheelbase under another name; call it so in the model file, then it is exported."
         )
-    left = _left_out(model, WHEEL_EFFECTS | {"gyro_scale"})
+    left = [effect for effect in model.effects if effect.acts and effect.name not in WHEEL_EFFECTS | {"gyro_scale"}]
     comments += _reasons(left, "the controller's parameters are constants of the wheels")
-    values = {
-        "wheel_separation_multiplier": multipliers.separation,
-        "left_wheel_radius_multiplier": multipliers.left_radius,
-        "right_wheel_radius_multiplier": multipliers.right_radius,
-    }
+    values = wheel_multipliers(model, track_m)
     lines = (f"{controller}:", "  ros__parameters:", *(f"    {name}: {number(v)}" for name, v in values.items()))
     return Snippet(tuple(comments), lines, values, (*gyro, *(effect.name for effect in left)))
 
 
-def amcl_snippet(
-    model: MotionModel, alphas: AmclAlphas, update_min_d: float, update_min_a: float, turn: Turn
-) -> Snippet:
+def amcl_snippet(model: MotionModel, update_min_d: float, update_min_a: float, turn: Turn, drive: Steady) -> Snippet:
     """Return the alphas, and the update distances at which they apply, as parameters of amcl."""
     reference = "while rolling along an arc" if turn == "rolling" else "on the spot"
     assumed = (
@@ -274,33 +246,32 @@ def amcl_snippet(
         f"matched after one update on a straight drive of {update_min_d:g} m and on a turn of {update_min_a:g} rad "
         f"{reference}. They are valid at these update distances only. Derived in docs/export.md."
     )
-    comments = [assumed]
-    if alphas.depends_on is not None:
-        drive = alphas.depends_on
+    comments, noise = [assumed], model.noise
+    values = amcl_alphas(noise, update_min_d, update_min_a, turn=turn, drive=drive)
+    if depends_on_rate(noise):
         comments.append(
             f"The model's noise depends on the message rate: assumed are {drive.speed:g} m/s, "
             f"{drive.yaw_rate:g} rad/s and {drive.rate_hz:g} Hz (--speed, --turn-rate, --rate)."
         )
-    if alphas.alpha5 and "Differential" in alphas.motion_model:
+    if values["alpha5"] and not noise.law.along_travel:
         comments.append("Noise across the travel is left out: amcl's differential model does not read alpha5.")
-    left = _left_out(model, frozenset())
+    left = [effect for effect in model.effects if effect.acts]
     comments += _reasons(left, "amcl assumes unbiased odometry with independent noise")
-    numbers = (alphas.alpha1, alphas.alpha2, alphas.alpha3, alphas.alpha4, alphas.alpha5)
-    values = {f"alpha{i}": value for i, value in enumerate(numbers, start=1)}
     values |= {"update_min_d": update_min_d, "update_min_a": update_min_a}
     lines = (
         "amcl:",
         "  ros__parameters:",
-        f'    robot_model_type: "{alphas.motion_model}"',
+        f'    robot_model_type: "nav2_amcl::{"Omni" if noise.law.along_travel else "Differential"}MotionModel"',
         *(f"    {name}: {number(value)}" for name, value in values.items()),
     )
     return Snippet(tuple(comments), lines, values, tuple(effect.name for effect in left))
 
 
-def twists_snippet(model: MotionModel, variances: TwistVariances, drive: Steady, controller: str) -> Snippet:
+def twists_snippet(model: MotionModel, drive: Steady, controller: str) -> Snippet:
     """Return the covariance diagonals for the odometry's publisher, and the filter's input configuration."""
-    diagonal = (variances.forward, variances.leftward, _UNKNOWN, _UNKNOWN, _UNKNOWN, variances.yaw)
-    left = _left_out(model, frozenset())
+    forward, leftward, yaw = twist_variances(model.noise, drive)
+    diagonal = (forward, leftward, _UNKNOWN, _UNKNOWN, _UNKNOWN, yaw)
+    left = [effect for effect in model.effects if effect.acts]
     assumed = (
         f"Variances of the velocities in one message at {drive.speed:g} m/s, {drive.yaw_rate:g} rad/s and "
         f"{drive.rate_hz:g} Hz, of {model.noise.words}. robot_localization reads them from the odometry's "
@@ -323,11 +294,6 @@ def twists_snippet(model: MotionModel, variances: TwistVariances, drive: Steady,
     )
     values = {f"twist_covariance_diagonal[{i}]": value for i, value in enumerate(diagonal)}
     return Snippet(tuple(comments), lines, values, tuple(effect.name for effect in left))
-
-
-def _left_out(model: MotionModel, expressed: Collection[str]) -> tuple[Effect, ...]:
-    """Return the effects that act and that these parameters cannot represent."""
-    return tuple(effect for effect in model.effects if effect.acts and effect.name not in expressed)
 
 
 def _reasons(left: Sequence[Effect], why: str) -> list[str]:

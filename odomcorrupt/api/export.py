@@ -121,12 +121,11 @@ def export_parameters(
     drive = export.Steady(speed, turn_rate, rate)
     match to:
         case "nav2":
-            alphas = export.amcl_alphas(robot.noise, update_min_d, update_min_a, turn=turn, drive=drive)
-            snippet = export.amcl_snippet(robot, alphas, update_min_d, update_min_a, turn)
+            snippet = export.amcl_snippet(robot, update_min_d, update_min_a, turn, drive)
         case "robot_localization":
-            snippet = export.twists_snippet(robot, export.twist_variances(robot.noise, drive), drive, controller)
+            snippet = export.twists_snippet(robot, drive, controller)
         case "ros2_control":
-            snippet = export.wheels_snippet(robot, export.wheel_multipliers(robot, track_m), controller)
+            snippet = export.wheels_snippet(robot, track_m, controller)
         case _:
             raise ModelError(f"to: {to!r}; write ros2_control, nav2 or robot_localization")
     return Export(Path(fspath(model)).name if isinstance(model, str | PathLike) else "model", to, snippet)

@@ -51,6 +51,16 @@ def completing(module: str, table: str) -> Callable[..., list[str]]:
     return complete
 
 
+effect_option = setting(
+    "--effect", "--add", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
+    shell_complete=completing("effects", "registry"), help="Systematic error (repeatable).",
+)  # fmt: skip
+track_option = setting(
+    "--track", type=TRACK, metavar="M",
+    help="Distance between the wheels, for effects of single wheels. [default: the model's]",
+)  # fmt: skip
+
+
 def _model_options(default: str) -> Decorator:
     """Return a decorator that adds the options of `choose_model`; `default` is the noise without any of them."""
     return added(
@@ -76,15 +86,9 @@ def _model_options(default: str) -> Decorator:
             help="Ready-made robot or noise, as turtlebot3-burger; odomcorrupt presets lists them. "
             f"[default: {default}]",
         ),
-        setting(
-            "--effect", "--add", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
-            shell_complete=completing("effects", "registry"), help="Systematic error (repeatable).",
-        ),
+        effect_option,
         click.option("--model", type=FILE, help="Motion model, as `fit` writes it."),
-        setting(
-            "--track", type=TRACK, metavar="M",
-            help="Distance between the wheels, for effects of single wheels. [default: the model's]",
-        ),
+        track_option,
     )  # fmt: skip
 
 

@@ -207,6 +207,16 @@ class _Start(_Pose):
 POSE, START = _Pose(), _Start()
 
 
+def words_of(option: click.Parameter, value: Any) -> Iterator[str]:
+    """Yield the words that give an option its value; none for no value."""
+    if value is None:
+        return
+    for one in value if option.multiple else (value,):
+        parts = one if option.nargs > 1 else (",".join(map(repr, one)),) if isinstance(one, tuple) else (one,)
+        yield option.opts[0]
+        yield from (repr(part).removesuffix(".0") if isinstance(part, float) else str(part) for part in parts)
+
+
 @contextmanager
 def usage_errors(kind: type[OdomCorruptError], before: str = "") -> Iterator[None]:
     """Convert errors of one kind to usage errors: exit code 2, with a hint to the command's help."""

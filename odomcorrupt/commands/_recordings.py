@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import OUTPUT, PAGE, TRACK, Decorator, Number, Share, added, setting
+from odomcorrupt.commands._options import OUTPUT, PAGE, TRACK, Decorator, Number, Share, added, setting, words_of
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import written
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
@@ -20,7 +20,7 @@ from odomcorrupt.extras import require
 from odomcorrupt.result_files import write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from odomcorrupt.api.findings import Findings
     from odomcorrupt.api.recordings import Recordings
@@ -146,20 +146,12 @@ def recording_options(*own: Decorator) -> Decorator:
             context = click.get_current_context()
             read = {name: given.pop(name) for name in _OPTIONS}
             typed = (n for n in read if context.get_parameter_source(n) is not ParameterSource.DEFAULT)
-            reading = Reading(read, tuple(word for name in typed for word in _words(_OPTIONS[name], read[name])))
+            reading = Reading(read, tuple(word for name in typed for word in words_of(_OPTIONS[name], read[name])))
             return command(*args, reading=reading, **given)
 
         return added(*_USUAL, *own, *_OTHERS, unpack_option)(with_reading)
 
     return add
-
-
-def _words(option: click.Parameter, value: Any) -> Iterator[str]:
-    """Yield the words that give an option its value."""
-    for one in value if option.multiple else (value,):
-        yield option.opts[0]
-        for part in one if option.nargs > 1 else (one,):
-            yield repr(part).removesuffix(".0") if isinstance(part, float) else str(part)
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], list[str]]:

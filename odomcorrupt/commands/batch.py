@@ -5,21 +5,21 @@ from __future__ import annotations
 import functools
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from odomcorrupt.commands._bag import bag_words, container_options, moving_options, threads_option
 from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
-from odomcorrupt.commands._options import FILE, setting, usage_errors, valued
+from odomcorrupt.commands._options import FILE, setting, usage_errors, valued, words_of
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 from odomcorrupt.errors import BatchError, BatchOptionError
 
-_MODEL_WORDS = {"alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step",
-                "preset": "--preset", "effects": "--effect", "track": "--track"}  # fmt: skip
-_MAP_WORDS = {
-    "map_": "--map", "radius": "--robot-radius", "check": "--map-check", "unknown": "--unknown", "tries": "--max-tries",
-}  # fmt: skip
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_OF_MODEL = ("alpha", "law", "twist_noise", "step", "preset", "effects", "track")
+_OF_MAP = ("map_", "radius", "check", "unknown", "tries", "map_pose")
 
 
 class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
@@ -128,7 +128,7 @@ def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
     passed = ("runs", "seed", "output", "layout", "to", "also", "robots", "fleet", "sweeps", "points")
     options = {**words, **{name: given[name] for name in (*passed, "jobs", "shard", "verify", "dask")}}
     if given["fleet"]:
-        other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]
+        other = _words(["model", *_OF_MODEL], given)[:1]
         if other:
             raise click.UsageError(
                 f"--fleet and {other[0]}: the files of a fleet are its whole model; leave {other[0]} out"
@@ -137,24 +137,16 @@ def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
     else:
         model = choose_model(given)
         options |= {"model": model, "model_file": given["model"]}
-        options["model_words"] = tuple(_words(_MODEL_WORDS, given))
+        options["model_words"] = tuple(_words(_OF_MODEL, given))
     condition = choose_condition_of_run(given, inputs[0], split_options(words)[0], model.motion_model)
-    pose = [] if given["map_pose"] is None else ["--map-pose", ",".join(repr(float(v)) for v in given["map_pose"])]
-    mapped = () if given["map_"] is None else (*_words(_MAP_WORDS, given), *pose)
-    return {**options, "within": condition, "map_words": mapped}
+    mapped = () if given["map_"] is None else _words(_OF_MAP, given)
+    return {**options, "within": condition, "map_words": tuple(mapped)}
 
 
-def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
+def _words(names: Sequence[str], given: dict[str, Any]) -> list[str]:
     """Return the given options as words of a command line."""
-    words = []
-    for name, flag in names.items():
-        value = given[name]
-        if name == "effects":
-            words += [word for one in value for word in (flag, one)]
-        elif name == "alpha" and value:
-            words += [flag, *value.split()]
-        elif isinstance(value, tuple):
-            words += [flag, *map(str, value)]
-        elif value is not None:
-            words += [flag, str(value)]
-    return words
+    options = {option.name: option for option in click.get_current_context().command.params}
+    # the coefficients are one value and several words
+    alphas = {"alpha": (given["alpha"] or "").split()}
+    words = ((name, word) for name in names for word in words_of(options[name], given[name]))
+    return [part for name, word in words for part in (alphas.get(name, [word]) if word[:2] != "--" else [word])]

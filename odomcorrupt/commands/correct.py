@@ -8,8 +8,8 @@ from typing import Any
 import click
 
 from odomcorrupt.commands._bag import bag_words, container_options, frame_options, keeping_options
-from odomcorrupt.commands._model import choose_model
-from odomcorrupt.commands._options import FILE, START, EffectText, setting, usage_errors
+from odomcorrupt.commands._model import choose_model, effect_option, track_option
+from odomcorrupt.commands._options import FILE, START, usage_errors
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 from odomcorrupt.errors import EffectError
@@ -20,14 +20,8 @@ from odomcorrupt.errors import EffectError
 @click.argument("output", metavar="OUTPUT", type=click.Path(allow_dash=True), required=False)
 @output_option()
 @click.option("--model", type=FILE, help="Motion model, as `fit` and `learn` write it.")
-@setting(
-    "--effect", "--add", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
-    help="Systematic error (repeatable).",
-)  # fmt: skip
-@setting(
-    "--track", type=float, metavar="M",
-    help="Distance between the wheels, for effects of single wheels. [default: the model's]",
-)  # fmt: skip
+@effect_option
+@track_option
 @frame_options
 @keeping_options
 @click.option(

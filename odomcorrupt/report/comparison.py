@@ -101,17 +101,19 @@ def _horizon_lines(horizons: Sequence[Horizon]) -> list[str]:
         row("", "", both, both, "measured (exp.)", "", "(95 %)", "al/ac/yaw", "al/ac/yaw"),
     ]
     for h in horizons:
-        along, across = (f"{_length(h.measured[c])} ({_length(h.expected[c])})" for c in (0, 1))
-        yaw = f"{degrees(h.measured[2]):.2f} ({degrees(h.expected[2]):.2f}) deg" if isfinite(h.measured[2]) else "-"
-        chance = f"{h.nees_bounds[0]:.2f} to {h.nees_bounds[1]:.2f}"
+        *cells, nees, chance, half, most = horizon_cells(h)
         outside = " " if h.nees_bounds[0] <= h.nees <= h.nees_bounds[1] else "*"
-        lines.append(
-            row(
-                f"{h.distance_m:g} m", h.windows, along, across, yaw, f"{h.nees:.2f}{outside}", chance,
-                _percent(h.coverage_50), _percent(h.coverage_90),
-            )
-        )  # fmt: skip
+        lines.append(row(*cells, nees + outside, chance, half, most))
     return lines
+
+
+def horizon_cells(h: Horizon) -> list[str]:
+    """Return path, windows, errors along, across and of yaw (expected), NEES, its range by chance, and coverages."""
+    along, across = (f"{_length(h.measured[c])} ({_length(h.expected[c])})" for c in (0, 1))
+    yaw = f"{degrees(h.measured[2]):.2f} ({degrees(h.expected[2]):.2f}) deg" if isfinite(h.measured[2]) else "-"
+    chance = f"{h.nees_bounds[0]:.2f} to {h.nees_bounds[1]:.2f}"
+    coverages = (_percent(h.coverage_50), _percent(h.coverage_90))
+    return [f"{h.distance_m:g} m", str(h.windows), along, across, yaw, f"{h.nees:.2f}", chance, *coverages]
 
 
 def _percent(parts: Iterable[float]) -> str:

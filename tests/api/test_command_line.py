@@ -14,6 +14,7 @@ from odomcorrupt.errors import OdomCorruptError
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 NOISE = oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
 ALPHA = ["--alpha", "0.05", "0.02", "0.05", "0.01"]
+FRAMES = ["--odom", "odom", "--odom-frame", "odom", "--base-frame", "base_link"]
 READS = {
     "preview": (
         lambda: oc.preview(OFFICE, NOISE, seed=4, run=3, runs=2),
@@ -24,16 +25,7 @@ READS = {
         [
             "preview",
             str(OFFICE),
-            "--runs",
-            "2",
-            "--seed",
-            "5",
-            "--odom",
-            "odom",
-            "--odom-frame",
-            "odom",
-            "--base-frame",
-            "base_link",
+            *["--runs", "2", "--seed", "5", "--odom", "odom", "--odom-frame", "odom", "--base-frame", "base_link"],
         ],
     ),
     "spread": (lambda: oc.spread("runs"), ["spread", "runs"]),

@@ -37,13 +37,12 @@ def test_wheel_multipliers():
     effects = (("wheel_scale", {"e": 0.02}), ("wheelbase", {"e": 0.05}), ("unequal_wheels", {"curvature": 0.03}))
     model = MotionModel(DIFFUSION, tuple(effect_from_values(name, values) for name, values in effects), 0.4)
     found = wheel_multipliers(model)
-    assert (found.right_radius, found.left_radius, found.separation) == pytest.approx((right, left, n["s"]))
+    assert [*found.values()] == pytest.approx([n["s"], left, right])
 
 
 @pytest.mark.parametrize(("turn", "h"), [("rolling", 2.0), ("spot", 1.0)])
 def test_amcl_alphas(turn, h):
-    alphas = amcl_alphas(DIFFUSION, 0.25, 0.2, turn=turn, drive=DRIVE)
-    computed = (alphas.alpha1, alphas.alpha2, alphas.alpha3, alphas.alpha4)
+    *computed, _ = amcl_alphas(DIFFUSION, 0.25, 0.2, turn=turn, drive=DRIVE).values()
     names = ("alpha1", "alpha2", "alpha3", "alpha4")
     marks = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
     n: dict[str, object] = {**K, "d": 0.25, "a": 0.2, "h": h}
@@ -60,11 +59,11 @@ def test_amcl_alphas(turn, h):
 
 def test_variances_of_twists():
     n: dict[str, object] = {**K, "v": DRIVE.speed, "omega": DRIVE.yaw_rate, "h": DRIVE.rate_hz}
-    found = twist_variances(DIFFUSION, DRIVE)
-    assert found.forward - FLOOR == pytest.approx(value("Var(vx)", n, holding="trans_trans"))
-    assert found.yaw - FLOOR == pytest.approx(value("Var(yaw rate)", n, holding="rot_trans"))
+    forward, leftward, yaw = twist_variances(DIFFUSION, DRIVE)
+    assert forward - FLOOR == pytest.approx(value("Var(vx)", n, holding="trans_trans"))
+    assert yaw - FLOOR == pytest.approx(value("Var(yaw rate)", n, holding="rot_trans"))
     message = message_noise(DIFFUSION, DRIVE)
     n |= {"V_travel": message.along, "V_heading": message.heading, "V_across": message.across}
-    assert found.forward - FLOOR == pytest.approx(value("Var(vx)", n, holding="V_travel"))
-    assert found.yaw - FLOOR == pytest.approx(value("Var(yaw rate)", n, holding="V_heading"))
-    assert found.leftward - FLOOR == pytest.approx(value("Var(vy)", n))
+    assert forward - FLOOR == pytest.approx(value("Var(vx)", n, holding="V_travel"))
+    assert yaw - FLOOR == pytest.approx(value("Var(yaw rate)", n, holding="V_heading"))
+    assert leftward - FLOOR == pytest.approx(value("Var(vy)", n))

@@ -18,6 +18,7 @@ from odomcorrupt.report.comparison import (
     SIGNS,
     evaluation_sentence,
     falls_sentence,
+    horizon_cells,
     rejection,
     sentence,
     sequence_steps,
@@ -69,7 +70,6 @@ if TYPE_CHECKING:
     from odomcorrupt.report.findings import FoundDependence, FoundEffect, FoundNoise
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.select.result import Learned
-    from odomcorrupt.study.validate.calibration import Horizon
     from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure
@@ -356,23 +356,13 @@ def sequence_table(comparison: Comparison) -> str:
 def _horizon_table(evaluation: ModelEvaluation) -> str:
     heads = ("path", "windows", "along (expected)", "across (expected)", "yaw (expected)", "NEES", "95 % by chance",
              "in 50 %", "in 90 %", "CRPS along, across, yaw")  # fmt: skip
-    return table(heads, [_horizon_row(h) for h in evaluation.horizons], evaluation.name)
-
-
-def _horizon_row(h: Horizon) -> list[str]:
-    channels = ("along", "across", "yaw")
-    errors = [
-        f"{_known(c, h.measured[i])} ({_known(c, h.expected[i])})" if isfinite(h.measured[i]) else "–"
-        for i, c in enumerate(channels)
-    ]
-    low, high = h.nees_bounds
-    inside = [
-        "/".join(f"{100.0 * p:.0f}" if isfinite(p) else "–" for p in part) + " %"
-        for part in (h.coverage_50, h.coverage_90)
-    ]
-    crps = ", ".join(_known(c, h.crps[i]) for i, c in enumerate(channels))
-    nees = f"{h.nees:.2f}" if low <= h.nees <= high else f"!{h.nees:.2f}"
-    return [f"{h.distance_m:g} m", str(h.windows), *errors, nees, f"{low:.2f} to {high:.2f}", *inside, crps]
+    rows = []
+    for h in evaluation.horizons:
+        *cells, nees, chance, half, most = horizon_cells(h)
+        mark = "" if h.nees_bounds[0] <= h.nees <= h.nees_bounds[1] else "!"
+        crps = ", ".join(_known(channel, value) for channel, value in zip(CHANNELS, h.crps, strict=True))
+        rows.append([*cells, mark + nees, chance, half, most, crps])
+    return table(heads, rows, evaluation.name)
 
 
 def _known(channel: str, value: float) -> str:
