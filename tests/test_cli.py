@@ -110,11 +110,24 @@ def test_a_word_that_is_nearly_a_command_is_suggested(capsys):
     assert "did you mean diagnose?" in capsys.readouterr().err
 
 
-def test_without_numbers_the_typical_preset_is_used_and_named(corrupt):
-    code, said, _ = corrupt("--seed", "1")
+SAID_BACK = {
+    "": [
+        "rot_rot 0.05 rot_trans 0.02 trans_trans 0.05 trans_rot 0.01 (preset typical: ", PRESETS["typical"].source,
+        "/imu, /tf base_link -> wheel_left_link, /tf base_link -> wheel_right_link.",
+    ],
+    "--preset article": [
+        "Once per message acts the law linear: these numbers mean a drift of 0.", "per 10 m at this bag's 50 Hz",
+    ],
+    "--effect wheel_scale:e=0.01": ["No noise; effects wheel_scale (e 0.01)"],
+    "--twist-noise 0.2 0.04": ["white_v 0.2 white_omega 0.04", "Once per message acts white noise on twists: these"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("args", SAID_BACK)
+def test_noise_its_source_its_rate_and_what_still_tells_the_truth_are_said(corrupt, args):
+    code, said, _ = corrupt(*args.split(), "--seed", "1")
     assert code == 0
-    assert "rot_rot 0.05 rot_trans 0.02 trans_trans 0.05 trans_rot 0.01 (preset typical: " in said
-    assert PRESETS["typical"].source in said
+    assert all(sentence in said for sentence in SAID_BACK[args])
 
 
 def test_a_seed_is_drawn_printed_and_repeats_the_run(corrupt):
@@ -139,17 +152,6 @@ def test_degrees_effects_laws_and_steps_are_said_back(corrupt):
     assert "other values at another rate" not in said
 
 
-def test_a_law_that_depends_on_the_rate_says_so_with_the_drift_it_means_here(corrupt):
-    _, said, _ = corrupt("--preset", "article", "--seed", "1")
-    assert "Once per message acts the law linear: these numbers mean a drift of 0." in said
-    assert "per 10 m at this bag's 50 Hz" in said
-
-
-def test_effects_alone_draw_no_noise_and_say_so(corrupt):
-    _, said, _ = corrupt("--effect", "wheel_scale:e=0.01", "--seed", "1")
-    assert "No noise; effects wheel_scale (e 0.01)" in said
-
-
 @pytest.mark.parametrize(
     ("alphas", "law", "said_back"),
     [
@@ -171,17 +173,6 @@ def test_alpha_takes_as_many_numbers_as_the_law_has_wherever_it_stands(tmp_path,
     assert run(["--law", law, "--alpha", *alphas.split(), OFFICE, str(target), "-v", "--seed", "1"]) == 0
     assert said_back in capsys.readouterr().err
     assert run([OFFICE, str(target), "--overwrite", "--law", law, "--seed", "1", "--alpha", *alphas.split()]) == 0
-
-
-def test_white_noise_on_twists_is_said_with_the_rate_it_depends_on(corrupt):
-    _, said, _ = corrupt("--twist-noise", "0.2", "0.04", "--seed", "1")
-    assert "white_v 0.2 white_omega 0.04" in said
-    assert "Once per message acts white noise on twists: these numbers mean a drift of" in said
-
-
-def test_what_still_tells_the_truth_is_named(corrupt):
-    _, said, _ = corrupt("--seed", "1")
-    assert "/imu, /tf base_link -> wheel_left_link, /tf base_link -> wheel_right_link." in said
 
 
 def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(corrupt, tmp_path):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,37 +43,13 @@ MOVING = 0.05
 """Speed, m/s or rad/s, below which a robot counts as standing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Findings:
-    """Motion of the robot of one odometry topic, and warnings.
-
-    distance, reverse, sideways : metres; turned : radians; duration, standing : seconds
-    restarts : number of stamps that jump back by more than a second; swapped : by less than a second
-    oddities : warnings, one sentence each
-    """
-
-    messages: int
-    duration_s: float
-    rate_hz: float | None
-    distance_m: float
-    reverse_m: float
-    sideways_m: float
-    turned_rad: float
-    standing_s: float
-    restarts: int
-    swapped: int
-    jumps: int
-    oddities: tuple[str, ...]
-
-
-def findings(record: OdometryRecord) -> Findings:
-    """Return the motion and the warnings of one odometry topic."""
+def _findings(record: OdometryRecord) -> dict[str, Any]:
+    """Return motion and warnings (oddities) of one odometry topic, as values by name: metres, radians, seconds."""
     finite = np.isfinite(record.xyt).all(axis=1)
     near = (np.abs(np.nan_to_num(record.xyt[:, :2])) < FAR_M).all(axis=1)
     leaps = _leaps(record.stamps_ns)
     sound = finite & near & ~leaps
     stamps, xyt = record.stamps_ns[sound], record.xyt[sound]
-    back = _steps_back(stamps)
     dt = np.diff(stamps) * 1e-9
     steps = increments(xyt) if len(xyt) else increments(np.zeros((1, 3)))
     length = np.hypot(steps.ds_m, steps.dl_m)
@@ -97,26 +71,19 @@ def findings(record: OdometryRecord) -> Findings:
     for name, watch in (("pose", record.pose_covariance), ("twist", record.twist_covariance)):
         said = watch.oddity(never_changes=name == "pose")
         odd += [f"{name} covariances of x, y, yaw {said}"] if said else []
-    return Findings(
-        messages=len(record.stamps_ns),
-        duration_s=duration,
-        rate_hz=(len(stamps) - 1) / duration if duration > 0.0 and len(stamps) > 1 else None,
-        distance_m=float(length[~jump].sum()),
-        reverse_m=float(np.abs(steps.ds_m[~jump & (steps.ds_m < 0.0)]).sum()),
-        sideways_m=float(np.abs(steps.dl_m[~jump]).sum()),
-        turned_rad=float(np.abs(steps.dtheta_rad[~jump]).sum()),
-        standing_s=float(dt[good & (speed < MOVING) & (turning < MOVING)].sum()),
-        restarts=back.restarts,
-        swapped=back.swapped,
-        jumps=int(np.count_nonzero(jump & (dt >= -WINDOW_NS * 1e-9))),
-        oddities=tuple(odd),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _StepsBack:
-    restarts: int
-    swapped: int
+    return {
+        "messages": len(record.stamps_ns),
+        "duration_s": duration,
+        "rate_hz": (len(stamps) - 1) / duration if duration > 0.0 and len(stamps) > 1 else None,
+        "distance_m": float(length[~jump].sum()),
+        "reverse_m": float(np.abs(steps.ds_m[~jump & (steps.ds_m < 0.0)]).sum()),
+        "sideways_m": float(np.abs(steps.dl_m[~jump]).sum()),
+        "turned_rad": float(np.abs(steps.dtheta_rad[~jump]).sum()),
+        "standing_s": float(dt[good & (speed < MOVING) & (turning < MOVING)].sum()),
+        **_steps_back(stamps),
+        "jumps": int(np.count_nonzero(jump & (dt >= -WINDOW_NS * 1e-9))),
+        "oddities": odd,
+    }
 
 
 def _leaps(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -127,7 +94,7 @@ def _leaps(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     return leaps
 
 
-def _steps_back(stamps_ns: NDArray[np.int64]) -> _StepsBack:
+def _steps_back(stamps_ns: NDArray[np.int64]) -> dict[str, int]:
     """Count restarts (jumps back by more than the sorting window) and messages out of order by less."""
     restarts = swapped = 0
     while len(stamps_ns):
@@ -137,7 +104,7 @@ def _steps_back(stamps_ns: NDArray[np.int64]) -> _StepsBack:
         swapped += int(np.count_nonzero(behind[:stop] < 0))
         restarts += bool(len(far))
         stamps_ns = stamps_ns[stop + 1 :]
-    return _StepsBack(restarts, swapped)
+    return {"restarts": restarts, "swapped": swapped}
 
 
 def _twist_oddities(twist: Array, xyt: Array, dt: Array, good: NDArray[np.bool_], speed: Array) -> list[str]:
@@ -357,13 +324,12 @@ def _as_odometry(edge: EdgeRecord, frames: Frames) -> OdometryRecord:
 
 
 def _odometry(record: OdometryRecord, edges: Sequence[EdgeRecord], *, moved: bool) -> dict[str, Any]:
-    found = findings(record)
     ends = {plain(record.frame), plain(record.child)}
     edge = next((e for e in edges if {e.parent, e.child} == ends and "static" not in e.topic), None)
     off = None if edge is None else disagreement_m(record, edge, turned=edge.parent != plain(record.frame))
     return {
         "topic": record.topic, "frame": record.frame, "child": record.child, "moved": moved,
-        **dataclasses.asdict(found), "oddities": list(found.oddities), "tf_differs_m": off,
+        **_findings(record), "tf_differs_m": off,
     }  # fmt: skip
 
 
