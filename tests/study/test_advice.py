@@ -1,21 +1,28 @@
-"""Following the advice resolves the ambiguity of the first drive, for either cause."""
+"""Advice: drives that resolve what the first one leaves open, and its words."""
+
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hidden import as_recording
 
 from odomcorrupt.bags.messages import write_twists
-from odomcorrupt.effects import registry
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import Increments, accumulate
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.diagnosis import advice_sentences
 from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise
-from odomcorrupt.study.design.drives import excitation, missing_excitations
+from odomcorrupt.study.design.ambiguities import open_ambiguities
+from odomcorrupt.study.design.drives import excitation, missing_excitations, most_useful
+from odomcorrupt.study.design.identifiability import untried
 from odomcorrupt.study.design.information import planned_field, recorded_field, separation
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import STEP_S, plan_of
 from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.drive_type import DriveType
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.selection import learn
 
@@ -123,7 +130,6 @@ def ideal_motion(route):
 
 
 def test_expected_nats_are_those_that_a_drive_then_gives():
-    """The forecast for two names is the log likelihood ratio that the drive itself shows, within its scatter."""
     kinds = registry()
     one, other = kinds["wheel_scale"](e=0.01), kinds["speed_scale"]()
     recordings = [met("wheel_scale", steady(0.5, 0.0, 120.0), 3)]
@@ -138,3 +144,150 @@ def test_expected_nats_are_those_that_a_drive_then_gives():
     right, wrong = (fit([run], [kinds[name]()], approach=Approach()).log_likelihood for name in (one.name, other.name))
     # a ratio with expectation N scatters by sqrt(2 N)
     assert abs(right - wrong - expected) < 3.0 * np.sqrt(2.0 * expected) + 0.2 * expected
+
+
+class Told:
+    """Drives whose fields are their own names and lengths, so that a test can say what each would tell."""
+
+    def planned(self, name, duration_s):
+        plan = SimpleNamespace(manoeuvre=SimpleNamespace(name=name), duration_s=duration_s)
+        return plan, (name, duration_s)
+
+
+def telling(**nats):
+    """Return what tells the nats of each manoeuvre, three times as much in ten minutes as in three."""
+    return lambda drive: nats.get(drive[0], 0.0) * drive[1] / 180.0
+
+
+def most_useful_of(*first, beside=()):
+    plan = most_useful(Told(), first, beside)
+    return plan.manoeuvre.name, plan.duration_s
+
+
+def test_a_drive_that_answers_both_questions_is_better_than_one_that_answers_one_a_hundred_times():
+    spun, bent = telling(spins=5000.0, turns_apart=40.0), telling(eights=500.0, turns_apart=40.0)
+    assert most_useful_of(spun, bent) == ("turns_apart", 180.0)
+
+
+def test_what_comes_second_is_answered_on_the_way_but_not_instead():
+    first, second = telling(spins=1000.0, turns_apart=100.0, star=3.0), telling(turns_apart=100.0, star=1000.0)
+    assert most_useful_of(first) == ("spins", 180.0)
+    assert most_useful_of(first, beside=[second]) == ("turns_apart", 180.0)
+
+
+def test_a_drive_is_made_longer_where_that_answers_one_more():
+    short, weak = telling(squares=100.0), telling(squares=4.0)
+    assert most_useful_of(short, weak) == ("squares", 600.0)
+    assert most_useful_of(short, telling(squares=1.0)) == ("squares", 180.0)
+    assert most_useful_of(beside=[short, weak]) == ("squares", 180.0)
+    assert most_useful_of(beside=[weak, weak]) == ("squares", 600.0)
+
+
+def steadily(v, omega, seconds):
+    n = round(seconds / STEP_S)
+    return Commands(np.arange(n) * STEP_S, np.full(n, v), np.full(n, omega))
+
+
+def on_the_way(recording, edge_s=5.0):
+    """Return the recording without how it began and ended."""
+    first_s, last_s = recording.odometry_s[[0, -1]] + (edge_s, -edge_s)
+
+    def within(trajectory):
+        kept = np.abs(trajectory.seconds_since(recording.origin_ns) - 0.5 * (first_s + last_s)) < 0.5 * (
+            last_s - first_s
+        )
+        return Trajectory(trajectory.stamps_ns[kept], trajectory.xyt[kept])
+
+    odometry = within(recording.odometry)
+    return replace(recording, odometry=odometry, truth=within(recording.truth), origin_ns=int(odometry.stamps_ns[0]))
+
+
+def learned_from(cause, route, **options):
+    return learn([as_recording(simulate(3, cause, route=route, duration_s=route.duration_s, **options))])
+
+
+@pytest.mark.slow
+def test_a_clock_that_was_not_put_to_the_test_is_reported():
+    route = steadily(0.5, 0.0, 120.0)
+    run = as_recording(simulate(3, None, route=route, duration_s=route.duration_s))
+    steady = advise(learn([on_the_way(run)]))
+    (clock,) = (one for one in steady.untestable if one.effect == "time_offset")
+    assert clock.plan is not None
+    mixed = advise(learn([as_recording(simulate(3, None, duration_s=120.0))]))
+    assert "time_offset" not in {one.effect for one in mixed.untestable}
+
+
+@pytest.mark.slow
+def test_slip_that_a_late_clock_would_explain_as_well_is_a_choice_and_the_drive_settles_it():
+    hold = round(5.0 / STEP_S), round(2.0 / STEP_S)
+    v = np.tile(np.repeat((0.5, 0.0), hold), 20)
+    route = Commands(np.arange(len(v)) * STEP_S, v, np.zeros(len(v)))
+    options = {"robot_seed": 3, "parameters": {"k": 0.05}}
+    before = as_recording(simulate(3, "accel_slip", route=route, duration_s=route.duration_s, **options))
+    open_ = learn([before])
+    advice = advise(open_)
+    (choice,) = (c for c in advice.choices if set(c.names) == {"accel_slip", "time_offset"})
+    assert choice.plan is not None
+    times_s = np.arange(len(advice.best.v_mps)) * STEP_S
+    following = Commands(times_s, advice.best.v_mps, advice.best.omega_radps)
+    after = as_recording(simulate(4, "accel_slip", route=following, duration_s=following.duration_s, **options))
+    settled = learn([before, after])
+    assert settled.added == ("accel_slip",)
+    assert not [c for c in advise(settled).choices if "time_offset" in c.names]
+
+
+def learned(*effects, track_m=None):
+    problem = SimpleNamespace(recordings=(SimpleNamespace(track_m=track_m),))
+    return SimpleNamespace(
+        fit=SimpleNamespace(effects=effects, by_name={e.name: e for e in effects}, problem=problem),
+        rounds=(SimpleNamespace(candidates=()),),
+        drive_type=DriveType("differential"),
+        may_be_losses=lambda _: False,
+    )
+
+
+def twin_hint(name, values, monkeypatch):
+    effect = effect_from_values(name, values)
+    look = SimpleNamespace(
+        added=name,
+        alternatives=(),
+        candidates=(SimpleNamespace(score=SimpleNamespace(effect=effect), fitted=None, refused=""),),
+    )
+    monkeypatch.setattr("odomcorrupt.study.design.ambiguities._equivalents", lambda *_: [])
+    choices, _ = open_ambiguities(SimpleNamespace(learned=learned(effect)), look)
+    return next(choice.hint for choice in choices if name in choice.names)
+
+
+def test_a_twin_of_the_set_up_comes_with_the_words_that_accept_it(monkeypatch):
+    hint = twin_hint("lever_arm", {"x": 0.0735, "y": 0.01}, monkeypatch)
+    assert "move the marker" in hint
+    assert hint.endswith("removes it only as icr_shift: give `correct` --effect icr_shift:x=0.0735")
+
+
+def test_twins_that_are_both_the_robots_need_no_such_words(monkeypatch):
+    assert "mends it" not in twin_hint("wheelbase", {"e": 0.01}, monkeypatch)
+
+
+class Loose(registry()["wheel_scale"]):
+    """An effect of single wheels that brings no track of its own."""
+
+    name = "loose"
+    needs_track = True
+    __slots__ = ()
+
+
+@pytest.mark.parametrize(("track_m", "said"), [(None, True), (0.4, False)])
+def test_a_track_is_asked_for_where_an_effect_cannot_be_tried_without(track_m, said, monkeypatch):
+    both = {"loose": Loose, "backlash": registry()["backlash"]}
+    monkeypatch.setattr("odomcorrupt.study.design.identifiability.registry", lambda: both)
+    why = {one.effect: one.why for one in untried(learned(track_m=track_m))}
+    assert ("give --track where the robot has two" in why["loose"]) is said
+    assert "--track" not in why["backlash"]
+
+
+def test_of_a_car_no_effect_of_two_wheels_is_open():
+    steered = learned()
+    steered.drive_type = DriveType("car", gyro=False)
+    names = {one.effect for one in untried(steered)}
+    assert "steering_offset" in names
+    assert names.isdisjoint({"unequal_wheels", "wheelbase", "gyro_bias", "backlash", "flat_spot"})

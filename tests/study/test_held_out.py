@@ -6,49 +6,47 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hidden import as_recording
-from wandering import noisy_path, recording, wander
+from wandering import QUIET, drive, noisy_path, recording, scaled, wander
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.se2 import Increments, accumulate
+from odomcorrupt.effects.ground import Slope
+from odomcorrupt.geometry.se2 import accumulate, compose
 from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.findings import clocks_found
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study import pipeline
-from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.calibrate import fit_robot, model_of
 from odomcorrupt.study.estimate.clocks import Clocks
-from odomcorrupt.study.estimate.config import Approach
-from odomcorrupt.study.estimate.drift_error import Drift
+from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.random_process import part_name
+from odomcorrupt.study.estimate.regressors import driving_motion
+from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.confidence import confidence, support_of
+from odomcorrupt.study.select.contribution import Contribution, Span, contributions
+from odomcorrupt.study.select.decisions import DECISIONS, Practical
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 from odomcorrupt.study.select.result import Learned, Step
+from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.select.selection import learn
-from odomcorrupt.study.validate import held_out
-from odomcorrupt.study.validate.evaluation import Evaluation
+from odomcorrupt.study.terms.basis import basis_functions
+from odomcorrupt.study.terms.library import library_families
+from odomcorrupt.study.terms.splines import curve_regressors
+from odomcorrupt.study.validate.compare import compare
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts
 from odomcorrupt.study.validate.round_trip import RoundTrip
 
-QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
 
-
-def drive(seed, *, scale=1.0, wide=1.0, seconds=240.0):
+def scaled_drive(seed, *, scale=1.0, wide=1.0, seconds=240.0):
     """Return a drive whose odometry goes `scale` as far, and turns `wide` as far, as the robot."""
-    steps = wander(seed, seconds)
-    true = accumulate(np.zeros(3), steps)
-    said = Increments(scale * steps.ds_m, steps.dl_m, wide * steps.dtheta_rad)
-    return recording(replace(said), noisy_path(said, QUIET, seed), seed=seed), true
-
-
-def with_truth(pair, seed):
-    """Return the recording of a drive beside its own truth, a little noisy."""
-    run, true = pair
-    noise = np.random.default_rng(seed).normal(0.0, [0.002, 0.002, 0.003], true.shape)
-    return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
+    return drive(seed, seconds, said=scaled(scale, wide), truth_mm=2.0)
 
 
 def learned_with(run, *effects):
@@ -63,8 +61,7 @@ def learned_with(run, *effects):
 
 
 def test_what_was_true_of_one_half_alone_is_dropped_and_what_is_true_of_both_stays():
-    """In the first half alone the wheels slipped: as a scale of the whole drive it makes the other half worse."""
-    run = with_truth(drive(4, wide=1.02), 5)
+    run = scaled_drive(4, wide=1.02)
     late = run.odometry.stamps_ns > run.truth.stamps_ns[len(run.truth) // 2]
     steps = np.diff(run.odometry.xyt, axis=0)
     steps[~late[1:], :2] *= 1.03
@@ -78,61 +75,15 @@ def test_what_was_true_of_one_half_alone_is_dropped_and_what_is_true_of_both_sta
 
 @pytest.mark.slow
 def test_other_recordings_of_the_robot_decide_where_there_are_any():
-    learned = learned_with(with_truth(drive(4, scale=1.03, wide=1.03), 5), "wheel_scale")
-    same, other = with_truth(drive(6, scale=1.03, wide=1.03), 7), with_truth(drive(6), 7)
+    learned = learned_with(scaled_drive(4, scale=1.03, wide=1.03), "wheel_scale")
+    same, other = scaled_drive(6, scale=1.03, wide=1.03), scaled_drive(6)
     assert drop_unsupported_parts(learned, [replace(same, name="same")])[0].fit.effects
     assert not drop_unsupported_parts(learned, [replace(other, name="other")])[0].fit.effects
 
 
-@pytest.mark.parametrize("axes", [[0, 1, 2], [0, 1]])
-def test_noise_that_is_larger_than_the_model_has_it_costs_its_logarithm_where_its_size_is_free(axes):
-    white = np.random.default_rng(1).normal(size=(50, 3))
-
-    def nats(times):
-        larger = white * np.where(np.isin(range(3), axes), times, 1.0)
-        own = -0.5 * np.sum(larger**2, axis=1)
-        stretch = SimpleNamespace(innovations=larger.ravel(), interval_nats=own, recording=SimpleNamespace(axes=axes))
-        return Evaluation.sized_nats.fget(stretch)
-
-    np.testing.assert_allclose(nats(4.0), nats(1.0) - len(axes) * np.log(4.0))
-
-
-def test_the_drift_of_held_out_windows_is_evidence_where_single_intervals_are_none():
-    errors = np.random.default_rng(1).chisquare(2.0, (5, 40))
-    near, far = Drift(tuple(1e-4 * errors)), Drift(tuple(4e-4 * errors))
-    assert near.nats_over(far) == pytest.approx(40.0 * np.log(4.0))
-    assert far.nats_over(near) == -near.nats_over(far)
-
-
-@pytest.mark.parametrize(("nats", "needed"), [(58.0, True), (12.0, False)])
-def test_a_part_that_makes_held_out_data_likelier_is_needed_where_the_error_does_not_show_it(monkeypatch, nats, needed):
-    monkeypatch.setattr(held_out, "block_differences", lambda *_, **__: nats / 10.0 + 5.0 * np.resize([-1.0, 1.0], 10))
-    monkeypatch.setattr(held_out, "phased_misses", lambda _: np.full((5, 40), 1e-4))
-    pieces = [SimpleNamespace(left=None)]
-    found = held_out._verdict([effect_from_values("wheel_scale", {})], pieces, pieces)
-    assert (found.needed, found.failure) == (needed, "")
-
-
-@pytest.mark.parametrize(
-    ("with_it_m", "odds", "kept"), [(0.0100, 0.4, True), (0.0110, 0.4, False), (0.0110, 0.6, True)]
-)
-def test_a_likelier_model_below_even_odds_is_dropped_where_the_error_grows_with_it(monkeypatch, with_it_m, odds, kept):
-    monkeypatch.setattr(held_out, "block_differences", lambda *_, **__: 5.8 + 5.0 * np.resize([-1.0, 1.0], 10))
-    # windows of which half get worse and half better, so that the larger error is not significant
-    spread = np.resize([0.1, 1.9], (5, 40))
-    monkeypatch.setattr(held_out, "phased_misses", lambda left: left[0][0] ** 2 * np.roll(spread, left[0][1], axis=1))
-    monkeypatch.setattr(held_out, "confidence", lambda *_: odds)
-    whole, without = ([SimpleNamespace(left=left)] for left in ((with_it_m, 0), (0.0100, 1)))
-    learned = learned_with(with_truth(drive(4), 5), "wheel_scale")
-    part = (effect_from_values("wheel_scale", {}),)
-    found = held_out._verdict(part, whole, without)
-    assert (found.needed, found.failure) == (True, "")
-    assert (held_out._least_confident([(part, found)], learned) is None) == kept
-
-
 @pytest.mark.slow
 def test_a_name_that_is_hardly_likely_stays_only_where_held_out_data_need_it():
-    learned = learned_with(with_truth(drive(4, wide=1.05), 5), "wheelbase", "wheel_scale")
+    learned = learned_with(scaled_drive(4, wide=1.05), "wheelbase", "wheel_scale")
     doubted = replace(learned, against={"wheelbase": 1e12, "wheel_scale": 1e12})
     assert [effect.name for effect in drop_unsupported_parts(learned)[0].fit.effects] == ["wheelbase", "wheel_scale"]
     kept, said = drop_unsupported_parts(doubted)
@@ -142,7 +93,7 @@ def test_a_name_that_is_hardly_likely_stays_only_where_held_out_data_need_it():
 
 @pytest.mark.slow
 def test_a_gain_that_held_out_data_do_not_show_caps_the_confidence():
-    learned = learn([with_truth(drive(4, wide=1.02), 5)])
+    learned = learn([scaled_drive(4, wide=1.02)])
     (step,) = learned.steps
     tested = replace(learned, held_out={step.added: (3.0, 2.0)})
     assert support_of(step, learned).own > 7.0
@@ -150,14 +101,14 @@ def test_a_gain_that_held_out_data_do_not_show_caps_the_confidence():
 
 
 def test_a_clock_is_found_with_the_model_where_its_effect_hides_it():
-    run = with_truth(drive(8, wide=0.25), 9)
+    run = scaled_drive(8, wide=0.25)
     late = replace(run, odometry=Trajectory(run.odometry.stamps_ns + 300_000_000, run.odometry.xyt))
     model = MotionModel(Noise("diffusion", QUIET), (effect_from_values("wheelbase", {"e": -0.75}),))
     assert clocks_beside([late], Approach(), model).clocks[0].offset_s == pytest.approx(0.3, abs=0.02)
 
 
 def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
-    learned = learned_with(with_truth(drive(4), 5), "wheel_scale")
+    learned = learned_with(scaled_drive(4), "wheel_scale")
     candidates = (SimpleNamespace(gain=40.0, refused="", name="wheel_scale"),)
     (step,) = (replace(step, candidates=candidates) for step in learned.rounds)
     (run,) = learned.fit.problem.recordings
@@ -175,8 +126,7 @@ def test_a_clock_beside_which_errors_depend_on_the_acceleration_is_the_less_sure
 
 
 def test_of_two_processes_of_one_name_only_the_one_that_fails_leaves_the_model():
-    """The other one has the same name and acts on another channel: both stayed, and one was said to be left out."""
-    run = with_truth(drive(4, seconds=60.0), 5)
+    run = scaled_drive(4, seconds=60.0)
     both = [effect_from_values("gauss_markov", {"sigma": 0.02, "channel": channel}) for channel in ("along", "yaw")]
     fitted = fit([run], random=both, approach=Approach())
     learned = replace(learned_with(run), fit=fitted, noise=tuple(DetectedRandomEffect(one, 20.0) for one in both))
@@ -187,14 +137,13 @@ def test_of_two_processes_of_one_name_only_the_one_that_fails_leaves_the_model()
 
 
 def test_a_drive_too_short_to_be_halved_tests_nothing_and_drops_nothing():
-    learned = learned_with(with_truth(drive(4, scale=1.03, seconds=20.0), 5), "wheel_scale")
+    learned = learned_with(scaled_drive(4, scale=1.03, seconds=20.0), "wheel_scale")
     kept, said = drop_unsupported_parts(learned)
     assert (kept.fit.effects, said) == (learned.fit.effects, ())
 
 
 @pytest.mark.slow
 def test_what_no_odometry_satisfies_is_left_out_and_the_others_are_refitted(monkeypatch):
-    """Two parts may balance each other: kept alone as it was fitted, one made another drive ten times worse."""
     run = as_recording(simulate(5, ["unequal_wheels", "wheelbase"], duration_s=240.0))
     checked = pipeline.verified_model
 
@@ -205,7 +154,6 @@ def test_what_no_odometry_satisfies_is_left_out_and_the_others_are_refitted(monk
         why = "no odometry satisfies it"
         return RoundTrip(replace(model, effects=others), (f"wheelbase left out: {why}",), {"wheelbase": why})
 
-    both = pipeline.learn_robot([run]).proof.model
     monkeypatch.setattr(pipeline, "verified_model", without_wheelbase)
     found = pipeline.learn_robot([run])
     alone = fit_robot([run], [effect_from_values("unequal_wheels", {})], law_name="diffusion").model
@@ -213,4 +161,155 @@ def test_what_no_odometry_satisfies_is_left_out_and_the_others_are_refitted(monk
     assert found.search.left_out == {"wheelbase": "no odometry satisfies it"}
     assert any("wheelbase left out" in remark for remark in found.dropped)
     assert kept.curvature == pytest.approx(alone.effects[0].curvature, rel=1e-3)
-    assert {effect.name for effect in both.effects} > {effect.name for effect in found.proof.model.effects}
+
+
+LITTLE, MUCH = Span(0.001, 0.01, 7.0), Span(0.01, 0.01, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("ten_seconds", "far", "negligible"),
+    [
+        (LITTLE, None, True),
+        (LITTLE, LITTLE, True),
+        (MUCH, LITTLE, False),
+        (LITTLE, Span(0.1, 0.1, 50.0), False),  # a bias hardly moves anything in 10 s
+        (Span(6e-4, 1e-5, 7.0), Span(4e-3, 1e-5, 50.0), True),  # exact truth: a tenth of a millimetre per metre
+    ],
+)
+def test_what_hardly_moves_the_odometry_near_and_far_is_negligible(ten_seconds, far, negligible):
+    assert Contribution(ten_seconds, far).negligible(DECISIONS.practical) is negligible
+
+
+@pytest.fixture(scope="module")
+def learned():
+    """A robot that is wide by 2 %, and a scale that is nearly nothing."""
+    return learned_with(scaled_drive(4, wide=1.02), "wheelbase", "wheel_scale")
+
+
+def test_a_large_cause_matters_and_what_chance_makes_of_another_does_not(learned):
+    found = replace(learned, contributions=contributions(learned.fit))
+    assert found.added == ("wheelbase", "wheel_scale")
+    assert found.matters == ("wheelbase",)
+    assert found.is_negligible("wheel_scale")
+    strict = replace(found, decisions=replace(DECISIONS, practical=Practical(share=0.0, far_share=0.0, per_m=0.0)))
+    assert not strict.is_negligible("wheel_scale")
+
+
+def test_it_is_measured_on_recordings_that_were_not_fitted_where_there_are_any(learned):
+    run = scaled_drive(7, wide=1.02)
+    own = contributions(learned.fit, [run], [learned.fit.problem.clocks[0]])["wheelbase"].ten_seconds
+    bare = learned.fit.refit([e for e in learned.fit.effects if e.name != "wheelbase"], weights_of=learned.fit)
+    far = undo(run, learned.fit.effects).odometry.xyt[:, :2] - undo(run, bare.effects).odometry.xyt[:, :2]
+    assert 0.0 < own.moved_m < np.abs(far).max()
+    assert own.travelled_m == pytest.approx(contributions(learned.fit)["wheelbase"].ten_seconds.travelled_m, rel=0.5)
+
+
+def test_effects_that_nobody_measured_matter(learned):
+    assert not learned.is_negligible("wheel_scale")
+    assert contributions(learned.fit.refit([])) == {}
+
+
+CREEP = 0.03
+
+
+def on_a_slope(seed, frame, turned=0.0):
+    """Return a drive on a slope, with a truth whose axes are turned, in a frame of the given name."""
+    run = drive(seed, 120.0, truth_mm=2.0)
+    slid = run.truth.xyt.copy()
+    slid[1:, 0] += np.cumsum(CREEP * np.abs(wander(seed, 120.0).ds_m))
+    truth = Trajectory(run.truth.stamps_ns, compose(np.array([0.0, 0.0, turned]), slid))
+    return replace(run, name=f"drive {seed}", frame=frame, truth=truth)
+
+
+@pytest.fixture(scope="module")
+def one_slope():
+    return on_a_slope(4, "map of 4")
+
+
+@pytest.fixture(scope="module")
+def other_slope():
+    return on_a_slope(6, "map of 6", turned=np.pi)
+
+
+@pytest.fixture(scope="module")
+def on_slope(one_slope):
+    return learned_with(one_slope, "slope", "wheel_scale")
+
+
+@pytest.mark.slow
+def test_a_slope_is_applied_in_its_frame_only_and_that_is_noted(on_slope, other_slope):
+    model = parse_model(format_model(model_of(on_slope.fit)))
+    flat = replace(model, effects=tuple(e for e in model.effects if e.name != "slope"))
+    named, without = compare([other_slope], {"slope": model, "none": flat}).evaluations
+    assert named.ten_second_error_m == without.ten_second_error_m
+    assert "slope not applied" in " ".join(named.notes)
+    same = compare([replace(other_slope, frame="map of 4")], {"slope": model}).evaluations[0]
+    assert same.ten_second_error_m > 1.2 * without.ten_second_error_m
+
+
+@pytest.mark.slow
+def test_another_map_does_not_refuse_a_slope_but_still_refuses_a_scale(one_slope, other_slope):
+    steps = np.diff(one_slope.odometry.xyt, axis=0) * (1.03, 1.03, 1.0)
+    far = np.concatenate((one_slope.odometry.xyt[:1], one_slope.odometry.xyt[0] + np.cumsum(steps, axis=0)))
+    long = replace(one_slope, odometry=Trajectory(one_slope.odometry.stamps_ns, far))
+    kept, _ = drop_unsupported_parts(learned_with(long, "slope", "wheel_scale"), [other_slope])
+    assert [effect.name for effect in kept.fit.effects] == ["slope"]
+
+
+def test_the_contribution_of_a_slope_is_measured_where_it_was_learned(on_slope, other_slope):
+    assert contributions(on_slope.fit, [other_slope], [on_slope.fit.problem.clocks[0]]) == contributions(on_slope.fit)
+
+
+def test_functions_of_places_and_headings_are_not_tried_on_several_maps(one_slope, other_slope):
+    def tried(runs):
+        motions = [driving_motion(run, "truth") for run in runs]
+        families = library_families(runs, motions, ())
+        placed = shared_frame(runs) is not None
+        reach = {f.regressor for f in basis_functions(motions, placed=placed)} | {
+            *curve_regressors(motions, placed=placed)
+        }
+        return {family[0].start.name for family in families if family[0].start.reads_places}, reach
+
+    names, regressors = tried([one_slope, replace(other_slope, frame=one_slope.frame)])
+    assert Slope.name in names
+    assert {"heading", "position"} <= regressors
+    names, regressors = tried([one_slope, other_slope])
+    assert not names
+    assert not {"heading", "position"} & regressors
+    design = CoarseDesign(pose_problem([one_slope, other_slope], approach=Approach()))
+    assert "ground" not in {action.target for action in design.actions}  # which only places move
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [4.4, 0.5])
+def test_a_robot_that_turns_several_times_as_far_as_its_odometry_says_is_named(times):
+    run = scaled_drive(4, wide=1.0 / times, seconds=120.0)
+    learned = learn([run])
+    assert learned.added[0] == "wheelbase"
+    assert 1.0 / (1.0 + learned.fit.by_name["wheelbase"].e) == pytest.approx(times, rel=0.01)
+
+
+def inward(seed, k=-0.05):
+    """Return a recording whose truth slips into its turns, as no tyre does."""
+
+    def slid(steps):
+        return replace(steps, dl_m=-k * steps.ds_m * steps.dtheta_rad * 50.0)
+
+    return drive(seed, driven=slid, truth_mm=2.0)
+
+
+@pytest.mark.slow
+def test_a_sign_that_physics_forbids_is_an_alarm_about_the_data_and_no_name():
+    learned = learn([inward(3)])
+    assert [one.name for one in learned.contradicted] == ["side_slip"]
+    assert learned.added == ()
+    assert learned.unknown == ()
+
+
+def test_tails_of_a_truth_that_is_noisier_than_the_odometry_are_not_the_odometrys():
+    steps = wander(5, 240.0)
+    run = recording(steps, noisy_path(steps, Coefficients(0.002, 0.002, 0.001, 0.001), 5), seed=5)
+    true = accumulate(np.zeros(3), steps)
+    noise = np.random.default_rng(5).standard_t(2.5, true.shape) * [0.02, 0.02, 0.02]
+    noisy = replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
+    assert heavy_tails(fit([noisy], approach=choose_approach([noisy]))) is None

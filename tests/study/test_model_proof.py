@@ -1,7 +1,6 @@
-"""A model is written only if it can be read back and used to correct and corrupt."""
+"""A model is written only if it can be read back, and used to correct and corrupt; learning finds what it put in."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +16,8 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.validate import round_trip
-from odomcorrupt.study.validate.round_trip import _corrected_error, _drive, _driven, _fitted_error, verified_model
+from odomcorrupt.study.select.selection import learn
+from odomcorrupt.study.validate.round_trip import _corrected_error, _drive, _fitted_error, verified_model
 
 NOISE = Noise("diffusion", Coefficients(0.01, 0.01, 0.005, 0.001))
 LAW = "along += abs(v) * (k * abs(v * omega))"
@@ -108,44 +107,6 @@ def test_of_rough_odometry_a_correction_takes_what_the_fit_took(drive, monkeypat
     assert _corrected_error((brakes,), model, runs) > 1.5 * fitted_m
 
 
-@pytest.mark.parametrize(("left_m", "kept"), [(0.0178, True), (0.0199, False)])
-def test_a_law_of_which_a_correction_keeps_hardly_anything_is_left_out(monkeypatch, left_m, kept):
-    # the next drive has none of what little it gains on the fitted one
-    brakes = user_effect("brakes", "along += k * where(a < -0.6, 1, 0)", {"k": 0.3})
-    monkeypatch.setattr(round_trip, "_corrected_error", lambda effects, *_: left_m if effects else 0.0202)
-    monkeypatch.setattr(round_trip, "_fitted_error", lambda model, _: 0.0153 if model.effects else 0.0202)
-    found, said = round_trip._correctable(MotionModel(NOISE, (brakes,)), [])
-    assert bool(found.effects) == kept
-    assert ("left out" in said[0]) != kept
-
-
-@pytest.mark.parametrize(("left_m", "kept"), [(0.0199, True), (0.0205, False)])
-def test_a_patch_that_drifting_odometry_meets_too_late_stays_for_corruption(monkeypatch, left_m, kept):
-    # of a carpet found with 67.6 -> 32.0 mm a correction kept 63.7, and the model was written without it
-    patch = effect_from_values("region_slip", {"slip": 0.05, "x": 1.0, "y": 0.0, "radius": 1.0})
-    monkeypatch.setattr(round_trip, "_corrected_error", lambda effects, *_: left_m if effects else 0.0202)
-    monkeypatch.setattr(round_trip, "_fitted_error", lambda model, _: 0.0153 if model.effects else 0.0202)
-    found, said = round_trip._correctable(MotionModel(NOISE, (patch,)), [])
-    assert bool(found.effects) == kept
-    assert ("drifting odometry" in said[0]) == kept
-
-
-def test_all_runs_but_the_first_are_of_minutes_and_together_reach_both_ends():
-    long = SimpleNamespace(t_s=np.arange(0.0, 2000.0, 0.1))
-    short = SimpleNamespace(t_s=np.arange(5.0, 65.0, 0.1))
-    drives = [long, short]
-    whole = [(one, one.t_s[rows]) for one, rows in _driven(drives, 0)]
-    assert [(one, len(t_s)) for one, t_s in whole] == [(long, 20000), (short, 600)]
-    seen = []
-    for run in range(1, 20):
-        driven = [(one, one.t_s[rows]) for one, rows in _driven(drives, run)]
-        assert 290.0 < sum(t_s[-1] - t_s[0] for _, t_s in driven) < 301.0
-        assert driven[0][0] is drives[run % 2]
-        seen += [t_s for one, t_s in driven if one is long]
-    assert min(t_s[0] for t_s in seen) < 300.0
-    assert max(t_s[-1] for t_s in seen) == long.t_s[-1]
-
-
 def test_a_law_that_flickers_with_jittering_stamps_is_replaced_by_its_mean(drive, monkeypatch):
     monkeypatch.setattr(undo, "is_rough", lambda *_: False)  # a jitter that is just not rough
     silent = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
@@ -172,3 +133,36 @@ def test_a_learned_law_is_tested_at_the_recorded_speeds_themselves(drive):
     found = verified_model(model, [drive])
     assert not found.model.effects
     assert "no odometry satisfies it" in found.changes[0]
+
+
+TRACK_M = 0.4
+STRENGTHS = {
+    "usual": Coefficients(0.0105, 0.0087, 0.0018, 0.0005),
+    "typical": Coefficients(0.05, 0.02, 0.05, 0.01),
+}
+
+
+def corrupted_drive(strength, effects=(), seed=10):
+    """Return what a simulator without noise records: the truth exactly, and odometry corrupted by this program."""
+    steps = wander(seed, 400.0)
+    clean = recording(steps, accumulate(np.zeros(3), steps), truth_mm=0.0, truth_rad=0.0, seed=seed)
+    stamps, xyt = clean.odometry.stamps_ns, clean.odometry.xyt
+    model = MotionModel(Noise("diffusion", STRENGTHS[strength]), tuple(effects), TRACK_M)
+    odometry = xyt + NoisyPath(model, seed).feed(stamps, xyt).error_xyt
+    return replace(clean, odometry=Trajectory(stamps, odometry), track_m=TRACK_M)
+
+
+@pytest.mark.parametrize(("strength", "seed"), [("usual", 11), pytest.param("typical", 10, marks=pytest.mark.slow)])
+def test_noise_alone_is_noise_alone(strength, seed):
+    learned = learn([corrupted_drive(strength, seed=seed)])
+    assert (learned.added, learned.laws, learned.unknown, learned.noise) == ((), (), (), ())
+    k, put = learned.fit.noise.coefficients, STRENGTHS[strength]
+    assert k.rot_trans == pytest.approx(put.rot_trans, rel=0.15)
+    assert k.trans_trans == pytest.approx(put.trans_trans, rel=0.15)
+
+
+@pytest.mark.slow
+def test_an_effect_comes_back_with_its_size():
+    learned = learn([corrupted_drive("usual", [effect_from_values("wheelbase", {"e": -0.03})])])
+    assert (learned.added, learned.unknown, learned.noise) == (("wheelbase",), (), ())
+    assert learned.fit.effects[0].e == pytest.approx(-0.03, abs=0.005)

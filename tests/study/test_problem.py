@@ -1,4 +1,4 @@
-"""A problem posed after an earlier one shares its unchanged parts, and only those."""
+"""Problems posed on recordings: shared parts, headings of positions, the side of the regressors, the mounting."""
 
 from dataclasses import fields, replace
 from itertools import pairwise
@@ -6,34 +6,38 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from hidden import as_recording
+from scipy.ndimage import gaussian_filter1d
+from wandering import PLANTED, drive
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.se2 import increments
+from odomcorrupt.geometry.se2 import Increments, accumulate, compose, increments
 from odomcorrupt.geometry.trajectory import Trajectory
+from odomcorrupt.model.noise_laws import LAWS
 from odomcorrupt.simulation import simulate
-from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
+from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.intervals import Intervals
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.regressors import driving_motion
+from odomcorrupt.study.estimate.regressors import choose_side, driving_motion
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.candidates import drop_term
+from odomcorrupt.study.io.headings import with_headings
+from odomcorrupt.study.io.recording import Recording
 
 EFFECTS = (effect_from_values("wheel_scale", {"e": 0.02}), effect_from_values("accel_slip", {"k": 0.01}))
 
 
 @pytest.fixture(scope="module")
-def recording():
+def one_run():
     return as_recording(simulate(93, "wheel_scale", duration_s=60.0))
 
 
 @pytest.mark.parametrize("side", ["odometry", "truth"])
 @pytest.mark.parametrize("clock", [Clock(), Clock(0.03)])
-def test_a_problem_after_an_earlier_one_is_the_problem_by_itself(recording, side, clock):
-    approach = replace(choose_approach([recording]), side=side)
-    earlier = pose_problem([recording], approach=approach)
-    after = pose_problem([recording], EFFECTS, [clock], approach=approach, before=earlier)
-    alone = pose_problem([recording], EFFECTS, [clock], approach=approach)
+def test_a_problem_after_an_earlier_one_is_the_problem_by_itself(one_run, side, clock):
+    approach = replace(choose_approach([one_run]), side=side)
+    earlier = pose_problem([one_run], approach=approach)
+    after = pose_problem([one_run], EFFECTS, [clock], approach=approach, before=earlier)
+    alone = pose_problem([one_run], EFFECTS, [clock], approach=approach)
     for field in fields(Intervals):
         assert np.array_equal(getattr(after.intervals, field.name), getattr(alone.intervals, field.name))
     for name in ("v", "omega", "acceleration", "x", "theta", "distance"):
@@ -41,71 +45,30 @@ def test_a_problem_after_an_earlier_one_is_the_problem_by_itself(recording, side
     assert (after.smoothers == earlier.smoothers) == (clock == Clock())
 
 
-def test_the_odometrys_own_motion_is_shared_between_offsets_of_its_clock(recording):
-    approach = replace(choose_approach([recording]), side="odometry")
-    earlier = pose_problem([recording], approach=approach)
-    (now,) = pose_problem([recording], clocks=[Clock(0.03)], approach=approach, before=earlier).motions
-    (before,) = earlier.motions
-    assert now.acceleration is before.acceleration
-    assert np.array_equal(now.v, before.v)
-    assert not np.array_equal(now.t_s, before.t_s)
-    assert not np.array_equal(now.x, before.x)
-
-
-def test_nodes_are_the_same_samples_of_the_truth_for_every_clock(recording):
-    approach = choose_approach([recording])
-    plain, *others = (
-        pose_problem([recording], clocks=[Clock(offset_s)], approach=approach).intervals.start_s
-        for offset_s in (0.0, 0.003, -0.055, 0.21, -2.3)
-    )
-    for other in others:
-        assert np.isin(other, plain[1:-1]).sum() >= len(plain) - 8
-        assert np.isin(other, plain)[1:-1].all()
-
-
-def test_accelerations_are_those_of_what_effects_leave(recording):
-    problem = pose_problem([recording], EFFECTS, approach=choose_approach([recording]))
-    left = driving_motion(problem.left[0], "odometry")
-    assert np.array_equal(problem.motions[0].acceleration, left.acceleration)
-    assert not np.array_equal(problem.motions[0].v, left.v)
-
-
-def test_the_same_model_is_not_posed_again_and_one_with_a_dropped_effect_is(recording):
-    fitted = fit([recording], [effect_from_values("wheel_scale", {"e": 0.02})], approach=choose_approach([recording]))
-    problem = fitted.problem
-    again = pose_problem([recording], problem.effects, problem.clocks, approach=problem.approach, before=problem)
-    assert again is problem
-    bare = drop_term(fitted, fitted.effects[0]).problem
-    posed = pose_problem([recording], (), problem.clocks, approach=problem.approach, before=bare)
-    alone = pose_problem([recording], (), problem.clocks, approach=problem.approach)
-    assert np.array_equal(posed.intervals.residual, alone.intervals.residual)
-    assert not np.array_equal(posed.intervals.residual, bare.intervals.residual)
-
-
-def stretches(recording, *times_s):
+def stretches(one_run, *times_s):
     """Return the stretches of a recording whose truth jumps, each with the odometry from the beginning."""
     cut = []
     for i, (first_s, last_s) in enumerate(pairwise((0.0, *times_s, np.inf))):
-        truth_s, own = recording.truth.seconds_since(recording.origin_ns), recording.odometry
+        truth_s, own = one_run.truth.seconds_since(one_run.origin_ns), one_run.odometry
         rows = (truth_s >= first_s) & (truth_s < last_s)
-        known = recording.odometry_s <= truth_s[rows][-1] + 1.0
-        jumped = recording.truth.xyt[rows] + (float(i), 0.5 * i, 0.0)
-        truth = Trajectory(recording.truth.stamps_ns[rows], jumped)
+        known = one_run.odometry_s <= truth_s[rows][-1] + 1.0
+        jumped = one_run.truth.xyt[rows] + (float(i), 0.5 * i, 0.0)
+        truth = Trajectory(one_run.truth.stamps_ns[rows], jumped)
         odometry = Trajectory(own.stamps_ns[known], own.xyt[known])
-        cut.append(replace(recording, name=f"part {i}", clock="one", odometry=odometry, truth=truth))
+        cut.append(replace(one_run, name=f"part {i}", clock="one", odometry=odometry, truth=truth))
     return cut
 
 
 @pytest.mark.parametrize("side", ["odometry", "truth"])
-def test_stretches_of_a_run_share_its_motion_and_pose_the_problem_that_each_poses_alone(recording, side):
-    parts = stretches(recording, 17.3, 38.0)
-    approach = replace(choose_approach([recording]), side=side)
+def test_stretches_of_a_run_share_its_motion_and_pose_the_problem_that_each_poses_alone(one_run, side):
+    parts = stretches(one_run, 17.3, 38.0)
+    approach = replace(choose_approach([one_run]), side=side)
     lever = effect_from_values("lever_arm", {"x": 0.1})
     tried = (lever, *EFFECTS, *(effect_from_values(name, {}) for name in ("slope", "time_offset", "region_slip")))
     together = pose_problem(parts, EFFECTS, [Clock(0.03)] * 3, approach=approach)
     apart = [pose_problem([part], EFFECTS, [Clock(0.03)], approach=approach) for part in parts]
     assert len(together.motions) == 1
-    assert len(together.motions[0]) == len(recording.odometry) - 1
+    assert len(together.motions[0]) == len(one_run.odometry) - 1
     for name in ("start_s", "residual", "share", "lever", "truth_xyt"):
         whole = np.concatenate([getattr(one.intervals, name) for one in apart])
         np.testing.assert_allclose(getattr(together.intervals, name), whole, rtol=0.0, atol=1e-12)
@@ -119,24 +82,180 @@ def test_stretches_of_a_run_share_its_motion_and_pose_the_problem_that_each_pose
             np.testing.assert_allclose(together.columns(effect)[inner], whole[inner], rtol=0.0, atol=1e-7)
 
 
-def test_recordings_with_clocks_or_odometry_of_their_own_share_no_motion(recording):
-    first, second = stretches(recording, 30.0)
-    approach = choose_approach([recording])
-    changed = replace(second, odometry=Trajectory(second.odometry.stamps_ns, 1.01 * second.odometry.xyt))
-    for parts, clocks in (
-        ([first, second], [Clock(), Clock(0.1)]),
-        ([first, changed], [Clock()] * 2),
-        ([first, replace(second, clock="other")], [Clock()] * 2),
-    ):
-        assert len(pose_problem(parts, (), clocks, approach=approach).motions) == 2
-
-
-def test_a_wheel_rolls_as_far_as_the_odometry_reports_also_if_speeds_are_the_truths(recording):
-    wheels = replace(recording, track_m=0.4)
+def test_a_wheel_rolls_as_far_as_the_odometry_reports_also_if_speeds_are_the_truths(one_run):
+    wheels = replace(one_run, track_m=0.4)
     sides = {side: driving_motion(wheels, side) for side in ("odometry", "truth")}
-    steps = increments(recording.odometry.xyt)
+    steps = increments(one_run.odometry.xyt)
     for arm_m in (0.2, -0.2):
         assert np.allclose(sides["truth"].rolled(arm_m)[1:], np.cumsum(steps.ds_m + arm_m * steps.dtheta_rad))
     # the scale hidden in this odometry is 2 %, so integrals of the truth's speeds end elsewhere
     speeds = np.cumsum(sides["truth"].v * sides["truth"].dt_s)
     assert abs(sides["odometry"].rolled(0.0)[-1] - sides["truth"].rolled(0.0)[-1]) < 1e-3 * abs(speeds[-1])
+
+
+AHEAD_M = 0.5  # of the axle, where the antenna is
+
+
+def weaving(ahead_m=0.0, without_s=()):
+    """Return a car that weaves, backs up around a corner at 40 s and goes on, with fixes of 5 Hz; and its headings."""
+    t_s = np.arange(0.0, 80.0, 0.02)
+    speed = np.where(np.abs(t_s - 41.0) < 1.5, -1.0, 1.0)
+    turn = 0.5 * np.sin(0.7 * t_s) + np.where(np.abs(t_s - 41.0) < 3.0, -0.6, 0.0)
+    yaw = 0.4 + np.cumsum(turn) * 0.02
+    x, y = np.cumsum(speed * np.cos(yaw)) * 0.02, np.cumsum(speed * np.sin(yaw)) * 0.02
+    stamps = np.round(t_s * 1e9).astype(np.int64)
+    fixes = np.arange(5, len(t_s), 10)
+    for first, last in without_s:
+        fixes = fixes[(t_s[fixes] < first) | (t_s[fixes] > last)]
+    xy = np.column_stack((x + ahead_m * np.cos(yaw), y + ahead_m * np.sin(yaw)))[fixes]
+    xy += np.random.default_rng(5).normal(0.0, 0.005, xy.shape)
+    truth = np.column_stack((xy, np.full(len(xy), np.nan)))
+    turned = np.column_stack((x * np.cos(1.1) - y * np.sin(1.1), x * np.sin(1.1) + y * np.cos(1.1), yaw + 1.1))
+    one_run = Recording(
+        name="run", odometry=Trajectory(stamps, turned), truth=Trajectory(stamps[fixes], truth), origin_ns=0,
+        track_m=None, notes=(),
+    )  # fmt: skip
+    return one_run, yaw[fixes]
+
+
+def errors(one_run, yaw):
+    return (one_run.truth.xyt[:, 2] - yaw + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@pytest.mark.parametrize("without_s", [((0.25, 20.0),), ((30.0, 45.0), (45.4, 60.0))], ids=["first", "between two"])
+def test_fixes_that_an_outage_leaves_alone_get_the_heading_of_those_beside_them(without_s):
+    one_run, yaw = weaving(without_s=without_s)
+    assert np.abs(errors(with_headings(one_run), yaw)).max() < 0.01
+
+
+def test_a_fast_car_with_few_fixes_has_the_headings_of_its_path():
+    one_run, yaw = weaving()
+    truth, odometry = one_run.truth, one_run.odometry
+    few = Trajectory(truth.stamps_ns[::5], truth.xyt[::5] * [8.0, 8.0, 1.0])
+    fast = replace(one_run, odometry=replace(odometry, xyt=odometry.xyt * [8.0, 8.0, 1.0]), truth=few)
+    assert np.abs(errors(with_headings(fast), yaw[::5])).max() < 0.05
+
+
+def test_headings_are_those_of_the_model_so_that_an_antenna_ahead_of_the_axle_turns_none_of_them():
+    one_run, yaw = weaving(AHEAD_M, without_s=((34.0, 39.5), (42.6, 50.0)))
+    plain = with_headings(one_run)
+    assert np.abs(errors(plain, yaw)).max() > 0.05
+    problem = pose_problem([plain], [effect_from_values("lever_arm", {"x": AHEAD_M})], approach=Approach())
+    assert np.abs(errors(problem.left[0], yaw)).max() < 0.02
+    assert np.abs(problem.intervals.residual[:, :2]).max() < 0.05
+
+
+def test_turns_that_change_between_two_sweeps_of_a_laser_are_no_noise_of_exact_odometry():
+    rng = np.random.default_rng(3)
+    t_s = np.arange(0.0, 300.0, 0.02)
+    swerve = gaussian_filter1d(rng.normal(size=len(t_s) - 1), 0.16 / 0.02)
+    rate_radps = 0.5 * np.sin(0.3 * t_s[1:]) + 0.5 * swerve / swerve.std()
+    step = np.full(len(rate_radps), 0.01)
+    xyt = accumulate(np.zeros(3), Increments(step, 0.0 * step, 0.02 * rate_radps))
+    odometry = Trajectory(np.round(1e9 * t_s).astype(np.int64), xyt)
+    sweeps_s, deviation = np.arange(0.13, 299.0, 0.2), np.array([0.002, 0.002, 0.0006])
+    poses = odometry.at(sweeps_s, 0) + deviation * rng.standard_normal((len(sweeps_s), 3))
+    covariance = np.tile(np.diag(deviation**2), (len(sweeps_s), 1, 1))
+    truth = Trajectory(np.round(1e9 * sweeps_s).astype(np.int64), poses, covariance)
+    assert choose_side(Recording("swerves", odometry, truth, 0), 0.5) == "odometry"
+
+
+def test_jitter_of_encoders_is_no_regressor_beside_a_truth_whose_noise_smoothing_removes():
+    rng = np.random.default_rng(4)
+    t_s = np.arange(0.0, 300.0, 0.02)
+    rate_radps = 0.6 * np.sin(0.3 * t_s[1:])
+    step = np.full(len(rate_radps), 0.008)
+    still = 0.0 * step
+    jitter = 8e-3 * np.sqrt(0.02) * rng.standard_normal(len(step))
+    stamps = np.round(1e9 * t_s).astype(np.int64)
+    true = Trajectory(stamps, accumulate(np.zeros(3), Increments(step, still, 0.02 * rate_radps)))
+    smooth, rough = (
+        Trajectory(stamps, accumulate(np.zeros(3), Increments(step, still, 0.02 * rate_radps + j)))
+        for j in (0.0, jitter)
+    )
+    seen_s = np.arange(0.1037, 299.0, 0.01)
+    poses = true.at(seen_s, 0) + np.array([0.001, 0.001, 0.002]) * rng.standard_normal((len(seen_s), 3))
+    truth = Trajectory(np.round(1e9 * seen_s).astype(np.int64), poses)
+    assert choose_side(Recording("rough", rough, truth, 0), 0.5) == "truth"
+    assert choose_side(Recording("smooth", smooth, truth, 0), 0.5) == "odometry"
+
+
+def test_starts_and_stops_are_no_noise_of_the_odometry():
+    rng = np.random.default_rng(6)
+    t_s = np.arange(0.0, 300.0, 0.02)
+    phase_s = t_s[1:] % 14.0
+    ramp = np.ones(75) / 75
+    speed_mps = np.convolve(np.where(phase_s < 10.0, 0.3, 0.0), ramp, "same")
+    rate_radps = np.convolve(np.where((phase_s > 9.5) & (phase_s < 13.5), 0.1, 0.0), ramp, "same")
+    moved = speed_mps + rate_radps > 1e-3
+    still = 0.0 * speed_mps
+    noise = 1e-3 * np.sqrt(0.02) * moved * rng.standard_normal((2, len(still)))
+    step, turn = 0.02 * speed_mps + 0.2 * noise[0], 0.02 * rate_radps + noise[1]
+    stamps = np.round(1e9 * t_s).astype(np.int64)
+    odometry = Trajectory(stamps, accumulate(np.zeros(3), Increments(step, still, turn)))
+    seen_s = np.arange(0.1037, 299.0, 0.01)
+    poses = odometry.at(seen_s, 0) + np.array([0.002, 0.002, 0.0035]) * rng.standard_normal((len(seen_s), 3))
+    truth = Trajectory(np.round(1e9 * seen_s).astype(np.int64), poses)
+    assert choose_side(Recording("exact", odometry, truth, 0), 0.5) == "odometry"
+
+
+MOUNTED = (0.08, -0.03, 0.02)
+"""Where the truth's marker sits on the base: x, y (m), yaw (rad)."""
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return as_recording(simulate(3, None, duration_s=240.0))
+
+
+@pytest.fixture(scope="module")
+def mounted(clean):
+    xyt = compose(clean.truth.xyt, np.broadcast_to(MOUNTED, clean.truth.xyt.shape))
+    return replace(clean, truth=Trajectory(clean.truth.stamps_ns, xyt))
+
+
+def test_a_marker_beside_the_base_frame_is_found_in_the_setup_and_not_in_the_robot(mounted):
+    result = fit_robot([mounted], (), law_name="diffusion")
+    found = {effect.name: effect for effect in result.model.setup.effects}
+    errors = result.model.standard_errors
+    assert found.keys() == {"lever_arm", "mount_yaw"}
+    assert abs(found["lever_arm"].x - MOUNTED[0]) < 4.0 * errors["lever_arm.x"] < 0.01
+    assert abs(found["lever_arm"].y - MOUNTED[1]) < 4.0 * errors["lever_arm.y"] < 0.01
+    assert abs(found["mount_yaw"].yaw - MOUNTED[2]) < 4.0 * errors["mount_yaw.yaw"] < 0.01
+    assert result.model.effects == ()
+
+
+def test_a_marker_on_the_base_frame_leaves_the_setup_empty(clean):
+    assert fit_robot([clean], (), law_name="diffusion").model.setup.effects == ()
+
+
+def test_what_cannot_be_separated_from_an_effect_that_is_asked_for_is_not_searched(mounted):
+    result = fit_robot([mounted], effects_to_fit(None, ["icr_shift"]), law_name="diffusion")
+    assert "lever_arm" not in {effect.name for effect in result.model.setup.effects}
+
+
+@pytest.mark.slow
+def test_of_all_laws_the_one_that_made_the_noise_is_the_likeliest():
+    run = drive(5, 300.0, PLANTED)
+    results = fit_every_law([run], ())
+    assert set(results) == {name for name, law in LAWS.items() if law.fitted}
+    assert next(iter(results)) == "diffusion"
+    nats = [result.information_nats for result in results.values()]
+    assert nats == sorted(nats, reverse=True)
+    assert nats[0] > nats[1]
+
+
+@pytest.mark.slow
+def test_stretches_of_one_run_share_their_clock(clean):
+    late = Trajectory(clean.odometry.stamps_ns + 40_000_000, clean.odometry.xyt)
+    middle = len(clean.odometry) // 2
+    parts = [
+        replace(clean, name=f"part {i}", odometry=Trajectory(late.stamps_ns[s], late.xyt[s]), clock="one")
+        for i, s in enumerate((slice(0, middle), slice(middle, None)))
+    ]
+    shared = fit_robot(parts, (), law_name="diffusion").clocks
+    assert shared.clocks[0] == shared.clocks[1]
+    assert abs(shared.clocks[0].offset_s - 0.04) < 4.0 * shared.errors[0][0] < 0.01
+    own = fit_robot([replace(part, clock="") for part in parts], (), law_name="diffusion").clocks
+    assert own.clocks[0] != own.clocks[1]
+    assert shared.errors[0][0] < 0.9 * own.errors[0][0]

@@ -1,33 +1,168 @@
-"""Recordings of one robot share effects and noise, but not clocks, frames and truth noise."""
+"""Several recordings are one study with effects and noise in common; their halves are held out."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from wandering import noisy_path, recording, wander
+from hidden import as_recording
+from wandering import drive, noisy_path, recording, scaled, wander
 
+from odomcorrupt.api.recordings import recording_paths
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.geometry.se2 import Increments, accumulate, compose
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import Increments, between, compose
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.report.comparison import comparison_text
+from odomcorrupt.report.diagnosis import found_text
+from odomcorrupt.simulation import Segment, simulate, write_mcap
+from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.clocks import find_clocks
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.intervals import intervals_of
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.reader import one_study, read_study
+from odomcorrupt.study.io.recording import shared_frame, was_fitted
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.compare import compare
+from odomcorrupt.study.validate.cross_validation import split_of
 
-QUIET = Coefficients(0.01, 0.006, 0.008, 0.0)
-WIDE, SCALE = 1.04, 1.02
+SCALE, WIDE = 1.03, 1.05
+
+
+def of_kind(seed, kind):
+    """Return a drive whose odometry goes and turns too far: straight ahead only, on the spot only, or both."""
+    travel, turn = {"straight": (1.0, 0.0), "spot": (0.0, 1.0), "both": (1.0, 1.0)}[kind]
+    said = scaled(SCALE * travel, WIDE * turn)
+    run = drive(seed, 40.0, said=said, driven=scaled(travel, turn), truth_mm=2.0)
+    return replace(run, name=f"{kind} {seed}")
+
+
+@pytest.fixture(scope="module")
+def drives():
+    return [of_kind(*one) for one in ((1, "straight"), (2, "spot"), (3, "straight"), (4, "spot"), (5, "both"))]
+
+
+@pytest.fixture(scope="module")
+def model(drives):
+    effects = [effect_from_values(name, {}) for name in ("wheel_scale", "wheelbase")]
+    return fit_robot(drives, effects, law_name="diffusion").model
+
+
+def error_m(comparison):
+    return comparison.evaluations[-1].ten_second_error_m
+
+
+@pytest.mark.slow
+def test_drives_that_each_show_one_effect_cross_validate_the_model_of_all_of_them(drives, model):
+    kept = replace(model, source={})
+    found = compare(drives, {"without effects": replace(model, effects=()), "kept": kept, "refitted": model})
+    assert [one.judged_on for one in found.evaluations] == ["folds", "recordings", "folds"]
+    without, kept_m, refitted_m = (one.ten_second_error_m for one in found.evaluations)
+    assert refitted_m < 1.05 * kept_m < 0.7 * without
+
+
+@pytest.mark.slow
+def test_neither_names_nor_order_of_recordings_decide_about_a_model(drives, model):
+    drives = drives[2:]
+    found = compare(drives, {"learned": model})
+    renamed = compare([replace(r, name=f"copy {i}") for i, r in enumerate(drives)], {"learned": model})
+    shuffled = compare([drives[i] for i in (2, 0, 1)], {"learned": model})
+    for other in (renamed, shuffled):
+        assert other.judged_on == found.judged_on == "folds"
+        assert error_m(other) == pytest.approx(error_m(found), rel=1e-6)
+        assert other.evaluations[0].nats.per_m == pytest.approx(found.evaluations[0].nats.per_m, rel=1e-6)
+        assert other.evaluations[0].verdict.fails == found.evaluations[0].verdict.fails
+
+
+def test_a_part_of_a_fitted_recording_is_known_as_fitted_and_another_drive_is_not(drives, model):
+    odometry = drives[4].odometry
+    for rows in (slice(len(odometry) // 2), slice(len(odometry) // 2, None)):
+        assert was_fitted(model, replace(drives[4], name="part", odometry=odometry.only(rows)))
+    assert not was_fitted(model, replace(of_kind(6, "both"), name=drives[4].name))
+
+
+@pytest.mark.slow
+def test_a_recording_cut_in_two_has_one_clock_and_the_same_errors(drives, model):
+    whole = drives[4]
+    rows = len(whole.odometry) // 2
+    parts = [
+        replace(
+            whole,
+            name=str(i),
+            odometry=whole.odometry.only(own),
+            truth=whole.truth.only(own),
+            origin_ns=int(whole.odometry.stamps_ns[own][0]),
+        )
+        for i, own in enumerate((slice(rows), slice(rows, None)))
+    ]
+    study = one_study([parts[1], *drives[:4], parts[0]])
+    clocks = {r.name: (r.clock, r.origin_ns) for r in study}
+    assert clocks["0"] == clocks["1"]
+    assert all(not clocks[r.name][0] for r in drives[:4])
+    found, cut = compare(drives, {"learned": model}), compare(study, {"learned": model})
+    assert cut.judged_on == "folds"
+    # windows of 10 s begin elsewhere
+    assert error_m(cut) == pytest.approx(error_m(found), rel=0.15)
+
+
+def test_a_recording_whose_clock_cannot_be_told_has_that_of_the_others(drives):
+    offset_ns = 80_000_000
+    late = [replace(r, odometry=Trajectory(r.odometry.stamps_ns + offset_ns, r.odometry.xyt)) for r in drives]
+    late = [replace(r, origin_ns=int(r.odometry.stamps_ns[0])) for r in late]
+    short = replace(late[4], name="short", truth=late[4].truth.only(slice(0, 300)))
+    clocks = find_clocks([*late, short], Approach())
+    assert clocks.held == ("short",)
+    assert clocks.clocks[-1].offset_s == pytest.approx(0.08, abs=0.02)
+    assert clocks.free[-1] == (False, False)
+
+
+def test_an_unusable_recording_of_several_is_left_out_by_its_name_and_alone_it_is_refused(tmp_path):
+    for name, seconds in (("good.mcap", 60.0), ("brief.mcap", 4.0)):
+        write_mcap(simulate(3, None, duration_s=seconds), tmp_path / name)
+    brief, good = (Source(path) for path in recording_paths(tmp_path))
+    found = read_study([brief, good])
+    assert [r.name for r in found] == ["good.mcap"]
+    assert any("left out" in alert and "brief.mcap" in alert for alert in found[0].alerts)
+    with pytest.raises(RecordingError, match=r"brief\.mcap"):
+        read_study([brief])
+
+
+def test_a_folder_a_pattern_and_a_list_name_the_same_recordings(tmp_path):
+    names = ["a.mcap", "b.mcap"]
+    for name in (*names, "notes.txt"):
+        (tmp_path / name).write_bytes(b"")
+    (tmp_path / "both.list").write_text("# runs\nb.mcap\n\na.mcap\n")
+    wanted = [tmp_path / name for name in names]
+    assert recording_paths(tmp_path) == wanted
+    assert recording_paths(str(tmp_path / "*.mcap")) == wanted
+    assert recording_paths(tmp_path / "both.list") == wanted[::-1]
+    assert recording_paths([tmp_path / "a.mcap"]) == wanted[:1]
+    with pytest.raises(RecordingError, match="names no recording"):
+        recording_paths(tmp_path / "*.bag")
+
+
+def test_runs_that_each_begin_at_zero_share_no_place(drives):
+    zeroed = [replace(r, truth=Trajectory(r.truth.stamps_ns, r.truth.xyt - r.truth.xyt[0])) for r in drives]
+    assert shared_frame(one_study(zeroed)) is None
+    assert shared_frame(one_study(drives)) == ""
+    assert shared_frame(one_study(zeroed[:1])) == ""
+
+
+LOUD = Coefficients(0.01, 0.006, 0.008, 0.0)
+WIDER, LONGER = 1.04, 1.02
 
 
 def run_of(seed, *, truth_m, truth_rad, offset_s=0.0, frame=(0.0, 0.0, 0.0), seconds=240.0):
     """Return a drive of the robot whose odometry goes and turns too far, with a truth and a clock of its own."""
-    steps = wander(seed, seconds)
-    said = Increments(SCALE * steps.ds_m, steps.dl_m, WIDE * steps.dtheta_rad)
-    run = recording(said, noisy_path(said, QUIET, seed), seed=seed)
-    noise = np.random.default_rng(seed).normal(0.0, [truth_m, truth_m, truth_rad], (len(steps) + 1, 3))
-    true = compose(np.array(frame), accumulate(np.zeros(3), steps)) + noise
+    said = scaled(LONGER, WIDER)
+    run = drive(seed, seconds, LOUD, said=said, truth_mm=1e3 * truth_m, truth_rad=truth_rad)
     stamps = run.odometry.stamps_ns
     late = Trajectory(stamps + round(offset_s * 1e9), run.odometry.xyt)
-    return replace(run, odometry=late, truth=Trajectory(stamps, true), origin_ns=int(late.stamps_ns[0]))
+    truth = Trajectory(stamps, compose(np.array(frame), run.truth.xyt))
+    return replace(run, odometry=late, truth=truth, origin_ns=int(late.stamps_ns[0]))
 
 
 @pytest.fixture(scope="module")
@@ -48,12 +183,12 @@ def test_a_coarse_truth_beside_a_good_one_neither_adds_noise_to_the_robot_nor_ta
     assert both.clocks.clocks[1].offset_s == pytest.approx(-0.6, abs=0.05)
     found = {effect.name: effect for effect in both.model.effects}
     errors = both.model.standard_errors
-    assert found["wheel_scale"].e == pytest.approx(1.0 / SCALE - 1.0, abs=4.0 * errors["wheel_scale.e"])
+    assert found["wheel_scale"].e == pytest.approx(1.0 / LONGER - 1.0, abs=4.0 * errors["wheel_scale.e"])
     for name in ("wheel_scale.e", "wheelbase.e"):
         assert errors[name] < 1.05 * alone.model.standard_errors[name]
     for name in ("rot_rot", "rot_trans", "trans_trans"):
         value, error = getattr(both.model.noise.coefficients, name), errors[name]
-        assert value == pytest.approx(getattr(QUIET, name), abs=4.0 * error)
+        assert value == pytest.approx(getattr(LOUD, name), abs=4.0 * error)
         # nodes lie as far apart as the coarse truth wants them
         assert error < 1.4 * alone.model.standard_errors[name]
     assert both.model.setup.truth.xy_m == pytest.approx(0.002, rel=0.2)
@@ -61,19 +196,13 @@ def test_a_coarse_truth_beside_a_good_one_neither_adds_noise_to_the_robot_nor_ta
 
 @pytest.mark.slow
 def test_a_held_out_recording_is_judged_with_its_own_truth_and_a_clock_found_with_the_model_applied():
-    """A robot that turns a third as far as its odometry says, and a clock that is 1.377 s behind."""
     runs = {}
     for name, offset_s in (("on time", 0.0), ("late", -1.377)):
-        steps = wander(8, 200.0)
-        said = Increments(steps.ds_m, steps.dl_m, 3.0 * steps.dtheta_rad)
-        run = recording(said, noisy_path(said, QUIET, 8), seed=8)
-        noise = np.random.default_rng(4).normal(0.0, [0.01, 0.01, 0.01], (len(steps) + 1, 3))
-        true = Trajectory(run.odometry.stamps_ns, accumulate(np.zeros(3), steps) + noise)
-        stamps = run.odometry.stamps_ns + round(offset_s * 1e9)
-        odometry = Trajectory(stamps, run.odometry.xyt)
-        runs[name] = replace(run, name=name, truth=true, odometry=odometry, origin_ns=int(stamps[0]))
+        run = drive(8, 200.0, LOUD, said=scaled(turn=3.0), truth_mm=10.0, truth_rad=0.01)
+        late = Trajectory(run.odometry.stamps_ns + round(offset_s * 1e9), run.odometry.xyt)
+        runs[name] = replace(run, name=name, odometry=late, origin_ns=int(late.stamps_ns[0]))
     effect = effect_from_values("wheelbase", {"e": 2.0})
-    model = MotionModel(Noise("diffusion", QUIET), (effect,), setup=Setup(truth=TruthNoise(0.001, 0.001, 0.0)))
+    model = MotionModel(Noise("diffusion", LOUD), (effect,), setup=Setup(truth=TruthNoise(0.001, 0.001, 0.0)))
     errors = {name: compare([run], {"model": model}) for name, run in runs.items()}
     assert errors["late"].clocks.clocks[0].offset_s == pytest.approx(-1.377, abs=0.03)
     on_time, late = (errors[name].evaluations[0].ten_second_error_m for name in ("on time", "late"))
@@ -81,3 +210,160 @@ def test_a_held_out_recording_is_judged_with_its_own_truth_and_a_clock_found_wit
     for compared in errors.values():
         assert compared.evaluations[0].pieces[0].truth.xy_m == pytest.approx(0.01, rel=0.2)
         assert any("was weighted accordingly" in note for note in compared.evaluations[0].notes)
+
+
+SECOND_NS = 1_000_000_000
+LEG = (Segment(0.6, 0.0, 3.0), Segment(0.5, 0.6, 2.5), Segment(0.3, -0.5, 4.0), Segment(0.0, 0.8, 2.0))
+
+
+def with_resets(run, *times_s):
+    """The run as the driver says it that begins anew from zero at some times."""
+    xyt = run.odom_xyt.copy()
+    for at in np.searchsorted(run.odom_stamps_ns, run.odom_stamps_ns[0] + np.array(times_s) * SECOND_NS):
+        xyt[at:] = between(xyt[at], xyt[at:])
+    return replace(run, odom_xyt=xyt)
+
+
+def read(folder, run):
+    write_mcap(run, folder / "run.mcap")
+    return read_runs(Source(folder / "run.mcap", track_m=run.track_m))
+
+
+def judged(recordings):
+    """The robot's model and its comparison on the very recordings, which are halved."""
+    return compare(recordings, {"own": fit_robot(recordings, (), law_name="diffusion").model})
+
+
+def names(comparison):
+    return [piece.recording.name for piece in comparison.evaluations[0].pieces]
+
+
+@pytest.fixture(scope="module")
+def office():
+    return simulate(21, None, duration_s=160.0)
+
+
+@pytest.fixture(scope="module")
+def whole(office, tmp_path_factory):
+    return judged(read(tmp_path_factory.mktemp("whole"), office))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("resets_s", "pieces"),
+    [
+        ((30,), ["part 1, first half", "part 2, first half", "part 2, second half"]),
+        ((60, 130), ["part 1, first half", "part 2, first half", "part 2, second half", "part 3, second half"]),
+    ],
+)
+def test_a_run_with_resets_is_halved_as_one(tmp_path, office, whole, resets_s, pieces):
+    recordings = read(tmp_path, with_resets(office, *resets_s))
+    assert len(recordings) == len(resets_s) + 1
+    for part in recordings:
+        # with the truth of its own time, and a little more for a clock that is off
+        assert 0 <= part.odometry.stamps_ns[0] - part.truth.stamps_ns[0] < 3.1 * SECOND_NS
+        assert 0 <= part.truth.stamps_ns[-1] - part.odometry.stamps_ns[-1] < 3.1 * SECOND_NS
+    found = judged(recordings)
+    told = [name.removeprefix("run.mcap ") for name in names(found)]
+    assert told == pieces
+    assert found.evaluations[0].judged_on == "folds"
+    # windows of 10 s begin elsewhere, and there are a dozen
+    assert found.evaluations[0].ten_second_error_m < 1.6 * whole.evaluations[0].ten_second_error_m
+    assert found.evaluations[0].nats.per_m == pytest.approx(whole.evaluations[0].nats.per_m, rel=0.1)
+
+
+def test_a_truth_that_lasts_longer_than_the_odometry_is_halved_where_there_is_odometry(office):
+    recording = as_recording(office)
+    third = len(recording.odometry) // 3
+    early = replace(
+        recording, odometry=Trajectory(recording.odometry.stamps_ns[:third], recording.odometry.xyt[:third])
+    )
+    first, second = (fold.test[0] for fold in split_of([early], [True], 0.5).folds([early]))
+    middle_s = (second.truth.stamps_ns[0] - early.odometry.stamps_ns[0]) * 1e-9
+    assert middle_s == pytest.approx(160.0 / 6.0, abs=1.0)
+    assert first.truth.stamps_ns[-1] < second.truth.stamps_ns[0]
+
+
+@pytest.mark.slow
+def test_a_recording_that_mostly_stands_is_cut_at_half_of_its_way():
+    route = (Segment(0.0, 0.0, 170.0), *LEG * 4)
+    found = judged([as_recording(simulate(22, None, duration_s=230.0, route=route))])
+    (note,) = (note for note in found.evaluations[0].notes if "hardly moves" in note)
+    assert "hardly moves in the first half of its time: cut at half of its way" in note
+    metres = [piece.interval_metres.sum() for piece in found.evaluations[0].pieces]
+    assert metres[0] == pytest.approx(metres[1], rel=0.1)
+    assert found.evaluations[0].horizons
+
+
+def test_folds_are_whole_recordings_and_a_refit_has_all_others(office):
+    whole = as_recording(office)
+    count = len(whole.truth)
+    drives = [replace(whole, name=str(i), truth=whole.truth.only(slice(count - 500 * i))) for i in range(7)]
+    fitted = [i != 3 for i in range(7)]
+    folds = split_of(drives, fitted, 0.5).folds(drives)
+    assert sorted(r.name for fold in folds for r in fold.test) == [r.name for r in drives]
+    for fold in folds:
+        own = {r.name for r in fold.test}
+        assert {r.name for r in fold.train} == (set() if own == {"3"} else set("012456") - own)
+        assert fold.inflation == 1.0 if own == {"3"} else 1.0 < fold.inflation < 1.5
+    order = [4, 2, 6, 0, 3, 1, 5]
+    shuffled = split_of([drives[i] for i in order], [fitted[i] for i in order], 0.5).folds([drives[i] for i in order])
+    parts = [{frozenset(r.name for r in fold.test) for fold in some} for some in (folds, shuffled)]
+    assert parts[0] == parts[1]
+
+
+def test_a_run_too_short_for_a_fit_of_its_own_is_a_part_of_the_longest(office):
+    whole = as_recording(office)
+    short = replace(whole, name="short", truth=whole.truth.only(slice(500)))
+    folds = split_of([whole, short], [True, True], 0.5).folds([whole, short])
+    assert [len(fold.train) > 0 for fold in folds] == [True, True]
+    assert all(
+        {r.name for r in fold.train} == {f"{whole.name}, {half} half"}
+        for fold, half in zip(folds, ("second", "first"), strict=True)
+    )
+
+
+def test_a_model_of_a_drive_too_short_for_halves_is_judged_on_the_fitted_data_and_says_so(office):
+    whole = as_recording(office, "short")
+    short = replace(whole, truth=Trajectory(whole.truth.stamps_ns[:1500], whole.truth.xyt[:1500]))
+    found = judged([short])
+    assert found.judged_on == "fitted data"
+    assert "on the fitted data" in comparison_text(found)
+    assert any("too short to be fitted on one half" in note for note in found.evaluations[0].notes)
+
+
+def test_a_recording_without_any_time_in_common_is_named(office):
+    recording = as_recording(office, "late")
+    late = Trajectory(recording.truth.stamps_ns + 1000 * SECOND_NS, recording.truth.xyt)
+    with pytest.raises(RecordingError, match="late: odometry and truth overlap in 0 truth samples"):
+        intervals_of(replace(recording, truth=late), 0.5)
+
+
+NOISE = Coefficients(0.01, 0.01, 0.01, 0.005)
+
+
+def loaded(seed, *, scale=0.0, bias=0.0):
+    """Return the same drive with other noise: true wheels larger than said, and an odometry that turns too fast."""
+    reported = wander(801, 200.0)
+    driven = Increments(
+        reported.ds_m * (1.0 + scale),
+        reported.dl_m,
+        reported.dtheta_rad * (1.0 + scale) - bias / 50.0 * np.ones(len(reported)),
+    )
+    return replace(recording(driven, noisy_path(reported, NOISE, seed), truth_mm=1.0, seed=seed), track_m=0.4)
+
+
+@pytest.mark.slow
+def test_a_load_that_was_put_on_is_said_and_not_only_called_noise():
+    learned = learn([loaded(801), loaded(802, scale=-0.012)])
+    reported = {one.effect: one for one in learned.disagreements}
+    assert set(reported) == {"wheel_scale"}
+    assert reported["wheel_scale"].values == pytest.approx((0.0, -0.012), abs=0.002)
+    text = found_text(learned, advise(learned))
+    assert "the recordings disagree about wheel_scale: " in text
+    assert "in drive 802. The robot changed between them" in text
+
+
+@pytest.mark.slow
+def test_recordings_of_one_robot_agree():
+    assert learn([loaded(seed, scale=0.01) for seed in (805, 806)]).disagreements == ()

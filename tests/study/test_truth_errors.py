@@ -6,25 +6,29 @@ import numpy as np
 import pytest
 from dense_covariance import dense_covariance
 from scipy.stats import multivariate_normal
-from wandering import noisy_path, recording, wander
+from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.effects import registry
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
-from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.calibrate import coefficient_intervals, fit_robot
 from odomcorrupt.study.estimate.clocks import nuisance_of
-from odomcorrupt.study.estimate.config import Approach, choose_approach
-from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
+from odomcorrupt.study.estimate.config import INTERVAL_S, Approach, choose_approach, independent_spacing_s
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths, with_pose_steps
 from odomcorrupt.study.estimate.drive_type import MOUNTING
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood, VarianceComponents
+from odomcorrupt.study.estimate.intervals import intervals_of
+from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.whitener import interval_covariance, map_axes, whitener
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.reader import recordings_of
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.random_effects import random_coefficients
+from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.validate.calibration import HORIZONS_M
 from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
@@ -60,15 +64,21 @@ def way_of(steps):
     return np.concatenate(([0.0], np.cumsum(np.abs(steps.ds_m) + 0.3 * np.abs(steps.dtheta_rad))))
 
 
-def alike_over(length_m):
-    def error_of(rng, way, places):
-        error = rng.normal(0.0, [0.02, 0.02, 0.008], (len(way), 3))
-        for i in range(1, len(way)):
-            kept = np.exp(-(way[i] - way[i - 1]) / length_m)
-            error[i] = kept * error[i - 1] + np.sqrt(1.0 - kept**2) * error[i]
-        return error
+def correlated(rng, kept, deviation):
+    """Return errors (n, 3) of which each keeps a part (n - 1,) of the one before."""
+    error = rng.normal(0.0, deviation, (len(kept) + 1, 3))
+    for i, keep in enumerate(kept, start=1):
+        error[i] = keep * error[i - 1] + np.sqrt(1.0 - keep**2) * error[i]
+    return error
 
-    return error_of
+
+def alike_over(length_m):
+    return lambda rng, way, _: correlated(rng, np.exp(-np.diff(way) / length_m), [0.02, 0.02, 0.008])
+
+
+def fading(rng, way, _places):
+    """Return errors that are alike for 3 s."""
+    return correlated(rng, np.full(len(way) - 1, np.exp(-0.5 / 3.0)), [0.02, 0.02, 0.009])
 
 
 def by_place(rng, way, places):
@@ -112,26 +122,8 @@ def test_quasi_differences_are_as_likely_as_residuals_with_every_correlation():
     )
 
 
-def test_the_slope_of_the_likelihood_is_its_difference():
-    problem = small()
-    pieces = VarianceComponents(LAWS["diffusion"], problem.intervals, problem.steps)
-    likelihood = NoiseLikelihood(
-        problem.intervals, pieces, np.zeros((len(problem.intervals), 3, 0)), np.ones(len(problem.intervals))
-    )
-    at, every = likelihood.initial_guess(), np.arange(len(pieces.active) + 2)
-    moves = 1e-4 * np.eye(len(at))[every]
-
-    def nats(free):
-        return likelihood.posterior(likelihood.evaluate(free))
-
-    assert nats(at) < likelihood.evaluate(at).log_likelihood
-    measured = [(nats(at + m) - nats(at - m)) / 2e-4 for m in moves]
-    slope, information = likelihood.derivatives(likelihood.evaluate(at), every)
-    np.testing.assert_allclose(slope, measured, rtol=1e-5, atol=1e-5 * np.max(information))
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("error_of", [alike_over(1.0), alike_over(2.5), by_place])
+@pytest.mark.parametrize("error_of", [alike_over(2.5), by_place])
 def test_a_localisations_errors_are_no_noise_of_the_robot(error_of):
     run = localised(error_of)
     approach = choose_approach([run])
@@ -198,7 +190,6 @@ def test_sliding_in_turns_to_one_side_is_no_error_of_the_headings():
 
 
 def test_noise_beside_a_localisation_of_high_rate_is_a_bound():
-    """Errors of 1 cm in each of ten poses a second, with 2 cm that last for 1.5 m, are no noise of odometry."""
     steps = wander(5, 300.0)
     own = noisy_path(steps, QUIET, 5)
     stamps = recording(steps, own).odometry.stamps_ns
@@ -218,3 +209,127 @@ def test_noise_beside_a_localisation_of_high_rate_is_a_bound():
 def samples(name, frame, stamps_ns, xyt):
     xyz, none = np.column_stack((xyt[:, :2], 0.0 * stamps_ns)), np.zeros(0)
     return Samples(name, name, frame, stamps_ns, xyz, xyt[:, 2], none.astype(np.int64), none)
+
+
+WHEELS = Coefficients(0.004, 0.004, 0.002, 0.001)
+
+
+def along_the_path(**changes):
+    return localised(alike_over(1.0), **{"noise": WHEELS, "seconds": 260.0} | changes)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return along_the_path()
+
+
+def test_errors_that_are_alike_over_a_metre_ask_for_seconds(run):
+    assert independent_spacing_s(run) >= 4.0
+    assert choose_approach([run]).spacing_s == independent_spacing_s(run)
+
+
+def test_a_good_truth_keeps_its_close_nodes_and_a_noisy_one_without_correlation_one_second():
+    steps = wander(3, 240.0)
+    odometry = noisy_path(steps, WHEELS, 3)
+    assert choose_approach([recording(steps, odometry)]).spacing_s == INTERVAL_S
+    noisy = recording(steps, odometry, truth_mm=30.0, truth_rad=0.01)
+    assert choose_approach([noisy]).spacing_s == 1.0
+
+
+def test_a_short_drive_keeps_nodes_enough_for_its_halves():
+    assert independent_spacing_s(along_the_path(seconds=110.0)) <= 2.0
+
+
+@pytest.mark.slow
+def test_a_bias_that_walks_is_told_from_one_that_stays_although_nodes_lie_seconds_apart():
+    seed, count = 5, int(260.0 * RATE_HZ)
+    walk = np.cumsum(np.random.default_rng(seed).normal(0.0, 3e-4 / np.sqrt(RATE_HZ), count))
+    found = {}
+    for name, yaw_rate in (("walks", walk), ("stays", np.full(count, 0.01)), ("none", np.zeros(count))):
+        run = along_the_path(seed=seed, yaw_rate=yaw_rate)
+        fitted = fit([run], [effect_from_values("gyro_bias", {})], approach=choose_approach([run]))
+        found[name] = [one.effect.name for one in random_coefficients(fitted, DECISIONS)]
+        walking = fitted.refit(random=[effect_from_values("gyro_bias_walk", {"density": 3e-4})])
+        bounds = coefficient_intervals(walking, walking.design_matrix)
+        assert all(one.high < 0.03 for one in bounds), "a process in the model is no noise of every step"
+    assert found == {"walks": ["gyro_bias_walk"], "stays": [], "none": []}
+
+
+STEADY = Coefficients(0.0015, 0.0015, 0.001, 0.0005)
+
+
+def test_the_truths_own_errors_are_no_noise_of_the_odometry():
+    run = localised(fading, noise=STEADY, seconds=420.0)
+    fitted = fit([run], approach=choose_approach([run]))
+    assert fitted.noise.truth.yaw_rad == pytest.approx(0.009, rel=0.4)
+    assert fitted.noise.coefficients.rot_rot < 0.006
+
+
+@pytest.mark.slow
+def test_a_small_bias_of_the_gyro_is_found_beside_a_localisation():
+    learned = learn([localised(fading, noise=STEADY, seconds=420.0, yaw_rate=0.001)])
+    (bias,) = (effect.bias for effect in learned.fit.effects if effect.name == "gyro_bias")
+    assert bias == pytest.approx(-0.001, rel=0.2)
+
+
+PUSHED_S = 200.0
+
+
+def pushed(seed, *, pushed_m=0.0, turned_rad=0.0, jump_m=0.0):
+    """Return a recording with poses of a localisation at 1.25 Hz, correlated errors, and a push or a jump."""
+    steps = wander(seed, 420.0)
+    run = recording(steps, noisy_path(steps, Coefficients(0.003, 0.003, 0.003, 0.001), seed), seed=seed)
+    travel = steps.ds_m.copy()
+    turn = steps.dtheta_rad.copy()
+    travel[round(50 * PUSHED_S) : round(50 * PUSHED_S) + 75] += pushed_m / 75.0
+    turn[round(50 * PUSHED_S) : round(50 * PUSHED_S) + 75] += turned_rad / 75.0
+    true = accumulate(np.zeros(3), Increments(travel, steps.dl_m, turn))[::40]
+    rng = np.random.default_rng(seed)
+    errors = correlated(rng, np.full(len(true) - 1, 0.8), [0.025, 0.025, 0.01])
+    jumps = (np.arange(len(true)) >= 250) & (np.arange(len(true)) < 256)
+    errors[jumps, 0] += jump_m
+    return replace(run, truth=Trajectory(run.odometry.stamps_ns[::40], true + errors), localised=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "pushed_m"), [(1, -0.6), (2, 0.25)])
+def test_a_push_is_found_with_time_and_size_and_no_interval_contains_it(seed, pushed_m):
+    run = with_pose_steps(pushed(seed, pushed_m=pushed_m))
+    (step,) = run.pose_steps
+    assert PUSHED_S - 2.0 < step.start_s < step.end_s < PUSHED_S + 4.0
+    assert np.hypot(*step.apart[:2]) == pytest.approx(abs(pushed_m), abs=0.12)
+    assert step.apart[2] == pytest.approx(0.0, abs=0.04)
+    intervals = intervals_of(run, 2.0)
+    assert not np.any((intervals.start_s < step.end_s) & (intervals.end_s > step.start_s))
+    assert np.abs(intervals.residual[:, :2]).max() < 0.3
+
+
+@pytest.mark.slow
+def test_a_robot_that_is_turned_is_not_moved_far():
+    (step,) = with_pose_steps(pushed(0, turned_rad=0.4)).pose_steps
+    assert step.apart[2] == pytest.approx(0.4, abs=0.05)
+    assert np.hypot(*step.apart[:2]) < 0.3
+
+
+@pytest.mark.slow
+def test_a_jump_of_the_localisation_shortly_before_a_push_is_no_part_of_it():
+    run = pushed(0, pushed_m=0.6)
+    truth = run.truth.xyt.copy()
+    truth[247:250, :2] += 0.4
+    jumped = with_pose_steps(replace(run, truth=Trajectory(run.truth.stamps_ns, truth)))
+    (event,) = single_events(fit([jumped], approach=Approach(spacing_s=2.0)))
+    assert PUSHED_S - 2.0 < event.start_s < event.end_s < PUSHED_S + 4.0
+    assert np.hypot(event.along_m, event.across_m) == pytest.approx(0.6, abs=0.12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("jump_m", [0.0, 0.3])
+def test_errors_of_the_localisation_are_no_steps(seed, jump_m):
+    assert with_pose_steps(pushed(seed, jump_m=jump_m)).pose_steps == ()
+
+
+def test_simulated_odometry_that_equals_its_localisation_has_no_step():
+    run = pushed(3)
+    truth = Trajectory(run.odometry.stamps_ns[::40], run.odometry.xyt[::40])
+    assert with_pose_steps(replace(run, truth=truth)).pose_steps == ()

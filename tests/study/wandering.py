@@ -8,6 +8,8 @@ from odomcorrupt.model.noise_laws import Coefficients, law_named, variances
 from odomcorrupt.study.io.recording import Recording
 
 RATE_HZ = 50.0
+QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
+PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 
 
 def wander(seed: int, duration_s: float = 600.0) -> Increments:
@@ -61,3 +63,19 @@ def recording(
     truth = truth + rng.standard_normal(truth.shape) * [truth_mm * 1e-3, truth_mm * 1e-3, truth_rad]
     stamps = (np.arange(len(truth)) * 1e9 / RATE_HZ).astype(np.int64) + 1_700_000_000_000_000_000
     return Recording(f"drive {seed}", Trajectory(stamps, odometry_xyt), Trajectory(stamps, truth), int(stamps[0]))
+
+
+def drive(seed, seconds=240.0, noise=QUIET, *, said=None, driven=None, **truth):
+    """Return a recording of a wandering robot.
+
+    said, driven : of the planned steps, those that odometry reports before its noise, and those that the robot makes
+    truth : options of `recording`
+    """
+    steps = wander(seed, seconds)
+    reported, true = (change(steps) if change else steps for change in (said, driven))
+    return recording(true, noisy_path(reported, noise, seed), seed=seed, **truth)
+
+
+def scaled(travel=1.0, turn=1.0):
+    """Return a change of steps by factors."""
+    return lambda steps: Increments(travel * steps.ds_m, travel * steps.dl_m, turn * steps.dtheta_rad)

@@ -3,11 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
+import sourcedrive
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from sourcedrive import odometry
+
+from odomcorrupt.study.io import Source, read_runs
 
 STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
 STORES[1].register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
@@ -48,13 +52,22 @@ def edges(rows, parent, child, *, name="/tf", log_ns=None):
     return topic(name, "TFMessage", rows, frame=parent, child=child, variance=0.0, log_ns=log_ns)
 
 
-def write(path, *sent, order=True):
+def write(path, *sent):
     """Write a bag of the kind that its name says: .mcap, .bag, or a rosbag2 directory."""
-    messages = [message for group in sent for message in group]
-    if order:
-        messages.sort(key=lambda message: message.log_ns)
+    messages = sorted((message for group in sent for message in group), key=lambda message: message.log_ns)
     {".mcap": _mcap, ".bag": _ros1}.get(path.suffix, _ros2)(path, messages)
     return path
+
+
+def both(path, moved=None, real=None, *, name="/odom", truth="/truth", kind="PoseStamped", odom=None, seen=None):
+    """Write a bag of odometry and truth, by default those of `sourcedrive`; odom, seen : options of their topics."""
+    first = topic(name, "Odometry", odometry() if moved is None else moved, **(odom or {}))
+    return write(path, first, topic(truth, kind, sourcedrive.truth() if real is None else real, **(seen or {})))
+
+
+def read(folder, moved=None, real=None, *, asked=None, **options):
+    """Return the recordings of a bag of odometry and truth; asked : options of `Source`, the others of `both`."""
+    return read_runs(Source(both(folder / "run.mcap", moved, real, **options), **(asked or {})))
 
 
 def _mcap(path, messages):
@@ -74,24 +87,22 @@ def _mcap(path, messages):
 
 def _ros1(path, messages):
     with Ros1Writer(path) as writer:
-        connections = {}
-        for message in messages:
-            kind = SHORT[message.kind]
-            if message.topic not in connections:
-                connections[message.topic] = writer.add_connection(message.topic, kind, typestore=STORES[1])
-            data = STORES[1].serialize_ros1(make(1, *message.value), kind)
-            writer.write(connections[message.topic], message.log_ns, data)
+        _rosbags(writer, 1, "serialize_ros1", messages)
 
 
 def _ros2(path, messages):
     with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connections = {}
-        for message in messages:
-            kind = SHORT[message.kind]
-            if message.topic not in connections:
-                connections[message.topic] = writer.add_connection(message.topic, kind, typestore=STORES[2])
-            data = STORES[2].serialize_cdr(make(2, *message.value), kind)
-            writer.write(connections[message.topic], message.log_ns, data)
+        _rosbags(writer, 2, "serialize_cdr", messages)
+
+
+def _rosbags(writer, ros, serialise, messages):
+    connections = {}
+    for message in messages:
+        kind = SHORT[message.kind]
+        if message.topic not in connections:
+            connections[message.topic] = writer.add_connection(message.topic, kind, typestore=STORES[ros])
+        data = getattr(STORES[ros], serialise)(make(ros, *message.value), kind)
+        writer.write(connections[message.topic], message.log_ns, data)
 
 
 def make(ros, kind, stamp_ns, frame, child, xyz, quat, variance, grade=0):

@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from odomcorrupt.study.io.raw_trajectory import Samples
+
 START_NS = 1_700_000_000_123_456_789
 
 
@@ -61,3 +63,17 @@ def odometry(duration_s=30.0, **more):
 def truth(duration_s=30.0, **more):
     """The same drive as a tracker sees it, at another rate."""
     return rows(duration_s, **{"rate_hz": 33.0, "noise": 0.001, "late_ns": 4_000_000} | more)
+
+
+def samples(t_s, xy, yaw=None, *, name="/odom", frame="", **more):
+    """Poses as read from a topic: positions (n, 2 or 3) m, and headings (n,) rad unless there are none.
+
+    t_s : times (n,) in s, or integers in ns
+    """
+    t_s = np.asarray(t_s)
+    stamps_ns = t_s if t_s.dtype.kind == "i" else np.round(t_s * 1e9).astype(np.int64)
+    xyz = np.zeros((len(t_s), 3))
+    xyz[:, : np.shape(xy)[1]] = xy
+    none = {"log_ns": np.zeros(0, np.int64), "variance_m2": np.zeros(0)}
+    headings = np.full(len(xyz), np.nan) if yaw is None else yaw
+    return Samples(name, name, frame, stamps_ns, xyz, headings, **(none | more))

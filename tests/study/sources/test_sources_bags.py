@@ -1,10 +1,13 @@
-"""Reading odometry and truth from bags: every format, every message type, one bag or two."""
+"""Odometry and truth from bags: every format, every message type, edges of TF in evo's notation, one bag or two."""
 
 import numpy as np
 import pytest
-from sourcebags import topic, write
-from sourcedrive import START_NS, odometry, truth
+from rosbags.rosbag1 import Writer
+from scipy.spatial.transform import Rotation, Slerp
+from sourcebags import SHORT, STORES, both, edges, make, topic, write
+from sourcedrive import START_NS, Rows, odometry, truth
 
+from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io import Source, read_runs
 
 
@@ -16,8 +19,7 @@ def same(trajectory, rows, tolerance=1e-12):
 @pytest.mark.parametrize("name", ["run.mcap", "run.bag", "run"])
 def test_any_format_gives_the_poses_to_the_bit_of_their_stamps(tmp_path, name):
     moved, real = odometry(), truth()
-    bag = write(tmp_path / name, topic("/odom", "Odometry", moved), topic("/truth", "PoseStamped", real))
-    (recording,) = read_runs(Source(bag, track_m=0.3))
+    (recording,) = read_runs(Source(both(tmp_path / name), track_m=0.3))
     same(recording.odometry, moved)
     same(recording.truth, real)
     assert recording.origin_ns == START_NS
@@ -28,34 +30,25 @@ def test_any_format_gives_the_poses_to_the_bit_of_their_stamps(tmp_path, name):
 @pytest.mark.parametrize("kind", ["Odometry", "PoseStamped", "PoseWithCovarianceStamped", "TransformStamped"])
 @pytest.mark.parametrize("suffix", [".mcap", ".bag"])
 def test_every_type_with_a_heading_can_be_the_truth(tmp_path, kind, suffix):
-    real = truth()
-    bag = write(tmp_path / f"run{suffix}", topic("/odom", "Odometry", odometry()), topic("/mocap/robot", kind, real))
-    (recording,) = read_runs(Source(bag))
-    same(recording.truth, real)
+    (recording,) = read_runs(Source(both(tmp_path / f"run{suffix}", truth="/mocap/robot", kind=kind)))
+    same(recording.truth, truth())
 
 
-def test_points_are_positions_without_headings(tmp_path):
-    real = truth()
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()), topic("/prism", "PointStamped", real))
-    (recording,) = read_runs(Source(bag))
-    np.testing.assert_allclose(recording.truth.xyt[:, :2], real.xyz[:, :2])
+def test_points_are_positions_without_headings(read):
+    (recording,) = read(truth="/prism", kind="PointStamped")
+    np.testing.assert_allclose(recording.truth.xyt[:, :2], truth().xyz[:, :2])
     assert np.isnan(recording.truth.xyt[:, 2]).all()
     assert "/prism in frame odom (positions without headings)" in recording.notes[0]
 
 
-def test_satellite_fixes_become_metres_east_and_north(tmp_path):
+def test_satellite_fixes_become_metres_east_and_north(read):
     real = truth()
     # small steps on WGS 84 at 45 degrees: one degree is 111 131.75 m north and 78 846.81 m east
     degrees = np.column_stack(
         (45.0 + real.xyz[:, 1] / 111_131.745, 7.0 + real.xyz[:, 0] / 78_846.805, np.full(len(real), np.nan))
     )
     degrees[5] = np.nan
-    bag = write(
-        tmp_path / "run.bag",
-        topic("/odom", "Odometry", odometry()),
-        topic("/fix", "NavSatFix", real.having(xyz=degrees)),
-    )
-    (recording,) = read_runs(Source(bag))
+    (recording,) = read(real=real.having(xyz=degrees), truth="/fix", kind="NavSatFix")
     wanted = np.delete(real.xyz[:, :2] - real.xyz[0, :2], 5, axis=0)
     np.testing.assert_allclose(recording.truth.xyt[:, :2], wanted, atol=1e-3)
     assert "/fix: 1 messages without a fix left out" in recording.notes
@@ -84,9 +77,6 @@ def test_of_several_candidates_the_one_that_says_truth_is_meant(tmp_path):
 
 
 def test_a_topic_of_two_publishers_is_read_whole(tmp_path):
-    """A driver that was started again has a second connection of the same topic in a ROS 1 bag."""
-    from rosbags.rosbag1 import Writer
-    from sourcebags import SHORT, STORES, make
 
     moved = odometry()
     sent = topic("/odom", "Odometry", moved) + topic("/truth", "PoseStamped", truth())
@@ -109,3 +99,103 @@ def test_poses_can_be_odometry_where_they_are_named(tmp_path):
     bag = write(tmp_path / "run.mcap", topic("/pose", "PoseStamped", moved), topic("/truth", "PoseStamped", truth()))
     (recording,) = read_runs(Source(bag, odom="pose"))
     same(recording.odometry, moved)
+
+
+def still(xyz, quat_yaw, stamp_ns=START_NS):
+    return Rows(np.array([stamp_ns]), np.array([xyz], dtype=float), np.array([quat_yaw]))
+
+
+def matrix(xyz, quat):
+    out = np.tile(np.eye(4), (len(xyz), 1, 1))
+    out[:, :3, :3] = Rotation.from_quat(quat).as_matrix()
+    out[:, :3, 3] = xyz
+    return out
+
+
+def planar(matrices):
+    return np.column_stack((matrices[:, :2, 3], np.unwrap(np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]))))
+
+
+def test_a_chain_over_moving_and_static_edges_is_the_product_of_its_matrices(tmp_path):
+    moved, real = odometry(), truth()
+    slow = moved.only(slice(0, None, 2))
+    shift = Rows(slow.stamps_ns, 0.1 * slow.xyz[::-1] + [0.0, 0.0, 0.2], 0.2 * np.sin(0.3 * slow.yaw))
+    tracker = still([1.0, -2.0, 0.5], 2.0)
+    mast = still([0.2, 0.1, 0.9], 0.4)
+    bag = write(
+        tmp_path / "run.bag",
+        topic("/odom", "Odometry", moved),
+        edges(shift, "/map", "odom"),
+        edges(real, "odom", "base_link"),
+        edges(tracker, "map", "tracker", name="/tf_static"),
+        edges(mast, "base_link", "mast", name="/tf_static"),
+        edges(truth(), "base_link", "wheel"),
+    )
+    (recording,) = read_runs(Source(bag, truth="/tf:tracker.mast"))
+    at = recording.truth.stamps_ns
+    inside = (real.stamps_ns >= shift.stamps_ns[0]) & (real.stamps_ns <= shift.stamps_ns[-1])
+    assert np.array_equal(at, real.stamps_ns[inside])
+    own, t = (shift.stamps_ns - START_NS) * 1e-9, (at - START_NS) * 1e-9
+    middle = np.stack([np.interp(t, own, shift.xyz[:, i]) for i in range(3)], axis=1)
+    turned = Slerp(own, Rotation.from_quat(shift.quat))(t).as_quat()
+    wanted = planar(
+        np.linalg.inv(matrix(tracker.xyz, tracker.quat))
+        @ matrix(middle, turned)
+        @ matrix(real.xyz[inside], real.quat[inside])
+        @ matrix(mast.xyz, mast.quat)
+    )
+    turns = np.array([0.0, 0.0, 2 * np.pi * np.round((recording.truth.xyt - wanted)[0, 2] / (2 * np.pi))])
+    np.testing.assert_allclose(recording.truth.xyt - turns, wanted, atol=1e-9)
+    composed = "/tf:tracker.mast: composed of map.tracker, map.odom, odom.base_link, base_link.mast"
+    assert composed in recording.notes
+
+
+def test_an_edge_can_be_the_odometry_and_frames_may_have_dots(tmp_path):
+    moved = odometry()
+    bag = write(
+        tmp_path / "run.mcap",
+        edges(moved, "robot.odom", "robot.base", name="/robot/tf"),
+        topic("/truth", "PoseStamped", truth()),
+    )
+    (recording,) = read_runs(Source(bag, odom="/robot/tf:robot.odom.robot.base"))
+    np.testing.assert_allclose(recording.odometry.xyt, moved.xyt, atol=1e-12)
+
+
+def test_a_topic_with_the_transforms_of_several_bodies_asks_for_one(tmp_path):
+    moved, real = odometry(), truth()
+    bag = write(
+        tmp_path / "run.mcap",
+        topic("/odom", "Odometry", moved),
+        topic("/vicon", "TransformStamped", real, frame="world", child="robot"),
+        topic("/vicon", "TransformStamped", real.having(xyz=real.xyz + 3.0), frame="world", child="wand"),
+    )
+    with pytest.raises(TopicError, match=r"2 frames; name one of /vicon:world.robot, /vicon:world.wand"):
+        read_runs(Source(bag))
+    (recording,) = read_runs(Source(bag, truth="/vicon:world.robot"))
+    np.testing.assert_allclose(recording.truth.xyt, real.xyt, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("address", "error", "words"),
+    [
+        ("/tf:map.base_lnk", TopicError, r"no frame base_lnk on /tf \(did you mean base_link\?"),
+        ("/tf:map", TopicError, "names no two frames"),
+        ("/tf:map.island", TopicError, "two separate trees"),
+        ("/tf:map.map", TopicError, "twice"),
+        ("/tf:base_link.mast", RecordingError, "no edge on the way .* moves"),
+        ("/tf", TopicError, r"is TF; name one of its edges, as in truth /tf:map.base_link"),
+        ("/tf:map.base_link:/fixed", TopicError, "no topic /fixed with transforms"),
+        ("/odom:map.base_link", TopicError, "/odom is a nav_msgs/msg/Odometry"),
+    ],
+)
+def test_an_address_that_leads_nowhere_says_why(tmp_path, address, error, words):
+    real = truth(12.0)
+    bag = write(
+        tmp_path / "run.mcap",
+        topic("/odom", "Odometry", odometry(12.0)),
+        edges(real, "map", "base_link"),
+        edges(real, "sea", "island"),
+        edges(still([0.2, 0.1, 0.9], 0.4), "base_link", "mast", name="/tf_static"),
+    )
+    with pytest.raises(error, match=words):
+        read_runs(Source(bag, truth=address))

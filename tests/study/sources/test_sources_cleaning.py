@@ -1,29 +1,18 @@
-"""Cleaning on reading: stamps, resets, gaps, outliers, frozen trackers and derived headings, with their notes."""
+"""Cleaning on reading and its notes: stamps, resets, gaps, outliers, excursions, frozen trackers, derived headings."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from sourcebags import edges, topic, write
-from sourcedrive import START_NS, Rows, odometry, truth
+from sourcedrive import START_NS, Rows, odometry, samples, truth
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.se2 import between
+from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.simulation import simulate, write_mcap
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.jumps import reach_of, stretches
-from odomcorrupt.study.io.raw_trajectory import Samples, order_of
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Write odometry and truth, read them again."""
-
-    def call(moved=None, real=None, **more):
-        first = topic(
-            more.pop("name", "/odom"), "Odometry", odometry() if moved is None else moved, **more.pop("odom", {})
-        )
-        second = topic("/truth", "PoseStamped", truth() if real is None else real, **more.pop("truth", {}))
-        return read_runs(Source(write(tmp_path / "run.mcap", first, second), **more))
-
-    return call
+from odomcorrupt.study.io.jumps import reach_of, stretches, without_excursions, without_outliers
+from odomcorrupt.study.io.raw_trajectory import order_of
 
 
 def noted(recordings, words):
@@ -61,7 +50,7 @@ def test_a_few_poses_without_stamp_or_number_are_left_out(read):
     real = truth()
     stamps, xyz = real.stamps_ns.copy(), real.xyz.copy()
     stamps[3], xyz[7] = 0, np.nan
-    recordings = read(real=Rows(stamps, xyz, real.yaw), truth={"log_ns": real.stamps_ns})
+    recordings = read(real=Rows(stamps, xyz, real.yaw), seen={"log_ns": real.stamps_ns})
     assert set(real.stamps_ns) - set(recordings[0].truth.stamps_ns) == {real.stamps_ns[3], real.stamps_ns[7]}
     noted(recordings, "1 poses without a stamp left out")
     noted(recordings, "1 positions that are not numbers left out")
@@ -73,14 +62,6 @@ def test_a_clock_that_is_set_back_keeps_the_longest_stretch_and_never_interleave
     assert np.array_equal(order.rows, np.arange(100, 400))
     assert np.array_equal(order.stamps_ns, second)
     assert order.notes == ("its clock is set back 1 times: the longest stretch kept, 100 poses left out",)
-
-
-def test_one_late_message_is_no_clock_set_back():
-    stamps = np.arange(100) * 50_000_000 + START_NS
-    arrived = np.concatenate((stamps[:10], stamps[11:80], stamps[10:11], stamps[80:]))
-    order = order_of(arrived, np.arange(100) + 1)
-    assert np.array_equal(order.stamps_ns, stamps)
-    assert order.notes == ("1 stamps out of order sorted",)
 
 
 def test_a_date_that_is_learnt_late_keeps_the_longer_part():
@@ -156,16 +137,13 @@ def test_a_truth_that_jumps_for_good_is_cut_there(read):
 
 
 def test_fast_honest_motion_is_no_jump():
-    """A robot that goes from rest to 2 m/s and spins at 3 rad/s, seen at 10 Hz with RTK's noise."""
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 60.0, 0.1)
     speed, turn = np.where(t % 20 < 12, 2.0, 0.0), np.where(t % 15 < 2, 3.0, 0.0)
     yaw = np.cumsum(turn) * 0.1
     xy = np.cumsum(np.stack((speed * np.cos(yaw), speed * np.sin(yaw)), axis=1) * 0.1, axis=0)
-    none = np.zeros(0)
-    clean = Samples("", "", "", (t * 1e9).astype(np.int64), np.c_[xy, 0 * t], yaw, none.astype(np.int64), none)
-    noisy = np.c_[xy + 0.02 * rng.standard_normal(xy.shape), 0 * t]
-    seen = Samples("", "", "", clean.stamps_ns, noisy, yaw, clean.log_ns, none)
+    clean = samples(t, xy, yaw)
+    seen = replace(clean, xyz=clean.xyz + 0.02 * np.column_stack((rng.standard_normal(xy.shape), 0.0 * t)))
     for path in (clean, seen):
         cut = stretches(path, reach_of(clean, path))
         assert len(cut.rows) == 1
@@ -266,7 +244,6 @@ def test_odometry_that_looks_like_a_filters_is_warned_of(read, name, odom, sign)
 
 
 def test_odometry_that_jumps_towards_the_truth_is_warned_of(read):
-    """Wheels 8 % too large, put right by 5 to 15 cm every two seconds."""
     moved, real = odometry(scale=1.08), truth(rate_hz=20.0, noise=0.0, late_ns=0)
     error = moved.xyz - real.xyz
     xyz = moved.xyz - error[np.arange(len(moved)) // 40 * 40]
@@ -281,7 +258,6 @@ def test_wheel_odometry_that_drifts_is_not_warned_of(read):
 
 @pytest.mark.parametrize("course", [True, False])
 def test_headings_that_point_to_where_a_robot_backs_up_are_none(read, course):
-    """As those of a receiver with one antenna; a robot that really backs up keeps its headings."""
     t_s = np.arange(0.0, 60.0, 0.05)
     speed = np.where(np.sin(2.0 * np.pi * t_s / 12.0) > -0.5, 0.4, -0.4)
     yaw = 1.5 * np.sin(0.21 * t_s)
@@ -292,3 +268,154 @@ def test_headings_that_point_to_where_a_robot_backs_up_are_none(read, course):
     (recording,) = read(moved, Rows(moved.stamps_ns, np.column_stack((xy + noise, 0.0 * yaw)), said))
     assert recording.headed != course
     assert any("also when the robot backs up" in note for note in recording.notes) == course
+
+
+@pytest.fixture(scope="module")
+def office():
+    return simulate(31, None, duration_s=60.0)
+
+
+def read_again(folder, run):
+    write_mcap(run, folder / "run.mcap")
+    return read_runs(Source(folder / "run.mcap", track_m=run.track_m))
+
+
+def spoilt(run, rows, error_xyt):
+    """The run with errors (k, 3) on some poses of its truth."""
+    xyt = run.truth_xyt.copy()
+    xyt[rows] += error_xyt
+    xyt[:, 2] = wrap(xyt[:, 2])
+    return replace(run, truth_xyt=xyt)
+
+
+def left_out(run, recordings):
+    """Rows of the truth that no recording has, those at the ends aside."""
+    kept = np.concatenate([r.truth.stamps_ns for r in recordings])
+    return set(np.flatnonzero(~np.isin(run.truth_stamps_ns, kept)))
+
+
+@pytest.mark.parametrize("parts", [(0, 0, 0.5), (0.5, 0.5, 0.5), (0.5, 0.5, 0)])
+def test_swapped_markers_are_left_out_and_their_neighbours_are_kept(tmp_path, office, parts):
+    rng = np.random.default_rng(5)
+    rows = np.flatnonzero(rng.random(len(office.truth_xyt)) < 0.005)
+    error = rng.normal(size=(len(rows), 3)) * parts
+    (recording,) = read_again(tmp_path, spoilt(office, rows, error))
+    out = left_out(office, [recording])
+    assert out <= set(rows)
+    # by less than that a pose may be off by noise
+    off = np.maximum(np.linalg.norm(error[:, :2], axis=1), np.abs(error[:, 2]))
+    assert set(rows[off > 0.12]) <= out
+    (note,) = (note for note in recording.notes if "outliers" in note)
+    assert f"{len(out)} outliers (jumps there and back) left out" in note
+
+
+def fixes(seed, spikes_m, *, lasting_m=0.0):
+    """Return 60 s of fixes at 10 Hz of a robot at 0.6 m/s, each off by 0.1 m, with spikes and a jump that lasts."""
+    rng = np.random.default_rng(seed)
+    t_s = np.arange(600) / 10.0
+    xyz = np.column_stack((0.6 * t_s, np.zeros((600, 2)))) + rng.normal(size=(600, 3)) * (0.1, 0.1, 0.0)
+    rows = np.linspace(20, 580, len(spikes_m), dtype=int)
+    xyz[rows, 1] += spikes_m
+    xyz[300:, 1] += lasting_m
+    return rows, samples(t_s, xyz, name="/uwb", frame="map")
+
+
+SPEEDS = np.array([0.6, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_fix_that_is_off_cuts_the_run_however_far_it_is_off(seed):
+    rows, path = fixes(seed, np.linspace(1.0, 3.5, 29))
+    reach = replace(reach_of(path, path), rate=4.0 * SPEEDS, top=SPEEDS)
+    found = stretches(path, reach)
+    assert len(found.rows) == 1
+    assert set(np.delete(np.arange(600), found.rows[0])) >= set(rows[5:])
+    assert found.outliers <= len(rows)
+
+
+@pytest.mark.parametrize("lasting_m", [-4.0, 4.0])
+def test_a_jump_of_fixes_that_lasts_cuts_the_run_there(lasting_m):
+    _, path = fixes(1, [], lasting_m=lasting_m)
+    found = stretches(path, replace(reach_of(path, path), rate=4.0 * SPEEDS, top=SPEEDS))
+    assert [list(rows[[0, -1]]) for rows in found.rows] == [[0, 299], [300, 599]]
+    assert not found.outliers
+
+
+def test_a_map_that_is_turned_for_good_still_cuts_the_run(tmp_path, office):
+    rows = np.arange(len(office.truth_xyt) // 2, len(office.truth_xyt))
+    recordings = read_again(tmp_path, spoilt(office, rows, [0.0, 0.0, 0.8]))
+    assert len(recordings) == 2
+    assert not left_out(office, recordings)
+
+
+def test_a_tracker_with_bad_moments_is_accepted(tmp_path, office):
+    rng = np.random.default_rng(7)
+    bad = np.flatnonzero(np.arange(len(office.truth_xyt)) % 1000 < 500)
+    noise = rng.normal(size=(len(bad), 3)) * [0.01, 0.01, 0.02]
+    (recording,) = read_again(tmp_path, spoilt(office, bad, noise))
+    assert not left_out(office, [recording])
+
+
+def excursion(jump_s, lasts_s, *, scale=1.0, gain=1.0):
+    """Return odometry and a localisation that is 25 cm off from a time on, for some seconds, and which poses are."""
+    t_s = np.arange(0.0, 240.0, 0.02)
+    turn = 0.4 * np.sign(np.sin(2.0 * np.pi * t_s / 40.0))
+    paths = []
+    for length, gained in ((scale, gain), (1.0, 1.0)):
+        yaw = np.cumsum(turn * 0.02) * gained
+        paths.append((np.cumsum(0.4 * 0.02 * length * np.stack((np.cos(yaw), np.sin(yaw)), axis=1), axis=0), yaw))
+    rows = slice(10, None, 25)
+    rng = np.random.default_rng(1)
+    at = t_s[rows]
+    out = (at >= jump_s) & (at < jump_s + lasts_s)
+    xy = paths[1][0][rows] + rng.normal(0.0, 0.02, (len(at), 2)) + out[:, None] * (0.22, -0.12)
+    odometry = samples(t_s, *paths[0])
+    return odometry, samples(at, xy, paths[1][1][rows] + rng.normal(0.0, 0.008, len(at)), localised=True), out
+
+
+@pytest.mark.parametrize(("scale", "gain"), [(1.0, 1.0), (1.012, 1.0), (1.0, 1.02)])
+def test_an_excursion_is_left_out_whole_and_nothing_else(scale, gain):
+    odometry, truth, out = excursion(95.0, 6.0, scale=scale, gain=gain)
+    left = without_excursions(odometry, truth)
+    np.testing.assert_array_equal(left.stamps_ns, truth.stamps_ns[~out])
+    assert "an excursion that comes back, 12 poses, left out (0.2" in left.notes[-1]
+
+
+def test_what_stays_is_no_excursion():
+    odometry, truth, _ = excursion(95.0, 1e9)
+    assert without_excursions(odometry, truth) is truth
+
+
+def test_a_robot_that_was_moved_is_no_excursion_if_poses_become_more_frequent():
+    odometry, truth, out = excursion(95.0, 1e9)
+    kept = out | (np.arange(len(out)) % 4 == 0)
+    assert len(without_excursions(odometry, truth.only(kept, ""))) == kept.sum()
+
+
+def tracked(turned_rad, begin_s=95.0, end_s=96.5, *, hidden_s=0.0):
+    """Return odometry, a tracker at 50 Hz that is turned for a time and hidden before, and which poses are."""
+    odometry, _, _ = excursion(1e9, 0.0)
+    at = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    seen = (at < begin_s - hidden_s) | (at >= begin_s)
+    out = ((at >= begin_s) & (at < end_s))[seen]
+    yaw = odometry.yaw_rad + np.random.default_rng(1).normal(0.0, 6e-4, len(at))
+    return odometry, samples(at[seen], odometry.xyz[seen], yaw[seen] + turned_rad * out), out
+
+
+@pytest.mark.parametrize("degrees", [17.0, 90.0, -90.0, 180.0])
+@pytest.mark.parametrize("hidden_s", [0.0, 2.0])
+def test_markers_that_are_swapped_for_a_moment_are_left_out(degrees, hidden_s):
+    odometry, truth, out = tracked(np.radians(degrees), hidden_s=hidden_s)
+    left = without_outliers(without_excursions(odometry, truth))
+    np.testing.assert_array_equal(left.stamps_ns, truth.stamps_ns[~out])
+
+
+def test_markers_that_stay_swapped_are_no_excursion():
+    odometry, truth, _ = tracked(np.radians(90.0), end_s=1e9)
+    assert without_excursions(odometry, truth) is truth
+
+
+def test_what_a_robot_may_have_done_is_no_excursion_of_a_tracker():
+    odometry, truth, _ = excursion(95.0, 6.0)
+    slow = replace(truth, localised=False)
+    assert without_excursions(odometry, slow) is slow

@@ -1,19 +1,18 @@
-"""Odometry corrected by external poses is distinguished from odometry with accumulating errors of any cause."""
+"""Odometry that other sensors correct, and gyros with a dead band, are told from errors that accumulate."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from sourcebags import topic, write
-from sourcedrive import Rows, path
+from sourcedrive import Rows, path, samples
 
-from odomcorrupt.effects.gears import AT_REST, crossed
-from odomcorrupt.geometry.se2 import between, compose
+from odomcorrupt.geometry.se2 import between, compose, increments
 from odomcorrupt.report.diagnosis import recordings_json
-from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.io.feedback import pull_of
-from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.reader import recordings_of
+from odomcorrupt.study.io.yaw_dead_band import yaw_dead_band
 
 RATE_HZ, SECONDS = 20.0, 200.0
 TIMES = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
@@ -52,18 +51,17 @@ CAUSES = {
 }
 
 
-def run_of(tmp_path, poses, true=None):
+def run_of(read, poses, true=None):
     def rows(xyt):
         return Rows((1.7e18 + TIMES * 1e9).astype(np.int64), np.column_stack((xyt[:, :2], 0.0 * TIMES)), xyt[:, 2])
 
     true = REAL + np.random.default_rng(9).normal(0.0, 0.002, REAL.shape) if true is None else true
-    bag = topic("/odom", "Odometry", rows(poses)), topic("/mocap", "PoseStamped", rows(true))
-    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", *bag)))
+    (recording,) = read(rows(poses), rows(true), truth="/mocap")
     return recording
 
 
-def said_of(tmp_path, poses, true=None):
-    return " ".join(run_of(tmp_path, poses, true).notes)
+def said_of(read, poses, true=None):
+    return " ".join(run_of(read, poses, true).notes)
 
 
 def pulled_per_s(recording):
@@ -72,8 +70,8 @@ def pulled_per_s(recording):
 
 
 @pytest.mark.parametrize("cause", CAUSES)
-def test_errors_that_pile_up_are_no_filters(tmp_path, cause):
-    recording = run_of(tmp_path, odometry(CAUSES[cause]))
+def test_errors_that_pile_up_are_no_filters(read, cause):
+    recording = run_of(read, odometry(CAUSES[cause]))
     assert "filter" not in " ".join(recording.notes)
     assert pulled_per_s(recording) == 0.0
 
@@ -81,16 +79,15 @@ def test_errors_that_pile_up_are_no_filters(tmp_path, cause):
 @pytest.mark.parametrize(
     ("cause", "pull"), [("noise", 0.1), ("noise", 0.3), ("wide wheels", 0.2), ("a biased gyro", 0.2)]
 )
-def test_errors_that_fade_are_and_what_can_be_learned_is_said(tmp_path, cause, pull):
-    recording = run_of(tmp_path, odometry(CAUSES[cause], pull))
+def test_errors_that_fade_are_and_what_can_be_learned_is_said(read, cause, pull):
+    recording = run_of(read, odometry(CAUSES[cause], pull))
     said = " ".join(recording.notes)
     assert "its errors fade by" in said
     assert "(clocks and lags are unaffected); record wheel-only odometry" in said
     assert 0.3 * pull < pulled_per_s(recording) < 1.5 * pull
 
 
-def test_a_compass_corrects_headings_and_no_positions(tmp_path):
-    """With the deflection of iron on the robot, taken over with a time constant of two seconds."""
+def test_a_compass_corrects_headings_and_no_positions(read):
     rng, error = np.random.default_rng(8), np.zeros(len(REAL))
     deflection = 0.2 * np.sin(REAL[:, 2] + 0.8) + rng.normal(0.0, 0.004, len(REAL))
     for i in range(1, len(REAL)):
@@ -98,18 +95,18 @@ def test_a_compass_corrects_headings_and_no_positions(tmp_path):
     steps = between(REAL[:-1], REAL[1:]) + rng.normal(0.0, [0.001, 0.0002, 0.0], (len(REAL) - 1, 3))
     steps[:, 2] += np.diff(error)
     poses = np.array([now := REAL[0], *(now := compose(now, step) for step in steps)])
-    recording = run_of(tmp_path, poses)
+    recording = run_of(read, poses)
     assert "its errors of heading fade by" in (said := " ".join(recording.notes))
     assert "as those of a compass or of a yaw error that depends on the heading" in said
     assert pulled_per_s(recording) > 0.1
 
 
-def test_steps_towards_poses_are_taken_out_of_odometry_whose_wheels_make_none(tmp_path):
+def test_steps_towards_poses_are_taken_out_of_odometry_whose_wheels_make_none(read):
     def wheels(steps, rng):
         return rng.normal(0.0, [1e-4, 0.0, 2e-4], steps.shape) + steps * [0.03, 0.0, 0.02]
 
     free = odometry(wheels, 0.0)
-    recording = run_of(tmp_path, odometry(wheels, 0.2))
+    recording = run_of(read, odometry(wheels, 0.2))
     (entry,) = recordings_json([recording])
     assert entry["odometry_pulled_per_s"] == 0.0
     assert entry["odometry_pose_corrections"] > 0.95 * SECONDS
@@ -119,61 +116,130 @@ def test_steps_towards_poses_are_taken_out_of_odometry_whose_wheels_make_none(tm
 
 
 @pytest.mark.parametrize("pull", [0.0, 0.2])
-def test_sideways_errors_of_wheels_are_no_filters(tmp_path, pull):
-    """In a room what a mecanum robot gains sideways it loses again, as if its errors faded."""
+def test_sideways_errors_of_wheels_are_no_filters(read, pull):
     real = sideways()
     poses = odometry(lambda steps, rng: noise(steps, rng) + steps * [0.0, 0.08, 0.0], pull, real=real)
-    said = said_of(tmp_path, poses, real + np.random.default_rng(9).normal(0.0, 0.002, real.shape))
+    said = said_of(read, poses, real + np.random.default_rng(9).normal(0.0, 0.002, real.shape))
     assert ("its errors fade by" in said) == bool(pull)
 
 
-def test_a_truth_that_is_corrected_is_no_filter_of_the_odometry(tmp_path):
-    """A localisation errs by 3 cm for seconds and comes back, wheels without a sideways step hardly drift."""
+def test_a_truth_that_is_corrected_is_no_filter_of_the_odometry(read):
     wheels = odometry(lambda steps, rng: rng.normal(0.0, [1e-4, 0.0, 3e-4], steps.shape))
     keeps, rng = np.exp(-1.0 / (RATE_HZ * 6.0)), np.random.default_rng(4)
     error = np.zeros(REAL.shape)
     for i, new in enumerate(rng.normal(0.0, [0.03, 0.03, 0.004], REAL.shape)[1:], start=1):
         error[i] = keeps * error[i - 1] + np.sqrt(1.0 - keeps**2) * new
-    assert "fade" not in said_of(tmp_path, wheels, REAL + error)
+    assert "fade" not in said_of(read, wheels, REAL + error)
 
 
 def test_headings_that_a_map_of_scans_corrects_are_no_filter_of_the_odometry():
-    times, none = np.arange(0.0, 2000.0, 0.2), np.zeros(0)
+    times = np.arange(0.0, 2000.0, 0.2)
     real, rng = path(times), np.random.default_rng(4)
     turned = lfilter([0.2], [1.0, -np.exp(-0.2 / 6.0)], rng.normal(0.0, 0.03, len(times)))
-    stamps, positions = (1e9 * times).astype(np.int64), np.column_stack((real[:, :2], 0.0 * times))
-    wheels, scans = (
-        Samples("run", "/odom", "odom", stamps, positions, yaw, none, none) for yaw in (real[:, 2], real[:, 2] + turned)
-    )
+    wheels, scans = (samples(times, real[:, :2], yaw) for yaw in (real[:, 2], real[:, 2] + turned))
     assert pull_of(wheels, scans).heading > 0.0
     matched = replace(scans, covariance=np.tile(1e-6 * np.eye(3), (len(times), 1, 1)))
     assert pull_of(wheels, matched) == (0.0, 0.0)
 
 
-def test_castors_that_turn_the_robot_forth_and_back_are_no_filter():
-    """A kick after each reversal undoes the last one, as if the error of the heading faded; a real fading is found."""
-    times, none, rng = np.arange(0.0, 2000.0, 0.1), np.zeros(0), np.random.default_rng(5)
-    turn = np.cumsum(0.2 * np.sin(0.13 * times) + 0.15 * np.sin(0.31 * times)) * 0.1
-    ends_s = np.cumsum(0.5 + rng.exponential(3.0, 1000))
-    travel = 0.06 * (-1.0) ** np.searchsorted(ends_s, times)
-    xy = np.cumsum(np.column_stack((np.cos(turn), np.sin(turn))) * travel[:, None], axis=0)
-    stamps, positions = (1e9 * times).astype(np.int64), np.column_stack((xy, 0.0 * times))
-    kicked = np.cumsum(0.5 * crossed(travel, AT_REST, 0.1)[0])
-    faded = lfilter([1.0], [1.0, -np.exp(-0.1 * 0.2)], rng.normal(0.0, 0.01, len(times)))
-    real, castors, filtered = (
-        Samples("run", "/odom", "odom", stamps, positions, turn + error, none, none)
-        for error in (rng.normal(0.0, 0.001, len(times)), kicked, kicked + faded)
-    )
-    assert pull_of(castors, real).heading == 0.0
-    assert pull_of(filtered, real).heading > 0.1
+HZ, BAND_S, BAND = 50, 160.0, 0.015
+AT_S = np.arange(0.0, BAND_S, 1.0 / HZ)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("turned_deg", [38.0, -10.0])
-def test_one_slip_is_no_filter(tmp_path, turned_deg):
-    def slip(steps, rng):
-        errors = noise(steps, rng)
-        errors[140:180, 2] += np.radians(turned_deg) / 40.0
-        return errors
+def driven(rng):
+    """Return speed and yaw rate (n,): slow bends, turns, and rests of 4 s."""
+    kind = rng.choice(3, int(BAND_S / 4.0), p=[0.6, 0.25, 0.15])
+    v, w = np.where(kind < 2, 0.3, 0.0), rng.normal(0.0, 1.0, len(kind)) * np.array([0.02, 0.4, 0.0])[kind]
+    smooth = np.hanning(HZ) / np.hanning(HZ).sum()
+    return (np.convolve(np.repeat(x, 4 * HZ), smooth, "same") for x in (v, w))
 
-    assert "filter" not in said_of(tmp_path, odometry(slip))
+
+def seen(name, v, rates, noise=(0.0, 0.0), rng=None):
+    turn, travel = np.concatenate(([0.0], rates[1:])) / HZ, np.concatenate(([0.0], v[1:])) / HZ
+    yaw = np.cumsum(turn)
+    x, y = (np.cumsum(travel * f(yaw - turn / 2.0)) for f in (np.cos, np.sin))
+    if rng is not None:
+        spread = (noise[0], noise[0], noise[1])
+        x, y, yaw = (a + rng.normal(0.0, s, len(a)) for a, s in zip((x, y, yaw), spread, strict=True))
+    return samples(1.7e9 + AT_S, np.column_stack((x, y)), np.angle(np.exp(1j * yaw)), name=name)
+
+
+def banded_run(reported, seed=3):
+    """Return odometry and truth; `reported` makes the odometry's yaw rates of the true ones."""
+    rng = np.random.default_rng(seed)
+    v, w = driven(rng)
+    return seen("/odom", v, reported(w, rng)), seen("/mocap/pose", v, w, (5e-4, 1e-3), rng)
+
+
+def gyro(w, rng):
+    return w + rng.normal(0.0, 0.002, len(w))
+
+
+def banded(w, rng):
+    rates = gyro(w, rng)
+    return np.where(np.abs(rates) < BAND, 0.0, rates)
+
+
+def test_a_dead_band_is_recognised_with_its_threshold():
+    assert yaw_dead_band(*banded_run(banded)) == pytest.approx(BAND, rel=0.02)
+    (recording,) = recordings_of("run", *banded_run(banded))
+    assert recording.yaw_dead_band_radps == pytest.approx(BAND, rel=0.02)
+    assert any("below 0.015 rad/s read exactly zero" in note for note in recording.notes)
+
+
+def test_a_dead_band_is_recognised_where_jitter_interrupts_the_zeros():
+    def rough(w, rng):
+        rates = w + rng.normal(0.0, 0.7 * BAND, len(w))
+        return np.where(np.abs(rates) < BAND, 0.0, rates)
+
+    assert yaw_dead_band(*banded_run(rough)) == pytest.approx(BAND, rel=0.02)
+
+
+def remainder(w):
+    """Rates (n,) that decay to zero as those of commands do: a few are not rounded to zero yet."""
+    k = np.arange(len(w))
+    return np.where(k % (2 * HZ) < 4, BAND * 1e-5 * (1.0 + 0.3 * (k % 3)), 0.0)
+
+
+@pytest.mark.parametrize(
+    "reported",
+    [
+        gyro,
+        lambda w, rng: np.where(w == 0.0, 0.0, gyro(w, rng)),  # exact zeros at rest only
+        lambda w, rng: BAND * np.trunc(gyro(w, rng) / BAND),  # truncated to steps
+        lambda w, _: BAND / 20.0 * np.rint(w / BAND * 20.0),  # fine steps, of ticks
+        lambda w, _: w,  # exact
+        lambda w, _: np.where(np.abs(w) < BAND, remainder(w), w),
+    ],
+)
+def test_other_zeros_are_no_dead_band(reported):
+    assert yaw_dead_band(*banded_run(reported)) == 0.0
+
+
+def test_a_robot_that_never_turns_slowly_has_no_dead_band():
+    rng = np.random.default_rng(3)
+    v, w = driven(rng)
+    w = np.where(np.abs(w) < BAND, 0.0, w)
+    truth = seen("/mocap/pose", v, w, (5e-4, 1e-3), rng)
+    assert yaw_dead_band(seen("/odom", v, w), truth) == 0.0
+
+
+def test_unequal_wheels_that_turn_a_robot_with_straight_commands_are_no_dead_band():
+    rng = np.random.default_rng(3)
+    v, w = driven(rng)
+    w = np.where(np.abs(w) < BAND, 0.0, w)
+    truth = seen("/mocap/pose", v, w + 0.05 * v, (5e-4, 1e-3), rng)
+    assert yaw_dead_band(seen("/odom", v, w), truth) == 0.0
+
+
+def test_the_detected_band_is_an_effect_with_which_corruption_makes_such_odometry():
+    odometry, truth = banded_run(banded)
+    (recording,) = recordings_of("run", odometry, truth)
+    (effect,) = encoder_effects(recording)
+    assert effect.name == "gyro_dead_band"
+    steps = increments(truth.trajectory().xyt)
+    smooth = np.column_stack((steps.ds_m, steps.dl_m, np.diff(np.unwrap(banded_run(lambda w, _: w)[0].yaw_rad))))
+    reported = effect.recorded(smooth, AT_S[1:], None, effect.start(np.random.default_rng(1))).steps[:, 2]
+    own = increments(odometry.trajectory().xyt).dtheta_rad
+    assert np.mean(reported == 0.0) == pytest.approx(np.mean(np.abs(own) < 1e-9), abs=0.02)
+    assert np.array_equal(reported[reported != 0.0], smooth[reported != 0.0, 2])

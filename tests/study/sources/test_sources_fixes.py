@@ -1,14 +1,57 @@
-"""Satellite fixes: float episodes and outages by status and by covariance, and one origin for several recordings."""
+"""Satellite fixes: metres of published lengths, float episodes, outages, and one origin for several recordings."""
 
 import numpy as np
 import pytest
-from sourcebags import topic, write
-from sourcedrive import Rows, odometry, truth
+from sourcebags import both
+from sourcedrive import Rows, odometry, samples, truth
 
 import odomcorrupt as oc
-from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.fixes import Fixes, resolved, without_float_episodes
-from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.study.io.fixes import Fixes, east_north_up, frame_of, origin_of, resolved, without_float_episodes
+
+
+@pytest.mark.parametrize(
+    ("latitude", "north_m", "east_m"),
+    [
+        # length of a degree of latitude and longitude on WGS 84, National Geospatial-Intelligence Agency tables
+        (0.0, 110_574.3, 111_319.5),
+        (30.0, 110_852.4, 96_486.3),
+        (45.0, 111_131.7, 78_846.8),
+        (60.0, 111_412.2, 55_800.0),
+    ],
+)
+def test_small_steps_have_the_published_length_of_a_degree(latitude, north_m, east_m):
+    small = 1e-3
+    fixes = np.array([[latitude, 8.0, 0.0], [latitude + small, 8.0, 0.0], [latitude, 8.0 + small, 0.0]])
+    plane = east_north_up(fixes)
+    assert plane[1, 1] / small == pytest.approx(north_m, rel=2e-5)
+    assert plane[2, 0] / small == pytest.approx(east_m, rel=2e-5)
+    assert abs(plane[1, 0]) < 1e-6
+    assert abs(plane[2, 1]) < 1e-2
+
+
+def test_the_poles_are_as_far_from_the_centre_as_wgs84_says():
+    pole = east_north_up(np.array([[0.0, 0.0, 0.0], [90.0, 0.0, 0.0]]))[1]
+    np.testing.assert_allclose(pole, [0.0, 6_356_752.314245, -6_378_137.0], atol=1e-5)
+
+
+def test_height_is_up_and_a_missing_one_does_no_harm():
+    plane = east_north_up(np.array([[50.0, 8.0, 100.0], [50.0, 8.0, 130.0]]))
+    np.testing.assert_allclose(plane[1], [0.0, 0.0, 30.0], atol=1e-6)
+    assert np.isfinite(east_north_up(np.array([[50.0, 8.0, np.nan], [50.1, 8.0, np.nan]]))).all()
+
+
+def test_frames_of_two_origins_agree_on_where_a_fix_lies():
+    fixes = np.array([[48.1, 11.5, 520.0], [48.1031, 11.5064, 525.0], [48.1002, 11.5011, 519.0]])
+    other = np.array([48.1043, 11.4946, 500.0])
+    both = east_north_up(np.concatenate((other[None], fixes)))[1:]
+    moved = compose(
+        frame_of(origin_of(fixes[0]), origin_of(other)), np.column_stack((east_north_up(fixes)[:, :2], [0] * 3))
+    )
+    np.testing.assert_allclose(moved[:, :2], both[:, :2], atol=2e-3)
+    back = compose(frame_of(origin_of(other), origin_of(fixes[0])), frame_of(origin_of(fixes[0]), origin_of(other)))
+    np.testing.assert_allclose(back, 0.0, atol=2e-3)
+
 
 NORTH_M, EAST_M = 111_194.0, 74_625.0
 """A degree of latitude, and of longitude at 48 degrees, by the published lengths."""
@@ -46,7 +89,6 @@ def test_float_episodes_are_left_out_and_said_in_one_line(status, sigma_m):
 
 
 def test_an_episode_lasts_until_the_receiver_is_as_sure_again_as_it_is_when_fixed():
-    """A float solution claims 0.4 m at first and 4 cm when its ambiguities are resolved, three times a fix's 1.4 cm."""
     settling = np.where(between((20, 60)), np.maximum(0.4 * np.exp(-(TIMES - 20.0) / 12.0), 0.04), 0.014)
     found = resolved(fixes(2, settling))
     assert np.array_equal(found.rows, np.flatnonzero(~between((20, 60))))
@@ -87,14 +129,14 @@ def test_messages_without_a_fix_are_left_out_and_outages_are_counted():
 
 
 @pytest.mark.parametrize("by", ["variance", "status"])
-def test_a_recording_with_float_episodes_has_a_truth_without_them(tmp_path, by):
+def test_a_recording_with_float_episodes_has_a_truth_without_them(read, by):
     moved, real = odometry(), truth()
     place = lla(real.xyz)
     floating = (np.arange(len(place)) > 300) & (np.arange(len(place)) < 500)
     place[floating, 0] += 0.4 / NORTH_M
     claims = {by: np.where(floating, 0.18, 4e-4) if by == "variance" else 2 - 2 * floating}
-    several = topic("/fix", "NavSatFix", Rows(real.stamps_ns, place, real.yaw), **claims)
-    (run,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), several), truth="/fix"))
+    given = Rows(real.stamps_ns, place, real.yaw)
+    (run,) = read(moved, given, truth="/fix", kind="NavSatFix", seen=claims, asked={"truth": "/fix"})
     assert any("/fix: 1 float episode, 6 s, left out (199 of 990 fixes" in note for note in run.notes)
     assert not np.isin(run.truth.stamps_ns, real.stamps_ns[floating]).any()
 
@@ -104,8 +146,8 @@ def two_runs(tmp_path):
     real = truth(40.0)
     late = real.only(slice(330, None))
     for name, rows in (("first", real), ("second", late)):
-        bag = topic("/odom", "Odometry", odometry(40.0)), topic("/fix", "NavSatFix", rows.having(xyz=lla(rows.xyz)))
-        write(tmp_path / f"{name}.mcap", *bag)
+        seen = rows.having(xyz=lla(rows.xyz))
+        both(tmp_path / f"{name}.mcap", odometry(40.0), seen, truth="/fix", kind="NavSatFix")
     return tmp_path / "first.mcap", tmp_path / "second.mcap", late
 
 
@@ -144,7 +186,6 @@ origin = {{ latitude = {latitude}, longitude = {longitude} }}
 
 
 def test_a_patch_learned_on_one_origin_holds_in_a_recording_with_another(tmp_path):
-    """The drive begins 75 m from where the model's places are counted from, and crosses the patch three times."""
     t = np.arange(0.0, 90.0, 0.05)
     angle = 0.2 * t
     xyz = np.column_stack((8.0 * np.sin(angle), 8.0 * (1.0 - np.cos(angle)), 0.0 * t))
@@ -156,7 +197,7 @@ def test_a_patch_learned_on_one_origin_holds_in_a_recording_with_another(tmp_pat
     moved = Rows(stamps, np.column_stack((np.cumsum(steps, axis=0), 0.0 * t)), said)
     noise = 0.01 * np.random.default_rng(3).standard_normal((len(t), 3))
     here = Rows(stamps, lla(xyz + noise), angle)
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), topic("/fix", "NavSatFix", here))
+    bag = both(tmp_path / "run.mcap", moved, here, truth="/fix", kind="NavSatFix")
     runs, errors = oc.read_recordings(bag), {}
     for name, offset in (("agrees", away), ("ignored", np.zeros(2))):
         x, y = patch + away
@@ -172,8 +213,8 @@ def test_a_patch_learned_on_one_origin_holds_in_a_recording_with_another(tmp_pat
 def test_positions_that_a_receiver_publishes_as_poses_lose_float_episodes_too(headed):
     sigma_m = np.where(between((20, 40), (70, 81)), 0.3, 0.014)
     yaw = np.zeros(len(TIMES)) if headed else np.full(len(TIMES), np.nan)
-    xyz, none = np.column_stack((TIMES, TIMES, TIMES)), np.zeros(0, np.int64)
-    poses = Samples("run.bag", "/gps_pose", "map", (TIMES * 1e9).astype(np.int64), xyz, yaw, none, 2.0 * sigma_m**2)
+    xyz = np.column_stack((TIMES, TIMES, TIMES))
+    poses = samples(TIMES, xyz, yaw, name="/gps_pose", frame="map", variance_m2=2.0 * sigma_m**2)
     left = without_float_episodes(poses)
     assert len(left) == (500 if headed else 345)
     assert headed or "2 float episodes, 31 s, left out" in left.notes[0]

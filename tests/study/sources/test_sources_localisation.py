@@ -38,7 +38,6 @@ def flat(stamps_ns, xyt):
     ids=["real time", "late logs", "corrections alone", "simulated time", "a simulation slower than time"],
 )
 def test_over_tf_corrections_are_taken_when_they_were_sent(tmp_path, start_ns, pace, delay_s, every):
-    """Between corrections map -> base is the odometry composed with the last one, sent again 1 s ahead of its time."""
     moved, base, offsets = drive()
     moved = moved.having(stamps_ns=moved.stamps_ns - START_NS + start_ns)
     logs = START_NS + ((moved.stamps_ns - start_ns) / pace + delay_s * 1e9).astype(np.int64)
@@ -61,7 +60,7 @@ def test_over_tf_corrections_are_taken_when_they_were_sent(tmp_path, start_ns, p
 
 
 @pytest.mark.parametrize("asked", ["of the odometry", "between its samples", "late"])
-def test_poses_made_from_tf_are_taken_at_the_corrections_alone(tmp_path, asked):
+def test_poses_made_from_tf_are_taken_at_the_corrections_alone(read, asked):
     moved, _, offsets = drive()
     at = moved.stamps_ns if asked == "of the odometry" else moved.stamps_ns[:-1] + 20_000_000
     now = (at - START_NS) * 1e-9
@@ -71,31 +70,23 @@ def test_poses_made_from_tf_are_taken_at_the_corrections_alone(tmp_path, asked):
     else:
         said = moved.xyt[: len(at)]
     last = np.arange(len(at)) // EVERY * EVERY
-    poses = flat(at, compose(offsets[last], said))
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), topic("/robot_pose", "PoseStamped", poses))
-    (recording,) = read_runs(Source(bag))
+    (recording,) = read(moved, flat(at, compose(offsets[last], said)), truth="/robot_pose")
     assert any(
         "/robot_pose: a localisation on top of /odom; the truth is taken at its 30" in n for n in recording.notes
     )
     assert np.array_equal(recording.truth.stamps_ns, at[::EVERY])
 
 
-def test_a_truth_of_its_own_is_left_as_it_is(tmp_path):
+def test_a_truth_of_its_own_is_left_as_it_is(read):
     moved, base, _ = drive()
-    bag = write(
-        tmp_path / "run.mcap",
-        topic("/odom", "Odometry", moved),
-        topic("/pose", "PoseStamped", flat(moved.stamps_ns, base)),
-    )
-    (recording,) = read_runs(Source(bag))
+    (recording,) = read(moved, flat(moved.stamps_ns, base), truth="/pose")
     assert len(recording.truth) == len(base)
 
 
 @pytest.mark.parametrize(("name", "every", "localised"), [("/amcl_pose", 20, True), ("/orb_slam/pose", 1, False)])
-def test_sparse_poses_of_a_localisation_are_known_by_their_name(tmp_path, name, every, localised):
+def test_sparse_poses_of_a_localisation_are_known_by_their_name(read, name, every, localised):
     moved, base, _ = drive()
-    poses = topic(name, "PoseStamped", flat(moved.stamps_ns[::every], base[::every]))
-    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
+    (recording,) = read(moved, flat(moved.stamps_ns[::every], base[::every]), truth=name)
     assert recording.localised == localised
     # without a child frame they are of the base itself
     assert recording.of_base == localised
@@ -103,14 +94,13 @@ def test_sparse_poses_of_a_localisation_are_known_by_their_name(tmp_path, name, 
 
 
 @pytest.mark.parametrize(("by_motion", "frame"), [(True, "map"), (True, "world"), (False, "map")])
-def test_poses_in_the_map_that_come_after_so_much_motion_are_a_localisations(tmp_path, by_motion, frame):
-    """As slam_toolbox's /pose; those of an antenna come at a rate of time."""
+def test_poses_in_the_map_that_come_after_so_much_motion_are_a_localisations(read, by_motion, frame):
     moved, base, _ = drive(60.0)
     turned = 0.6 * np.abs(np.diff(base[:, 2], prepend=base[0, 2]))
     gone = np.cumsum(np.hypot(*np.diff(base[:, :2], axis=0, prepend=base[:1, :2]).T) + turned)
     rows = np.searchsorted(gone, np.arange(0.0, gone[-1], 0.4)) if by_motion else np.arange(0, len(base), EVERY)
-    poses = topic("/pose", "PoseWithCovarianceStamped", flat(moved.stamps_ns[rows], base[rows]), frame=frame)
-    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
+    poses = flat(moved.stamps_ns[rows], base[rows])
+    (recording,) = read(moved, poses, truth="/pose", kind="PoseWithCovarianceStamped", seen={"frame": frame})
     assert recording.localised == (by_motion and frame == "map")
 
 
@@ -124,8 +114,7 @@ def test_poses_in_the_map_that_come_after_so_much_motion_are_a_localisations(tmp
         ("/robot_pose", "map", 0.005, 0.012, False),  # an antenna
     ],
 )
-def test_poses_in_the_map_are_a_localisations_by_their_errors(tmp_path, name, frame, correlated_m, white_m, localised):
-    """Whatever the topic is called: errors of a localisation are a centimetre, and change over a metre of path."""
+def test_poses_in_the_map_are_a_localisations_by_their_errors(read, name, frame, correlated_m, white_m, localised):
     moved, real, rng = odometry(120.0), truth(120.0, noise=0.0), np.random.default_rng(8)
     own, at = ((rows.stamps_ns - START_NS) * 1e-9 for rows in (real, moved))
     base = np.stack([np.interp(at, own, column) for column in real.xyt.T], axis=1)[::5]
@@ -134,8 +123,7 @@ def test_poses_in_the_map_are_a_localisations_by_their_errors(tmp_path, name, fr
     for keep in kept:
         error.append(keep * error[-1] + np.sqrt(1.0 - keep**2) * rng.standard_normal(3))
     base[:, :2] += correlated_m * np.array(error)[:, :2] + white_m * rng.standard_normal((len(base), 2))
-    poses = topic(name, "PoseStamped", flat(moved.stamps_ns[::5], base), frame=frame)
-    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
+    (recording,) = read(moved, flat(moved.stamps_ns[::5], base), truth=name, seen={"frame": frame})
     assert recording.localised == localised
 
 
@@ -149,21 +137,17 @@ def test_poses_in_the_map_are_a_localisations_by_their_errors(tmp_path, name, fr
         ("/robot/pose", "PoseStamped", "world", False, False),
     ],
 )
-def test_an_estimators_odometry_as_truth_may_have_a_scale_of_its_own(tmp_path, name, kind, frame, own_scale, in_map):
-    moved, real = odometry(30.0), truth(30.0)
-    bag = write(tmp_path / "r.mcap", topic("/odom", "Odometry", moved), topic(name, kind, real, frame=frame))
-    (run,) = read_runs(Source(bag, truth=name, odom="/odom"))
+def test_an_estimators_odometry_as_truth_may_have_a_scale_of_its_own(read, name, kind, frame, own_scale, in_map):
+    (run,) = read(truth=name, kind=kind, seen={"frame": frame}, asked={"truth": name, "odom": "/odom"})
     assert (run.own_scale, run.in_map) == (own_scale, in_map)
 
 
-def test_poses_of_a_localisation_at_a_high_rate_are_taken_after_motion(tmp_path):
-    """While the robot stands, poses repeat one error; 20 of them a second would count as so many measurements."""
+def test_poses_of_a_localisation_at_a_high_rate_are_taken_after_motion(read):
     moved, base, _ = drive()
     stop = np.minimum(np.arange(len(base)), 300)  # the robot stops after 15 s
     moved = flat(moved.stamps_ns, moved.xyt[stop])
     found = base[stop] + 1e-4 * np.random.default_rng(6).standard_normal(base.shape)
-    poses = topic("/slam_pose", "PoseStamped", flat(moved.stamps_ns, found), frame="map")
-    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
+    (recording,) = read(moved, flat(moved.stamps_ns, found), truth="/slam_pose", seen={"frame": "map"})
     assert recording.localised
     assert recording.of_base
     own = recording.odometry.at(recording.truth_s, recording.origin_ns)

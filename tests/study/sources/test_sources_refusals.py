@@ -6,8 +6,8 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from sourcebags import edges, topic, write
-from sourcedrive import START_NS, Rows, odometry, truth
+from sourcebags import both, edges, topic, write
+from sourcedrive import START_NS, odometry, truth
 
 from odomcorrupt.cli import run
 from odomcorrupt.commands._progress import Stages
@@ -21,9 +21,7 @@ def refused(tmp_path, capsys):
     """Write odometry and truth, run a command on them, return the line it ends with."""
 
     def call(moved=None, real=None, *args, kind="PoseStamped", command="fit"):
-        first = topic("/odom", "Odometry", odometry() if moved is None else moved)
-        second = topic("/truth", kind, truth() if real is None else real)
-        bag = write(tmp_path / "run.mcap", first, second)
+        bag = both(tmp_path / "run.mcap", moved, real, kind=kind)
         return ending([command, str(bag), *args], capsys)
 
     return call
@@ -90,21 +88,15 @@ def test_a_clock_that_is_many_seconds_off_within_the_overlap(refused, tmp_path):
     assert len(read_runs(Source(tmp_path / "run.mcap", truth_shift_s=shift))) == 1
 
 
-def test_a_small_offset_is_left_to_the_fit(tmp_path):
+def test_a_small_offset_is_left_to_the_fit(read):
     real = truth()
     late = real.having(stamps_ns=real.stamps_ns + 1_500_000_000)
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()), topic("/truth", "PoseStamped", late))
-    (recording,) = read_runs(Source(bag))
+    (recording,) = read(real=late)
     assert recording.truth.stamps_ns[0] == late.stamps_ns[0]
 
 
-def test_the_exact_poses_of_a_simulator_are_a_truth(tmp_path):
-    bag = write(
-        tmp_path / "run.mcap",
-        topic("/odom", "Odometry", odometry(60.0, rate_hz=30.0, scale=1.0, drift=0.0)),
-        topic("/truth", "PoseStamped", odometry(60.0, rate_hz=100.0, scale=1.0, drift=0.0)),
-    )
-    (run,) = read_runs(Source(bag))
+def test_the_exact_poses_of_a_simulator_are_a_truth(read):
+    (run,) = read(*(odometry(60.0, rate_hz=rate_hz, scale=1.0, drift=0.0) for rate_hz in (30.0, 100.0)))
     assert any("/truth: equals /odom to within 2 mm over the whole drive" in note for note in run.notes)
 
 
@@ -128,34 +120,24 @@ def test_nothing_but_nan(refused):
     assert "/truth: none of its 990 positions is a number" in refused(real=real.having(xyz=real.xyz * np.nan))
 
 
-def test_a_hill_is_not_y_up(tmp_path):
-    real = truth()
-    hill = real.having(xyz=real.xyz + np.outer(real.xyz[:, 0], [0.0, 0.0, 0.2]))
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()), topic("/truth", "PoseStamped", hill))
-    assert len(read_runs(Source(bag))) == 1
+def straight(rows):
+    x = np.linspace(0.0, 20.0, len(rows))
+    return rows.having(xyz=np.stack((x, 0.01 * np.sin(x), 0.0 * x), axis=1), yaw=0.01 * np.cos(x))
 
 
-def test_a_straight_drive_is_not_taken_for_anything_else(tmp_path):
-    def straight(rows):
-        x = np.linspace(0.0, 20.0, len(rows))
-        xyz = np.stack((x, 0.01 * np.sin(x), 0.0 * x), axis=1)
-        return Rows(rows.stamps_ns, xyz, 0.01 * np.cos(x))
-
-    moved, real = straight(odometry()), straight(truth())
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), topic("/truth", "PoseStamped", real))
-    assert len(read_runs(Source(bag))) == 1
+def sideways(rows):
+    """Return the drive of a mecanum platform whose heading has nothing to do with its course."""
+    t = (rows.stamps_ns - START_NS) * 1e-9
+    return rows.having(yaw=0.8 * np.sin(0.7 * t + 1.0) - 0.02 * t)
 
 
-def test_a_sideways_robot_is_not_taken_for_a_mirrored_one(tmp_path):
-    """A mecanum platform whose heading has nothing to do with its course."""
+def uphill(rows):
+    return rows.having(xyz=rows.xyz + np.outer(rows.xyz[:, 0], [0.0, 0.0, 0.2]))
 
-    def sideways(rows):
-        t = (rows.stamps_ns - START_NS) * 1e-9
-        return rows.having(yaw=0.8 * np.sin(0.7 * t + 1.0) - 0.02 * t)
 
-    moved, real = sideways(odometry()), sideways(truth())
-    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), topic("/truth", "PoseStamped", real))
-    assert len(read_runs(Source(bag))) == 1
+@pytest.mark.parametrize("drive", [straight, sideways, uphill])
+def test_unusual_drives_are_not_taken_for_mistakes(read, drive):
+    assert len(read(drive(odometry()), drive(truth()))) == 1
 
 
 @pytest.mark.parametrize("command", ["fit", "diagnose", "learn"])
@@ -193,7 +175,6 @@ def test_truth_files_are_one_for_all_or_one_for_each(tmp_path, capsys):
 
 
 def test_each_recording_and_each_held_out_one_has_the_truth_file_of_its_place(tmp_path):
-    """Of three truth files, two are those of the recordings and the last that of the held-out one."""
     moved = csv_file(tmp_path / "odom.csv", odometry())
     truths = [csv_file(tmp_path / f"{name}.csv", truth()) for name in "abc"]
     words = [word for path in truths for word in ("--truth-bag", str(path))]

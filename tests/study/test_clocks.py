@@ -1,4 +1,4 @@
-"""The clock beside a truth of positions is the model's; a rejection remains with all clocks that the data allow."""
+"""Clocks of recordings: estimated beside the model's effects, and no excuse for a wrong model."""
 
 from dataclasses import replace
 
@@ -7,6 +7,8 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.model.motion_model import MotionModel
+from odomcorrupt.model.presets import preset_named
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
@@ -41,7 +43,6 @@ def held():
 
 
 def test_beside_a_truth_of_positions_the_clock_is_estimated_without_the_bends_of_the_model(right, held):
-    """Headings come from the odometry; with its bends in them, the offset was 1.2 standard errors off."""
     approach = choose_approach([held])
     plain = find_clocks([held], approach)
     found = clocks_beside([held], approach, right, plain)
@@ -52,7 +53,6 @@ def test_beside_a_truth_of_positions_the_clock_is_estimated_without_the_bends_of
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_right_model_is_rejected_for_an_error_of_the_clock_only_if_the_clock_is_known_better(right, held, known):
-    """A wrong model is rejected with any clock; scores stay comparable, because their clock stays the same."""
     error_s, off_s = 0.0005 if known else 0.004, 0.006
     at_s = -LATE_S + off_s
     clocks = Clocks(
@@ -68,8 +68,29 @@ def test_a_right_model_is_rejected_for_an_error_of_the_clock_only_if_the_clock_i
 
 
 def test_slip_at_starts_and_stops_is_not_passed_off_as_a_clock():
-    """It resembles an offset, is free while the range of the offset is estimated, and so is not in this range."""
     run = as_recording(simulate(93, "accel_slip", duration_s=180.0))
     fitted = fit([run], [effect_from_values("accel_slip", {})], approach=choose_approach([run]))
     bare = replace(model_of(fitted), effects=(), source={})
     assert compare([run], {"without effects": bare}).evaluations[0].verdict.fails
+
+
+def test_an_effect_of_the_heading_in_the_world_is_taken_out_of_a_recording_whose_truth_has_none():
+    recording = as_recording(simulate(93, "slope", duration_s=60.0))
+    xyt = recording.truth.xyt.copy()
+    xyt[:, 2] = np.nan
+    recording = replace(recording, truth=replace(recording.truth, xyt=xyt))
+    slope = effect_from_values("slope", {"creep": 0.01, "direction": 0.5})
+    model = MotionModel(preset_named("typical").noise, effects=(slope,))
+    clocks = clocks_beside([recording], choose_approach([recording]), model)
+    assert abs(clocks.clocks[0].offset_s) < 0.05
+
+
+def test_the_clock_of_a_laser_is_free_even_if_slip_pulls_it_to_where_it_increases_the_drift(monkeypatch):
+    monkeypatch.setattr("odomcorrupt.study.estimate.clocks._harmless", lambda *_: False)
+    recording = as_recording(simulate(93, "accel_slip", duration_s=120.0))
+    approach = choose_approach([recording])
+    assert find_clocks([recording], approach).free == ((False, False),)
+    covariance = np.broadcast_to(np.diag([4e-6, 4e-6, 1e-5]), (len(recording.truth), 3, 3))
+    seen = replace(recording, truth=replace(recording.truth, covariance=covariance), truth_scale_error=0.003)
+    found = find_clocks([seen], approach)
+    assert (found.free, found.clocks[0].offset_s) == (((True, False),), 0.0)
