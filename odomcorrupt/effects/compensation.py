@@ -31,7 +31,7 @@ _RUNAWAY = 1e6
 def error_of(effect: Effect, motion: Motion) -> Array:
     """Return an effect's twist error f (n, 3), m/s and rad/s, over a whole motion from its initial state."""
     # Seeding a stream takes longer than most effects; effects without state do not need it.
-    state = effect.start(stream(0, 0, effect.name)) if type(effect).start is not Effect.start else None
+    state = effect.start(stream(0, 0, effect.name)) if type(effect).start is not Effect.start else effect.initial
     return effect.twist_error(motion, state).f
 
 

@@ -42,13 +42,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 
-class _Count(NamedTuple):
-    """Travel of each wheel so far, metres, from a random phase between two ticks."""
-
-    right: float
-    left: float
-
-
 @dataclass(frozen=True, slots=True)
 class Quantization(Effect):
     """Each wheel reports whole ticks: its total travel rounded down to a multiple of `step`, from a random phase.
@@ -73,17 +66,12 @@ class Quantization(Effect):
     step: float = parameter("m", "wheel travel of one tick", low=0.0, high=0.1, typical=0.0005)
 
     def start(self, rng: Generator) -> State:
-        """Return a random phase between two ticks for each wheel."""
-        right, left = copied(rng).uniform(size=2)
-        return _Count(float(self.step * right), float(self.step * left))
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: the rounding is not a function of the reported motion."""
-        return TwistError(np.zeros((len(motion), 3)), state)
+        """Return the travel of each wheel, metres: a random phase between two ticks."""
+        return Rims(*(self.step * copied(rng).uniform(size=2)).tolist())
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return increments of whole ticks; the sideways travel of holonomic robots is unchanged."""
-        track = needed_track_m(self.name, track_m)
+        track = needed_track_m(self, track_m)
         if self.step == 0.0:
             return Recorded(steps, state)
         ends, counted = [], []
@@ -93,11 +81,11 @@ class Quantization(Effect):
             counted.append(self.step * np.diff(np.floor(so_far / self.step)))
         reported = body_of(Rims(*counted), track)
         reported[:, 1] = steps[:, 1]
-        return Recorded(reported, _Count(*ends))
+        return Recorded(reported, Rims(*ends))
 
     def moments(self, motion: Motion) -> Moments:
         """Return zero mean, and the variance of a tick count with uniformly random phase."""
-        track = needed_track_m(self.name, motion.track_m)
+        track = needed_track_m(self, motion.track_m)
         ticks = [np.abs(u) * motion.dt_s / self.step for u in rims_of(motion.v, motion.omega, track)]
         over = [t - np.floor(t) for t in ticks]
         single = self.step**2 * sum(p * (1.0 - p) for p in over)
@@ -293,10 +281,6 @@ class LostIncrements(Effect):
         """Return the random generator of the losses."""
         return rng
 
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: reported increments are correct, and the lost ones are not a function of the motion."""
-        return TwistError(np.zeros((len(motion), 3)), state)
-
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return the increments with the lost ones set to zero."""
         rng = copied(state)
@@ -338,7 +322,7 @@ class LostIncrements(Effect):
 
     def _travel_of_wheel(self, body: Array, track_m: float | None) -> Array:
         """Return the part (n, 3) of a motion of the body (n, 3) that is due to the wheel alone."""
-        track = needed_track_m(self.name, self.track or track_m)
+        track = needed_track_m(self, track_m)
         rims = rims_of(body[:, 0], body[:, 2], track)
         still = np.zeros(len(body))
         return body_of(Rims(still, rims.left) if self.wheel == "left" else Rims(rims.right, still), track)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -40,6 +41,7 @@ __all__ = [
     "check_bounds",
     "choice",
     "choices",
+    "gain",
     "on_bound",
     "parameter",
     "parameters",
@@ -129,7 +131,7 @@ class Effect:
     """Base class of effects with defaults; `odomcorrupt.testing.check_effect` tests the contract.
 
     A subclass is a frozen dataclass that sets the class variables and implements `twist_error`. A memoryless effect
-    needs no other method.
+    needs no other method, and may be declared with `gain` in one expression.
 
     clock : the effect moves the stamps of a bag; its f is the first-order equivalent for a regression
     layer : "motion" for a function f of the odometry's motion; "record" for effects between wheels and message (play,
@@ -147,6 +149,7 @@ class Effect:
     aliased_with : name of an effect with the same f (an alias: no recording can separate the two)
     unsteered : for a steered robot's effect, the differential-drive effect that equals it at small steering angles
     in_place_of : name of the clock effect with the same f to first order, in whose place alone a study tests it
+    initial : state before the first interval of an effect that draws nothing; None for one without memory
     """
 
     name: ClassVar[str]
@@ -168,6 +171,7 @@ class Effect:
     aliased_with: ClassVar[str | None] = None
     unsteered: ClassVar[str | None] = None
     in_place_of: ClassVar[str | None] = None
+    initial: ClassVar[State] = None
 
     __slots__ = ()
 
@@ -187,12 +191,13 @@ class Effect:
         return 0.0, 0.0
 
     @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - for effects with shapes
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - for shapes that depend on the drive
         """Return the effect at its identity for each candidate value of its shape parameters on these motions.
 
         An effect without shapes is linear at its identity and needs one candidate.
         """
-        return (cls(),)
+        trials = {p.name: p.trials for p in parameters(cls) if p.trials}
+        return tuple(cls(**dict(zip(trials, values, strict=True))) for values in product(*trials.values()))
 
     def related(self) -> tuple[Self, ...]:
         """Return other forms of the effect near this shape, which a search tries only if its gain is large."""
@@ -211,12 +216,17 @@ class Effect:
         return self
 
     def start(self, rng: np.random.Generator) -> State:  # noqa: ARG002 - for effects that draw
-        """Return the state before the first interval; None for an effect without memory."""
-        return None
+        """Return the state before the first interval."""
+        return self.initial
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f over the intervals of `motion`, and the state after them; the given state is not modified."""
-        raise NotImplementedError
+        """Return f over the intervals of `motion`, and the state after them; the given state is not modified.
+
+        By default f is 0: what an effect of another layer than "motion" changes is no function of the reported motion.
+        """
+        if self.layer == "motion" and not self.clock:
+            raise NotImplementedError
+        return TwistError(np.zeros((len(motion), 3)), state)
 
     def by_rows(self, motion: Motion, state: State) -> ByRows | None:  # noqa: ARG002 - for effects with memory
         """Return f by single intervals of a motion; None if f of an interval depends on the motion before it.
@@ -280,6 +290,7 @@ class Parameter(NamedTuple):
     amplitude : f is proportional to it (near the identity), so one regressor column finds it; otherwise a shape
     step : step for a numerical slope of f
     optional : a shape that has no influence at its identity and is then held there
+    trials : values of a shape at which the effect is tried first
     """
 
     name: str
@@ -292,6 +303,7 @@ class Parameter(NamedTuple):
     amplitude: bool
     step: float
     optional: bool = False
+    trials: tuple[float, ...] = ()
 
 
 def parameter(
@@ -305,6 +317,7 @@ def parameter(
     amplitude: bool = True,
     step: float | None = None,
     optional: bool = False,
+    trials: tuple[float, ...] = (),
 ) -> Any:
     """Return a dataclass field that declares a parameter with its unit and bounds; its default is the identity.
 
@@ -314,11 +327,12 @@ def parameter(
     amplitude : whether f is proportional to it; else it is a shape
     step : change for numerical derivatives; by default a thousandth of the typical size
     optional : whether a shape at its identity is neither counted as a parameter nor printed
+    trials : values of a shape at which the effect is tried first
     """
     facts = {
         "unit": unit, "meaning": meaning, "low": low, "high": high, "typical": typical, "identity": identity,
         "amplitude": amplitude, "step": 1e-3 * typical if step is None else step,
-        "optional": optional,
+        "optional": optional, "trials": trials,
     }  # fmt: skip
     return dataclasses.field(default=identity, metadata=facts)
 
@@ -382,6 +396,34 @@ def check_bounds(effect: Effect) -> None:
             raise EffectError(
                 f"effect {effect.name}, {p.name}: {value:g}; it must lie in [{p.low:g}, {p.high:g}]{unit}"
             )
+
+
+def gain(
+    name: str,
+    summary: str,
+    f: Callable[[Any, Motion], tuple[Array | float, Array | float, Array | float]],
+    about: About,
+    **facts: Any,
+) -> Any:
+    """Return the class of an effect without memory, given its f in one expression.
+
+    f : from the effect and n intervals of a motion to f along (m/s), across (m/s) and in yaw (rad/s), (n,) or scalar
+    facts : the parameters by name, made by `parameter` and `choice`, and class variables of `Effect` that differ
+
+    The class is named as the effect, in capitals: `gain("mount_yaw", ...)` is to be assigned to `MountYaw`.
+    """
+
+    def twist_error(self: Effect, motion: Motion, state: State) -> TwistError:
+        return TwistError(stacked(*f(self, motion), motion.v), state)
+
+    fields = [(key, Any, value) for key, value in facts.items() if isinstance(value, dataclasses.Field)]
+    traits = {key: value for key, value in facts.items() if not isinstance(value, dataclasses.Field)}
+    namespace = {
+        "name": name, "summary": summary, "about": about, "twist_error": twist_error, "__doc__": about.equation,
+        "__module__": f.__module__, **traits,
+    }  # fmt: skip
+    kind = name.title().replace("_", "")
+    return dataclasses.make_dataclass(kind, fields, bases=(Effect,), namespace=namespace, frozen=True, slots=True)
 
 
 def stacked(along: Array | float, across: Array | float, yaw: Array | float, like: Array) -> Array:

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter, stacked
-from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, rims_of, turning
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, rims_of, scaled
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -41,8 +39,23 @@ def part_inside(motion: Motion, begin_s: float, end_s: float) -> Array:
     return np.divide(np.maximum(inside, 0.0), motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0)
 
 
+class Event(Effect):
+    """What happens once, at a time stated in the model."""
+
+    kind = "event"
+    time: float
+    duration: float
+
+    __slots__ = ()
+
+    @property
+    def window_s(self) -> tuple[float, float]:
+        """Begin and end of the event, seconds after the first odometry stamp."""
+        return self.time, self.time + self.duration
+
+
 @dataclass(frozen=True, slots=True)
-class Push(Effect):
+class Push(Event):
     """f = (along, across, yaw) / duration between time and time + duration, 0 otherwise.
 
     The robot moves without its wheels registering it: a bump, a person's shove, a lift over a sill. The odometry of a
@@ -50,7 +63,6 @@ class Push(Effect):
     """
 
     name = "push"
-    kind = "event"
     summary = "once, the robot is pushed, which the odometry does not show"
     about = About(
         equation="f = (along, across, yaw) / duration where time <= t < time + duration, 0 otherwise",
@@ -66,11 +78,6 @@ class Push(Effect):
     time: float = time_parameter()
     duration: float = duration_parameter(0.5)
 
-    @property
-    def window_s(self) -> tuple[float, float]:
-        """Begin and end of the event, seconds after the first odometry stamp."""
-        return self.time, self.time + self.duration
-
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the push at constant speed."""
         rate: Array = part_inside(motion, *self.window_s) / self.duration
@@ -78,14 +85,13 @@ class Push(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class SlipEvent(Effect):
+class SlipEvent(Event):
     """f_wheel = -slip u for each wheel's rim speed u between time and time + duration, 0 otherwise.
 
     See `region_slip` for slip at a place and `slip_burst` for slip at random times.
     """
 
     name = "slip_event"
-    kind = "event"
     summary = "once, at a given time, wheels slip for a while"
     about = About(
         equation="f_wheel = -slip u for each wheel's rim speed u where time <= t < time + duration, 0 otherwise",
@@ -101,18 +107,12 @@ class SlipEvent(Effect):
     heading: str = heading_choice()
     side: str = choice("which wheels slip; a single one turns the robot and needs the track", "both", "left", "right")
 
-    @property
-    def window_s(self) -> tuple[float, float]:
-        """Begin and end of the event, seconds after the first odometry stamp."""
-        return self.time, self.time + self.duration
-
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the slip over the fraction of each interval that lies in the event."""
         lost = -self.slip * part_inside(motion, *self.window_s)
         if self.side == "both":
-            yaw = turning(self.heading, lost * motion.omega)
-            return TwistError(stacked(lost * motion.v, lost * motion.vy, yaw, motion.v), state)
-        track_m = needed_track_m(self.name, motion.track_m)
+            return TwistError(stacked(*scaled(motion, lost, self.heading), motion.v), state)
+        track_m = needed_track_m(self, motion.track_m)
         u = rims_of(motion.v, motion.omega, track_m)
         none = np.zeros_like(lost)
         rims = Rims(lost * u.right, none) if self.side == "right" else Rims(none, lost * u.left)
@@ -120,7 +120,7 @@ class SlipEvent(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class OdometryStop(Effect):
+class OdometryStop(Event):
     """Increments that end between time and time + duration are reported as zero.
 
     Their travel is then lost, as when a motor controller restarts, or added to the next increment, as when its bus was
@@ -128,8 +128,8 @@ class OdometryStop(Effect):
     """
 
     name = "odometry_stop"
-    kind = "event"
     layer = "record"
+    initial = np.zeros(3)  # motion withheld so far
     summary = "once, the odometry stands still for a while although the robot drives on"
     about = About(
         equation="reported increment = 0 where time < t <= time + duration; then lost, or added to the next one",
@@ -144,41 +144,23 @@ class OdometryStop(Effect):
     then: str = choice("what becomes of the travel that was not reported", "lost", "caught_up")
 
     @property
-    def window_s(self) -> tuple[float, float]:
-        """Begin and end of the event, seconds after the first odometry stamp."""
-        return self.time, self.time + self.duration
-
-    @property
     def lost_m(self) -> float:
         """Unbounded: travel that was never reported cannot be recovered."""
         return float("inf") if self.acts else 0.0
-
-    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the motion withheld so far: zero."""
-        return np.zeros(3)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: the loss is not a function of the odometry's motion."""
-        return TwistError(np.zeros((len(motion), 3)), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
         """Return the increments with those during the stop withheld."""
         begin, end = self.window_s
         inside = (t_s > begin) & (t_s <= end)
         after = np.flatnonzero(t_s > end)
-        withheld = accumulate(state, _increments(steps[inside]))[-1]
+        withheld = accumulate(state, Increments.of_rows(steps[inside]))[-1]
         out = np.where(inside[:, None], 0.0, steps)
         if self.then == "caught_up" and len(after) and withheld.any():
             first = after[0]
-            reached = accumulate(withheld, _increments(steps[first : first + 1]))[-1]
-            whole = increments(np.stack((np.zeros(3), reached)))
-            out[first] = whole.ds_m[0], whole.dl_m[0], whole.dtheta_rad[0]
+            reached = accumulate(withheld, Increments.of_rows(steps[first : first + 1]))[-1]
+            out[first] = increments(np.stack((np.zeros(3), reached))).rows[0]
             withheld = np.zeros(3)
         return Recorded(out, withheld)
-
-
-def _increments(steps: Array) -> Increments:
-    return Increments(steps[:, 0], steps[:, 1], steps[:, 2])
 
 
 _BURST = 1e-3
@@ -186,7 +168,7 @@ _BURST = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Latency(Effect):
+class Latency(Event):
     """In a bag, stamps between time and time + delay move to the end of that window, close behind each other.
 
     The poses are correct but stamped late: a localisation pairs them with later laser scans. f is the first-order
@@ -194,7 +176,6 @@ class Latency(Effect):
     """
 
     name = "latency"
-    kind = "event"
     summary = "once, odometry messages are delayed, and stamped when they arrive in a burst"
     clock = True
     about = About(

@@ -441,7 +441,7 @@ class UserEffect(Effect):
         body = self._variables(motion) | own
         f = np.stack([self.expression.added_to((channel,), body) for channel in CHANNELS], axis=1)
         if self.expression.by_wheel:
-            track_m = needed_track_m(self.name, motion.track_m)
+            track_m = needed_track_m(self, motion.track_m)
             right, left = (self._variables(wheel) | own for wheel in wheel_motions(motion, track_m))
             rims = Rims(
                 self.expression.added_to(("right", "wheels"), right), self.expression.added_to(("left", "wheels"), left)

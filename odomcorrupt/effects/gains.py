@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from odomcorrupt.drive_types import PIVOTING
-from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, gain, parameter, stacked
 from odomcorrupt.effects.wheels import (
     Rims,
     body_of,
@@ -16,6 +16,7 @@ from odomcorrupt.effects.wheels import (
     needed_track_m,
     on_every_track,
     rims_of,
+    scaled,
     track_parameter,
     turning,
     wheel_motions,
@@ -27,108 +28,199 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 
-@dataclass(frozen=True, slots=True)
-class WheelScale(Effect):
-    """f = (e v, e vy, e omega): distance and turn are wrong by the same factor.
-
-    Borenstein & Feng 1996, IEEE T-RA 12(6), E_s.
-    """
-
-    name = "wheel_scale"
-    odd = True
-    summary = "the wheels' true radius differs from the nominal one"
-    about = About(
+WheelScale = gain(
+    "wheel_scale",
+    "the wheels' true radius differs from the nominal one",
+    lambda it, m: scaled(m, it.e, it.heading),
+    About(
         equation="f = e (v, vy, omega); e (v, vy, 0) with a gyro",
         typical="0.2 to 2 %; inflatable tyres up to 3 %",
         source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_s",
         confused_with=("speed_scale", "scale_drift", "lost_increments", "lever_arm"),
         drive="straights and turns, at two speeds",
-    )
+    ),
+    odd=True,
+    e=parameter("", "true over nominal wheel radius, minus one", low=-0.9995, high=1999.0, typical=0.01),
+    heading=heading_choice(),
+)
 
-    e: float = parameter("", "true over nominal wheel radius, minus one", low=-0.9995, high=1999.0, typical=0.01)
-    heading: str = heading_choice()
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f, proportional to the whole twist."""
-        yaw = turning(self.heading, self.e * motion.omega)
-        return TwistError(stacked(self.e * motion.v, self.e * motion.vy, yaw, motion.v), state)
-
-
-@dataclass(frozen=True, slots=True)
-class Wheelbase(Effect):
-    """f = (0, 0, -e / (1 + e) omega).
-
-    Borenstein & Feng 1996, IEEE T-RA 12(6), E_b = 1 + e; skid-steered robots: Mandow & Martinez 2007, 1.3 to 2.
-    """
-
-    name = "wheelbase"
-    summary = "the true distance between the wheels differs from the nominal track"
-    drives = PIVOTING
-    about = About(
+Wheelbase = gain(
+    "wheelbase",
+    "the true distance between the wheels differs from the nominal track",
+    lambda it, m: (0.0, 0.0, -it.e / (1.0 + it.e) * m.omega),
+    About(
         equation="f_yaw = -e / (1 + e) omega",
         typical="0.5 to 5 % with wide tyres; factors of 1.3 to 2 when skid-steering",
         source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_b",
         confused_with=("gyro_scale", "turn_asymmetry", "speed_scale"),
         drive="turn on the spot both ways; only the source of the heading separates the two",
-    )
+    ),
+    drives=PIVOTING,
+    e=parameter("", "true over nominal track, minus one", low=-0.9995, high=1999.0, typical=0.015),
+)
 
-    e: float = parameter("", "true over nominal track, minus one", low=-0.9995, high=1999.0, typical=0.015)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: every turn has the same scale error."""
-        return TwistError(stacked(0.0, 0.0, -self.e / (1.0 + self.e) * motion.omega, motion.v), state)
-
-
-@dataclass(frozen=True, slots=True)
-class UnequalWheels(Effect):
-    """f = (curvature b^2 omega / 4, 0, curvature v); the first term only if the track b is known.
-
-    With radii r_right / r_left = 1 + e, curvature = e / b. Borenstein & Feng 1996, IEEE T-RA 12(6), E_d.
-    """
-
-    name = "unequal_wheels"
-    summary = "one wheel is larger than the other, so that straight lines bend"
-    drives = PIVOTING
-    about = About(
+# with radii r_right / r_left = 1 + e, curvature = e / b; the first term only if the track b is known
+UnequalWheels = gain(
+    "unequal_wheels",
+    "one wheel is larger than the other, so that straight lines bend",
+    lambda it, m: (it.curvature * (m.track_m or 0.0) ** 2 / 4.0 * m.omega, 0.0, it.curvature * m.v),
+    About(
         equation="f_yaw = curvature v; with the track b also f_along = curvature b^2 omega / 4",
         typical="wheels that differ by 0.05 to 1 %: 0.001 to 0.03 rad/m on a track of 0.4 m",
         source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_d",
         confused_with=("gyro_bias", "turn_asymmetry"),
         drive="long straights, forwards and in reverse, at two speeds, with a stop of a minute",
-    )
-
-    curvature: float = parameter(
+    ),
+    drives=PIVOTING,
+    curvature=parameter(
         "rad/m", "true curvature of a path that odometry reports as straight", low=-1.0, high=1.0, typical=0.005
-    )
+    ),
+)
 
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the yaw error is proportional to the distance, and changes sign in reverse."""
-        track = motion.track_m or 0.0
-        return TwistError(
-            stacked(self.curvature * track**2 / 4.0 * motion.omega, 0.0, self.curvature * motion.v, motion.v), state
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class TurnAsymmetry(Effect):
-    """f = (0, 0, k abs(omega)): the true turn is 1 + k of the odometry's to the left and 1 - k to the right."""
-
-    name = "turn_asymmetry"
-    odd = True
-    summary = "left turns come out larger than right turns, or the other way round"
-    about = About(
+TurnAsymmetry = gain(
+    "turn_asymmetry",
+    "left turns come out larger than right turns, or the other way round",
+    lambda it, m: (0.0, 0.0, it.k * np.abs(m.omega)),
+    About(
         equation="f_yaw = k abs(omega)",
         typical="0.3 to 3 % (an estimate: an off-centre load, a tyre that scrubs on one side)",
         source="engineering judgement; no published figures known to us",
         confused_with=("unequal_wheels", "gyro_bias", "wheelbase"),
         drive="turn on the spot, as often to the left as to the right, with straights between",
-    )
+    ),
+    odd=True,
+    k=parameter("", "half the difference of the gains, left minus right", low=-0.2, high=0.2, typical=0.01),
+)
 
-    k: float = parameter("", "half the difference of the gains, left minus right", low=-0.2, high=0.2, typical=0.01)
+ScaleDrift = gain(
+    "scale_drift",
+    "the scale of distance and turn changes with time",
+    lambda it, m: scaled(m, it.rate * m.t_s, it.heading),
+    About(
+        equation="f = rate t (v, vy, omega); rate t (v, vy, 0) with a gyro",
+        typical="1 to 2 % over a long drive with a leaking tyre; 0.3 % per 10 K of tyre temperature (an estimate)",
+        source="the idea: time-varying radii in Kuemmerle, Grisetti & Burgard 2011; sizes are engineering judgement",
+        confused_with=("wheel_scale", "region_slip", "clock_skew"),
+        drive="repeat one loop for half an hour and more",
+    ),
+    odd=True,
+    rate=parameter("1/s", "growth of the true radius per second", low=-1e-3, high=1e-3, typical=1e-5),
+    heading=heading_choice(),
+)
 
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: an extra turn to the left in every turn."""
-        return TwistError(stacked(0.0, 0.0, self.k * np.abs(motion.omega), motion.v), state)
+# a motor's speed is proportional to the voltage
+BatterySag = gain(
+    "battery_sag",
+    "commanded speeds are reached less and less, as the battery's voltage falls",
+    lambda it, m: scaled(m, it.rate * m.t_s, it.heading),
+    About(
+        equation="f = rate t (v, vy, omega), rate < 0, of the velocities that were commanded",
+        typical="10 to 25 % from a full battery to an empty one: 5e-5 to 4e-4 per second (an estimate)",
+        source="Hughes & Drury 2019, Electric Motors and Drives (a DC motor's speed is in proportion to its voltage)",
+        confused_with=("scale_drift", "wheel_scale", "dead_band"),
+        drive="repeat one loop for ten minutes and more; a full battery put in at half time separates it from a tyre",
+    ),
+    aliased_with="scale_drift",
+    rate=parameter(
+        "1/s",
+        "change of the reached fraction of the commanded speed, per second",
+        low=-1e-3,
+        high=0.0,
+        typical=-1e-4,
+        step=1e-7,
+    ),
+    heading=heading_choice(),
+)
+
+SideSlip = gain(
+    "side_slip",
+    "the robot slips outwards in turns, in proportion to speed times yaw rate",
+    lambda it, m: (0.0, -it.k * m.v * m.omega, 0.0),
+    About(
+        equation="f_across = -k v omega",
+        typical="0.01 to 0.1 s (an estimate)",
+        source="Rajamani, Vehicle Dynamics and Control (linear tyre)",
+        confused_with=("icr_shift", "lever_arm", "mount_yaw"),
+        drive="the same turn slowly and fast",
+    ),
+    odd=True,
+    k=parameter("s", "sideways speed per speed and yaw rate", low=0.0, high=0.5, typical=0.03),
+)
+
+SidewaysScale = gain(
+    "sideways_scale",
+    "sideways the robot goes farther or less far than its wheels show",
+    lambda it, m: (0.0, it.e * m.vy, 0.0),
+    About(
+        equation="f = (0, e vy, 0)",
+        typical="-1 to -10 %: rollers of mecanum wheels slip and have play when the robot goes sideways (an estimate)",
+        source="Tlale & de Villiers 2008, Kinematics and dynamics modelling of a mecanum wheeled mobile platform",
+        confused_with=("wheel_scale", "mount_yaw", "side_slip"),
+        drive="sideways to and fro, at two headings, and straights as long",
+    ),
+    needs_sideways=True,
+    e=parameter("", "true over nominal sideways travel, minus one", low=-0.9995, high=1999.0, typical=0.03),
+)
+
+# A contact that spins about its normal has less grip for travel, and rollers of omnidirectional wheels scrub across
+# their path. The moment of dry friction against a turn hardly depends on its rate, so that slow turns lose the larger
+# share.
+TurnScrub = gain(
+    "turn_scrub",
+    "wheels or rollers scrub in turns: travel and turn are wrong by a share that changes with the turn rate",
+    lambda it, m: (
+        it.travel * np.abs(m.omega) * m.v,
+        it.travel * np.abs(m.omega) * m.vy,
+        it.turn * np.abs(m.omega) * m.omega,
+    ),
+    About(
+        equation="f = abs(omega) (travel v, travel vy, turn omega)",
+        typical="mecanum wheels -0.32 s of travel, along and sideways alike, 0.09 s of turn (6 and 2 % at 0.2 rad/s); "
+        "two wheels 0.004 s of turn (measured, docs/optiodom.md)",
+        source="Pacejka, Tire and Vehicle Dynamics, on turn slip; sizes from runs of Sousa et al. 2022 (OptiOdom)",
+        confused_with=("wheel_scale", "wheelbase", "speed_scale"),
+        drive="the same way straight ahead and while turning, and turns at two rates",
+    ),
+    odd=True,
+    travel=parameter("s", "change of the scale of travel per turn rate", low=-2.0, high=2.0, typical=0.05),
+    turn=parameter("s", "change of the scale of turns per turn rate", low=-2.0, high=2.0, typical=0.02),
+)
+
+# The force m (-omega vy, omega v) on a centre of mass ahead of that of the wheels, or to its left, is a moment: wheels
+# yield to it in proportion, as they do to a force across (`side_slip`).
+OffCentreLoad = gain(
+    "off_centre_load",
+    "a load ahead or beside the centre of the wheels turns the robot in bends",
+    lambda it, m: (0.0, 0.0, m.omega * (it.x * m.v + it.y * m.vy)),
+    About(
+        equation="f_yaw = omega (x v + y vy)",
+        typical="0.05 to 0.3 s/m: y -0.2 to -0.3 with mecanum wheels, -0.04 with three omnidirectional ones, "
+        "measured, docs/optiodom.md",
+        source="Newton's law, with creep of wheels in proportion to force (Pacejka, Tire and Vehicle Dynamics)",
+        confused_with=("turn_scrub", "sideways_turn", "unequal_wheels"),
+        drive="circles both ways, ahead, in reverse and sideways",
+    ),
+    odd=True,
+    needs_sideways=True,
+    x=parameter("s/m", "share of the turn per speed ahead, of a load ahead", low=-1.0, high=1.0, typical=0.05),
+    y=parameter("s/m", "share of the turn per speed to the left", low=-1.0, high=1.0, typical=0.05),
+)
+
+# of wheels that differ; the part that turns it in proportion to its forward travel is `unequal_wheels`
+SidewaysTurn = gain(
+    "sideways_turn",
+    "the robot turns as it drives sideways, because its wheels differ in radius or grip",
+    lambda it, m: (0.0, 0.0, it.k * m.vy),
+    About(
+        equation="f_yaw = k vy",
+        typical="0.01 to 0.1 rad/m: a wheel 1 % larger, 0.2 m from the centre (by the kinematics)",
+        source="Siegwart, Nourbakhsh & Scaramuzza, Introduction to Autonomous Mobile Robots, section 3.2.5",
+        confused_with=("unequal_wheels", "gyro_bias"),
+        drive="sideways to and fro, and straights as long",
+    ),
+    needs_sideways=True,
+    k=parameter("rad/m", "true minus nominal turn per metre to the left", low=-1.0, high=1.0, typical=0.03),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,59 +259,6 @@ class SpeedScale(Effect):
     def _scale(self, u: Array) -> Array:
         """Return the relative change (n,) of the radius at rim speeds u (n,)."""
         return self.k * (np.abs(u) if self.power == "linear" else u**2)
-
-
-@dataclass(frozen=True, slots=True)
-class ScaleDrift(Effect):
-    """f = rate t (v, vy, omega), t since the first odometry stamp."""
-
-    name = "scale_drift"
-    odd = True
-    summary = "the scale of distance and turn changes with time"
-    about = About(
-        equation="f = rate t (v, vy, omega); rate t (v, vy, 0) with a gyro",
-        typical="1 to 2 % over a long drive with a leaking tyre; 0.3 % per 10 K of tyre temperature (an estimate)",
-        source="the idea: time-varying radii in Kuemmerle, Grisetti & Burgard 2011; sizes are engineering judgement",
-        confused_with=("wheel_scale", "region_slip", "clock_skew"),
-        drive="repeat one loop for half an hour and more",
-    )
-
-    rate: float = parameter("1/s", "growth of the true radius per second", low=-1e-3, high=1e-3, typical=1e-5)
-    heading: str = heading_choice()
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: a scale error that grows with time."""
-        scale = self.rate * motion.t_s
-        yaw = turning(self.heading, scale * motion.omega)
-        return TwistError(stacked(scale * motion.v, scale * motion.vy, yaw, motion.v), state)
-
-
-@dataclass(frozen=True, slots=True)
-class BatterySag(Effect):
-    """f = rate t (v, vy, omega), rate < 0, t since the first odometry stamp: motor speed is proportional to voltage."""
-
-    name = "battery_sag"
-    summary = "commanded speeds are reached less and less, as the battery's voltage falls"
-    aliased_with = "scale_drift"
-    about = About(
-        equation="f = rate t (v, vy, omega), rate < 0, of the velocities that were commanded",
-        typical="10 to 25 % from a full battery to an empty one: 5e-5 to 4e-4 per second (an estimate)",
-        source="Hughes & Drury 2019, Electric Motors and Drives (a DC motor's speed is in proportion to its voltage)",
-        confused_with=("scale_drift", "wheel_scale", "dead_band"),
-        drive="repeat one loop for ten minutes and more; a full battery put in at half time separates it from a tyre",
-    )
-
-    rate: float = parameter(
-        "1/s", "change of the reached fraction of the commanded speed, per second", low=-1e-3, high=0.0, typical=-1e-4,
-        step=1e-7,
-    )  # fmt: skip
-    heading: str = heading_choice()
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: a scale error that grows with time."""
-        scale = self.rate * motion.t_s
-        yaw = turning(self.heading, scale * motion.omega)
-        return TwistError(stacked(scale * motion.v, scale * motion.vy, yaw, motion.v), state)
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +302,7 @@ class AccelSlip(Effect):
         """Return f: the robot lags its odometry while speeding up and leads it while braking."""
         if self.contact == "body":
             return TwistError(stacked(self._gained(motion, motion.a), 0.0, 0.0, motion.v), state)
-        track_m = needed_track_m(self.name, self.track or motion.track_m)
+        track_m = needed_track_m(self, motion.track_m)
         wheels = wheel_motions(motion, track_m)
         rims = Rims(*(self._gained(wheel, motion.a if self.contact == "axle" else wheel.a) for wheel in wheels))
         return TwistError(body_of(rims, track_m, self.heading), state)
@@ -271,136 +310,3 @@ class AccelSlip(Effect):
     def _gained(self, motion: Motion, faster: Array) -> Array:
         """Return the true minus reported speed (n,) of the body or a wheel, negative while speeding up."""
         return -self.k * np.abs(motion.steady_v) * faster
-
-
-@dataclass(frozen=True, slots=True)
-class SideSlip(Effect):
-    """f = (0, -k v omega, 0): a slip angle proportional to the lateral force m v omega.
-
-    Rajamani, Vehicle Dynamics and Control, ch. 2 (linear tyre).
-    """
-
-    name = "side_slip"
-    odd = True
-    summary = "the robot slips outwards in turns, in proportion to speed times yaw rate"
-    about = About(
-        equation="f_across = -k v omega",
-        typical="0.01 to 0.1 s (an estimate)",
-        source="Rajamani, Vehicle Dynamics and Control (linear tyre)",
-        confused_with=("icr_shift", "lever_arm", "mount_yaw"),
-        drive="the same turn slowly and fast",
-    )
-
-    k: float = parameter("s", "sideways speed per speed and yaw rate", low=0.0, high=0.5, typical=0.03)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: a sideways error in turns."""
-        return TwistError(stacked(0.0, -self.k * motion.v * motion.omega, 0.0, motion.v), state)
-
-
-@dataclass(frozen=True, slots=True)
-class SidewaysScale(Effect):
-    """f = (0, e vy, 0): only sideways travel is affected."""
-
-    name = "sideways_scale"
-    summary = "sideways the robot goes farther or less far than its wheels show"
-    needs_sideways = True
-    about = About(
-        equation="f = (0, e vy, 0)",
-        typical="-1 to -10 %: rollers of mecanum wheels slip and have play when the robot goes sideways (an estimate)",
-        source="Tlale & de Villiers 2008, Kinematics and dynamics modelling of a mecanum wheeled mobile platform",
-        confused_with=("wheel_scale", "mount_yaw", "side_slip"),
-        drive="sideways to and fro, at two headings, and straights as long",
-    )
-
-    e: float = parameter("", "true over nominal sideways travel, minus one", low=-0.9995, high=1999.0, typical=0.03)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f, proportional to the sideways speed."""
-        return TwistError(stacked(0.0, self.e * motion.vy, 0.0, motion.v), state)
-
-
-@dataclass(frozen=True, slots=True)
-class TurnScrub(Effect):
-    """f = abs(omega) (travel v, travel vy, turn omega): scales of travel and turn that change with the turn rate.
-
-    A contact that spins about its normal has less grip for travel (turn slip: Pacejka, Tire and Vehicle Dynamics), and
-    rollers of omnidirectional wheels scrub across their path. The moment of dry friction against a turn hardly depends
-    on its rate, so that slow turns lose the larger share.
-    """
-
-    name = "turn_scrub"
-    odd = True
-    summary = "wheels or rollers scrub in turns: travel and turn are wrong by a share that changes with the turn rate"
-    about = About(
-        equation="f = abs(omega) (travel v, travel vy, turn omega)",
-        typical="mecanum wheels -0.32 s of travel, along and sideways alike, 0.09 s of turn (6 and 2 % at 0.2 rad/s); "
-        "two wheels 0.004 s of turn (measured, docs/optiodom.md)",
-        source="Pacejka, Tire and Vehicle Dynamics, on turn slip; sizes from runs of Sousa et al. 2022 (OptiOdom)",
-        confused_with=("wheel_scale", "wheelbase", "speed_scale"),
-        drive="the same way straight ahead and while turning, and turns at two rates",
-    )
-
-    travel: float = parameter("s", "change of the scale of travel per turn rate", low=-2.0, high=2.0, typical=0.05)
-    turn: float = parameter("s", "change of the scale of turns per turn rate", low=-2.0, high=2.0, typical=0.02)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: scales in proportion to the turn rate."""
-        travel, turn = (k * np.abs(motion.omega) for k in (self.travel, self.turn))
-        return TwistError(stacked(travel * motion.v, travel * motion.vy, turn * motion.omega, motion.v), state)
-
-
-@dataclass(frozen=True, slots=True)
-class OffCentreLoad(Effect):
-    """f_yaw = omega (x v + y vy): the centripetal force acts beside the centre of the wheels and turns the robot.
-
-    The force m (-omega vy, omega v) on a centre of mass ahead of that of the wheels by c, or to its left, is a moment,
-    to which wheels yield in proportion, as they do to a force across (`side_slip`).
-    """
-
-    name = "off_centre_load"
-    odd = True
-    needs_sideways = True
-    summary = "a load ahead or beside the centre of the wheels turns the robot in bends"
-    about = About(
-        equation="f_yaw = omega (x v + y vy)",
-        typical="0.05 to 0.3 s/m: y -0.2 to -0.3 with mecanum wheels, -0.04 with three omnidirectional ones, "
-        "measured, docs/optiodom.md",
-        source="Newton's law, with creep of wheels in proportion to force (Pacejka, Tire and Vehicle Dynamics)",
-        confused_with=("turn_scrub", "sideways_turn", "unequal_wheels"),
-        drive="circles both ways, ahead, in reverse and sideways",
-    )
-
-    x: float = parameter("s/m", "share of the turn per speed ahead, of a load ahead", low=-1.0, high=1.0, typical=0.05)
-    y: float = parameter("s/m", "share of the turn per speed to the left", low=-1.0, high=1.0, typical=0.05)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: a share of the turn that changes sign with the direction of travel."""
-        yaw = motion.omega * (self.x * motion.v + self.y * motion.vy)
-        return TwistError(stacked(0.0, 0.0, yaw, motion.v), state)
-
-
-@dataclass(frozen=True, slots=True)
-class SidewaysTurn(Effect):
-    """f = (0, 0, k vy): a wheel of another radius turns the robot in proportion to its sideways travel.
-
-    By the kinematics of omnidirectional wheels (Siegwart, Nourbakhsh & Scaramuzza, Introduction to Autonomous Mobile
-    Robots, section 3.2.5); the part that turns it in proportion to its forward travel is `unequal_wheels`.
-    """
-
-    name = "sideways_turn"
-    summary = "the robot turns as it drives sideways, because its wheels differ in radius or grip"
-    needs_sideways = True
-    about = About(
-        equation="f_yaw = k vy",
-        typical="0.01 to 0.1 rad/m: a wheel 1 % larger, 0.2 m from the centre (by the kinematics)",
-        source="Siegwart, Nourbakhsh & Scaramuzza, Introduction to Autonomous Mobile Robots, section 3.2.5",
-        confused_with=("unequal_wheels", "gyro_bias"),
-        drive="sideways to and fro, and straights as long",
-    )
-
-    k: float = parameter("rad/m", "true minus nominal turn per metre to the left", low=-1.0, high=1.0, typical=0.03)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f, a turn in proportion to the sideways speed."""
-        return TwistError(stacked(0.0, 0.0, self.k * motion.vy, motion.v), state)

@@ -24,8 +24,6 @@ from odomcorrupt.effects.wheels import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.random import Generator
-
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -57,6 +55,7 @@ class Backlash(Effect):
     odd = True
     layer = "record"
     needs_track = True
+    initial = AT_REST, AT_REST
     summary = "gears have play: travel is lost at each reversal of a wheel"
     about = About(
         equation="f_wheel = -u while the motor crosses the play, 0 in touch; u the rim speed; no yaw with a gyro",
@@ -80,13 +79,9 @@ class Backlash(Effect):
         """Bound on the uncorrectable error, metres: with a gyro, odometry has only the mean of both motors' travel."""
         return 0.0 if self.heading == "wheels" else abs(self.travel)
 
-    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the state before the first motion of both wheels."""
-        return AT_REST, AT_REST
-
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: minus the motor speed within the play; for negative `travel` (numerical slopes), its opposite."""
-        track = needed_track_m(self.name, self.track or motion.track_m)
+        track = needed_track_m(self, motion.track_m)
         width, sign = abs(self.travel), np.sign(self.travel)
         rate = np.divide(1.0, motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0)
         lost, gears = [], []
@@ -98,7 +93,7 @@ class Backlash(Effect):
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return the motors' increments: those of the wheels, plus the whole play when a wheel reverses."""
-        track = needed_track_m(self.name, self.track or track_m)
+        track = needed_track_m(self, track_m)
         extra, gears = [], []
         for travel, gear in zip(rims_of(steps[:, 0], steps[:, 2], track), state, strict=True):
             side, after = _sides(travel, gear)
@@ -263,13 +258,6 @@ _MEAN = float(np.i0(_CONCENTRATION) * np.exp(-_CONCENTRATION))
 """Mean of the von Mises shape over a turn."""
 
 
-class _Turned(NamedTuple):
-    """Travel of the rims so far as reported, metres."""
-
-    right: float = 0.0
-    left: float = 0.0
-
-
 @dataclass(frozen=True, slots=True)
 class FlatSpot(Effect):
     """f_wheel = -depth u (exp(4 (cos(q) - 1)) - 0.207 (1 - mean)); with form = eccentric, -depth u cos(q).
@@ -283,6 +271,7 @@ class FlatSpot(Effect):
     odd = True
     layer = "record"
     needs_track = True
+    initial = Rims(0.0, 0.0)  # travel so far as reported, m
     summary = "a wheel is flat on one side or out of round: it advances less once a turn"
     about = About(
         equation="f_wheel = -depth u where the wheel rolls over its flat side, once a turn, less its mean",
@@ -316,13 +305,9 @@ class FlatSpot(Effect):
         """Return the same spot including its mean loss: a flat side also makes the radius smaller."""
         return replace(self, mean=1.0) if self.form == "flat" else self
 
-    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the state before any travel."""
-        return _Turned()
-
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the speed that one wheel loses as it rolls over the spot."""
-        track_m = needed_track_m(self.name, self.track or motion.track_m)
+        track_m = needed_track_m(self, motion.track_m)
         rims = rims_of(motion.v, motion.omega, track_m)
         arms_m = 0.5 * track_m, -0.5 * track_m
         ways = [motion.rolled(arm_m, before) for arm_m, before in zip(arms_m, state, strict=True)]
@@ -331,11 +316,11 @@ class FlatSpot(Effect):
             lost = Rims(self._lost(rims.right, ways[0]), zero)
         else:
             lost = Rims(zero, self._lost(rims.left, ways[1]))
-        return TwistError(body_of(lost, track_m), _Turned(*(float(way[-1]) for way in ways)))
+        return TwistError(body_of(lost, track_m), Rims(*(float(way[-1]) for way in ways)))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return the increments (n, 3) that, less the loss of the spot, equal the given ones."""
-        track_m = needed_track_m(self.name, self.track or track_m)
+        track_m = needed_track_m(self, track_m)
         rims = rims_of(steps[:, 0], steps[:, 2], track_m)
         true, way = (rims.right, state.right) if self.wheel == "right" else (rims.left, state.left)
         more = np.zeros(len(true))
@@ -349,7 +334,7 @@ class FlatSpot(Effect):
             way += reported
         zero = np.zeros(len(true))
         both = Rims(more, zero) if self.wheel == "right" else Rims(zero, more)
-        turned = _Turned(way, 0.0) if self.wheel == "right" else _Turned(0.0, way)
+        turned = Rims(way, 0.0) if self.wheel == "right" else Rims(0.0, way)
         return Recorded(steps + body_of(both, track_m) if self.depth else steps, turned)
 
     def _lost(self, u: Array, way: Array) -> Array:

@@ -11,12 +11,11 @@ import numpy as np
 from odomcorrupt.drive_types import PIVOTING
 from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, parameter, stacked
 from odomcorrupt.effects.gears import AT_REST, crossed
-from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, turning, wheel_motions
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, scaled, wheel_motions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
@@ -156,12 +155,10 @@ class RegionSlip(Effect):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: a scale error that depends on the position."""
         if self.contact == "wheels":
-            track_m = needed_track_m(self.name, motion.track_m)
+            track_m = needed_track_m(self, motion.track_m)
             rims = Rims(*(self._ratio(wheel) * wheel.v for wheel in wheel_motions(motion, track_m)))
             return TwistError(body_of(rims, track_m, self.heading), state)
-        slip = self._ratio(motion)
-        yaw = turning(self.heading, slip * motion.omega)
-        return TwistError(stacked(slip * motion.v, slip * motion.vy, yaw, motion.v), state)
+        return TwistError(stacked(*scaled(motion, self._ratio(motion), self.heading), motion.v), state)
 
     def _ratio(self, motion: Motion) -> Array:
         """Return the relative speed error (n,): -slip times the part of each interval's path inside the patch."""
@@ -216,14 +213,12 @@ def _free_edges(along: Array, beside: NDArray[np.bool_], half: float) -> tuple[f
     return float(bottom), float(top)
 
 
-_DIRECTIONS = 12
-
-
 @dataclass(frozen=True, slots=True)
 class Slope(Effect):
     """f = creep abs(v) in a fixed direction of the truth frame, rotated into the body frame.
 
-    Two of them at right angles span all directions linearly; a negative creep is the opposite direction.
+    Two of them at right angles span all directions linearly; a negative creep is the opposite direction, so that half a
+    turn of directions is tried.
     """
 
     name = "slope"
@@ -241,13 +236,9 @@ class Slope(Effect):
 
     creep: float = parameter("", "creep per metre driven", low=-0.2, high=0.2, typical=0.01)
     direction: float = parameter(
-        "rad", "heading it creeps towards, in the truth frame", low=-6.29, high=6.29, typical=1.0, amplitude=False
-    )
-
-    @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - directions do not depend on the drive
-        """Return directions over half a turn, 15 degrees apart; the sign of the creep covers the other half."""
-        return tuple(cls(direction=math.pi * i / _DIRECTIONS) for i in range(_DIRECTIONS))
+        "rad", "heading it creeps towards, in the truth frame", low=-6.29, high=6.29, typical=1.0, amplitude=False,
+        trials=tuple(math.pi * i / 12 for i in range(12)),
+    )  # fmt: skip
 
     def plain(self) -> Self:
         """Return the equivalent effect with positive creep."""
@@ -261,20 +252,18 @@ class Slope(Effect):
         return TwistError(stacked(speed * np.cos(away), speed * np.sin(away), 0.0, motion.v), state)
 
 
-_SWING_TRAVELS_M = (0.05, 0.1, 0.2)
-"""Trial travels of the swing, metres: castors trail by 10 to 50 mm and swing round within two to four times that."""
-
-
 @dataclass(frozen=True, slots=True)
 class CastorKick(Effect):
     """f = (0, 0, angle v / way) while the castors swing round, 0 once they trail.
 
-    The castors' state is the play operator on the robot's travel: after a reversal they swing round within `way`.
-    The next reversal undoes the turn, so driving forth and back leaves none.
+    The castors' state is the play operator on the robot's travel: after a reversal they swing round within `way`, which
+    is two to four times the 10 to 50 mm by which they trail. The next reversal undoes the turn, so driving forth and
+    back leaves none.
     """
 
     name = "castor_kick"
     odd = True
+    initial = AT_REST
     summary = "castors swing round after each reversal and turn the robot"
     drives = PIVOTING
     about = About(
@@ -288,17 +277,8 @@ class CastorKick(Effect):
     angle: float = parameter("rad", "turn left after a reversal to forwards", low=-0.3, high=0.3, typical=0.02)
     way: float = parameter(
         "m", "travel within which the castors swing round", low=0.01, high=0.5, typical=0.1, identity=0.1,
-        amplitude=False,
+        amplitude=False, trials=(0.05, 0.1, 0.2),
     )  # fmt: skip
-
-    @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - castor sizes do not depend on the drive
-        """Return a candidate for each trial travel of the swing."""
-        return tuple(replace(cls(), way=way) for way in _SWING_TRAVELS_M)
-
-    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the state of trailing castors."""
-        return AT_REST
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: a turn in proportion to the travel during which the castors swing."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, Self
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,65 +18,48 @@ from odomcorrupt.effects.effect import (
     Recorded,
     State,
     TwistError,
+    gain,
     parameter,
     stacked,
 )
 from odomcorrupt.effects.random_processes import autoregression, copied
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.random import Generator
 
     from odomcorrupt.geometry.se2 import Array
 
 
-@dataclass(frozen=True, slots=True)
-class GyroBias(Effect):
-    """f = (0, 0, -bias).
-
-    Woodman 2007, An introduction to inertial navigation, section 3.2.1.
-    """
-
-    name = "gyro_bias"
-    summary = "the yaw rate has a constant offset, also while standing"
-    needs_gyro = True
-    about = About(
+GyroBias = gain(
+    "gyro_bias",
+    "the yaw rate has a constant offset, also while standing",
+    lambda it, _: (0.0, 0.0, -it.bias),
+    About(
         equation="f_yaw = -bias",
         typical="0.01 to 0.1 deg/s after zeroing a MEMS gyro, 1 deg/s raw",
         source="Woodman 2007, An introduction to inertial navigation",
         confused_with=("unequal_wheels", "gyro_bias_walk", "turn_asymmetry"),
         drive="stand still for a minute",
-    )
+    ),
+    needs_gyro=True,
+    bias=parameter("rad/s", "odometry yaw rate minus the true one", low=-0.5, high=0.5, typical=0.003),
+)
 
-    bias: float = parameter("rad/s", "odometry yaw rate minus the true one", low=-0.5, high=0.5, typical=0.003)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the yaw error is proportional to time."""
-        return TwistError(stacked(0.0, 0.0, -self.bias, motion.v), state)
-
-
-@dataclass(frozen=True, slots=True)
-class GyroScale(Effect):
-    """f = (0, 0, -e / (1 + e) omega): kinematically the same as a wrong wheelbase."""
-
-    name = "gyro_scale"
-    summary = "the yaw rate has a wrong gain"
-    needs_gyro = True
-    aliased_with = "wheelbase"
-    about = About(
+GyroScale = gain(
+    "gyro_scale",
+    "the yaw rate has a wrong gain",
+    lambda it, m: (0.0, 0.0, -it.e / (1.0 + it.e) * m.omega),
+    About(
         equation="f_yaw = -e / (1 + e) omega",
         typical="0.1 to 3 % for an uncalibrated MEMS gyro",
         source="Woodman 2007, An introduction to inertial navigation (calibration errors)",
         confused_with=("wheelbase", "turn_asymmetry"),
         drive="turn on the spot both ways; only the source of the heading separates the two",
-    )
-
-    e: float = parameter("", "odometry yaw rate over the true one, minus one", low=-0.9995, high=1999.0, typical=0.01)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: every turn has the same scale error."""
-        return TwistError(stacked(0.0, 0.0, -self.e / (1.0 + self.e) * motion.omega, motion.v), state)
+    ),
+    needs_gyro=True,
+    aliased_with="wheelbase",
+    e=parameter("", "odometry yaw rate over the true one, minus one", low=-0.9995, high=1999.0, typical=0.01),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +94,6 @@ class GyroDeadBand(Effect):
         """Return the random generator of the noise, and the last stamp."""
         return rng, 0.0
 
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: what is lost is not a function of the reported motion."""
-        return TwistError(np.zeros((len(motion), 3)), state)
-
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the increments without turns within the band."""
         rng, last_s = copied(state[0]), state[1]
@@ -148,16 +127,6 @@ def _normal_cdf(z: Array) -> Array:
     return 0.5 * np.array([math.erfc(-one * math.sqrt(0.5)) for one in z])
 
 
-_TIMES_S = (0.0, 1.0, 3.0, 10.0)
-"""Trial time constants, seconds: from a compass that is read directly to one that slowly corrects a gyro."""
-
-
-class _Deflection(NamedTuple):
-    """State: the heading's error so far, rad; None before the first interval."""
-
-    rad: float | None = None
-
-
 @dataclass(frozen=True, slots=True)
 class HardIron(Effect):
     """f = (0, 0, -d'), the error d of the heading obeys tau d' + d = k cos(theta) + m sin(theta).
@@ -167,6 +136,7 @@ class HardIron(Effect):
 
     name = "hard_iron"
     odd = True
+    initial = (None,)  # the heading's error so far, rad
     summary = "a compass is deflected by iron on the robot: the heading's error is a wave over the heading"
     needs_gyro = True
     reads_truth = True
@@ -184,17 +154,9 @@ class HardIron(Effect):
     k: float = parameter("rad", "error at heading zero of the truth", low=-0.35, high=0.35, typical=0.05)
     m: float = parameter("rad", "error at a heading of 90 degrees", low=-0.35, high=0.35, typical=0.05)
     time_constant: float = parameter(
-        "s", "time constant of the low-pass filter", low=0.0, high=100.0, typical=3.0, amplitude=False, optional=True
-    )
-
-    @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - filters do not depend on the drive
-        """Return a candidate for each trial time constant."""
-        return tuple(cls(time_constant=tau) for tau in _TIMES_S)
-
-    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the state of a robot that has stood for a long time."""
-        return _Deflection()
+        "s", "time constant of the low-pass filter", low=0.0, high=100.0, typical=3.0, amplitude=False, optional=True,
+        trials=(0.0, 1.0, 3.0, 10.0),
+    )  # fmt: skip
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, from the true headings where the intervals begin, which do not depend on what is reported."""
@@ -202,23 +164,12 @@ class HardIron(Effect):
             return TwistError(np.zeros((0, 3)), state)
         dt_s = motion.dt_s
         towards = self.k * np.cos(motion.theta) + self.m * np.sin(motion.theta)
-        first = float(towards[0]) if state.rad is None else state.rad
+        first = float(towards[0]) if state[0] is None else state[0]
         kept = np.divide(self.time_constant, self.time_constant + dt_s, out=np.ones_like(dt_s), where=dt_s > 0.0)
         error = autoregression(first, kept, (1.0 - kept) * towards)
         change = np.diff(error, prepend=first)
         rate = np.divide(change, dt_s, out=np.zeros_like(dt_s), where=dt_s > 0.0)
-        return TwistError(stacked(0.0, 0.0, -rate, motion.v), _Deflection(float(error[-1])))
-
-
-_CROSSOVERS_S = (1.0, 3.0, 10.0, 30.0)
-"""Trial time constants, seconds: at 1 s nearly all turns come from the wheels, at 30 s nearly all from the gyro."""
-
-
-class _Filtered(NamedTuple):
-    """State: the low-pass filtered yaw rate of the odometry, rad/s, and the last stamp, seconds."""
-
-    rate: float = 0.0
-    last_s: float = 0.0
+        return TwistError(stacked(0.0, 0.0, -rate, motion.v), (float(error[-1]),))
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +182,7 @@ class ComplementaryFilter(Effect):
 
     name = "complementary_filter"
     layer = "record"
+    initial = 0.0, 0.0  # low-pass filtered yaw rate of the odometry, rad/s, and last stamp, s
     summary = "a filter blends a gyro with a wheel heading of wrong gain: the error of a turn appears seconds later"
     needs_gyro = True
     drives = PIVOTING
@@ -244,24 +196,16 @@ class ComplementaryFilter(Effect):
 
     e: float = parameter("", "turn of the wheels divided by the true one, minus one", low=-0.5, high=1.0, typical=0.015)
     tau: float = parameter(
-        "s", "time constant of the filter", low=1.0, high=100.0, typical=3.0, identity=3.0, amplitude=False
-    )
-
-    @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - filters do not depend on the drive
-        """Return a candidate for each trial time constant."""
-        return tuple(replace(cls(), tau=tau) for tau in _CROSSOVERS_S)
-
-    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the state of a robot that has not turned for a long time."""
-        return _Filtered()
+        "s", "time constant of the filter", low=1.0, high=100.0, typical=3.0, identity=3.0, amplitude=False,
+        trials=(1.0, 3.0, 10.0, 30.0),
+    )  # fmt: skip
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, from the filtered yaw rate (a backward Euler step for each interval)."""
         kept = self._time_s / (self._time_s + motion.dt_s)
-        slow = autoregression(state.rate, kept, (1.0 - kept) * motion.omega)
-        last = float(slow[-1]) if len(slow) else state.rate
-        return TwistError(stacked(0.0, 0.0, -self._gain * slow, motion.v), state._replace(rate=last))
+        slow = autoregression(state[0], kept, (1.0 - kept) * motion.omega)
+        last = float(slow[-1]) if len(slow) else state[0]
+        return TwistError(stacked(0.0, 0.0, -self._gain * slow, motion.v), (last, state[1]))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the increments (n, 3) with the turns that the filter reports; the inverse is `restored`."""
@@ -276,7 +220,7 @@ class ComplementaryFilter(Effect):
             rate = (turn / dt_s + self._gain * kept * slow) / (1.0 - self._gain * (1.0 - kept))
             slow = kept * slow + (1.0 - kept) * rate
             reported[i, 2] = rate * dt_s if self.e else turn
-        return Recorded(reported, _Filtered(slow, last_s))
+        return Recorded(reported, (slow, last_s))
 
     @property
     def _gain(self) -> float:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import copy
 from bisect import bisect_right
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -187,13 +185,6 @@ clock offset beside the lag would absorb; more substeps amplify noise more in th
 times as much for four)."""
 
 
-class _Speeds(NamedTuple):
-    """State: true speeds (3,) at the end of the last increment, m/s and rad/s (None at the start), and that time, s."""
-
-    twist: Array | None = None
-    last_s: float = 0.0
-
-
 @dataclass(frozen=True, slots=True)
 class MotorLag(Effect):
     """f = true twist - u, tau d(true twist)/dt + true twist = u: all speeds lag behind the odometry's.
@@ -205,6 +196,7 @@ class MotorLag(Effect):
     name = "motor_lag"
     layer = "record"
     in_place_of = "time_offset"
+    initial = None, 0.0  # true speeds (3,) at the end of the last increment, m/s and rad/s, None at first; its time, s
     summary = "the robot follows late the velocity commands that its odometry integrates"
     about = About(
         equation="f = w - u, tau dw / dt + w = u: the true twist w follows the odometry's twist u",
@@ -217,10 +209,6 @@ class MotorLag(Effect):
 
     tau: float = parameter("s", "time constant", low=0.0, high=1.0, typical=0.1, step=0.02)
 
-    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the state of a robot whose first speeds are the commanded ones."""
-        return _Speeds()
-
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, the true speeds minus the commanded ones; for tau < 0, needed for slopes, the opposite."""
         if not len(motion):
@@ -228,12 +216,12 @@ class MotorLag(Effect):
         commanded = np.stack((motion.v, motion.vy, motion.omega))
         mean, last = _kept(abs(self.tau), motion.dt_s)
         kept = last.tolist()
-        start = commanded[:, 0] if state.twist is None else state.twist
+        start = commanded[:, 0] if state[0] is None else state[0]
         before = np.zeros((3, len(motion) + 1))
         for i in np.flatnonzero(commanded.any(axis=1) | (start != 0.0)):
             before[i] = _followed(commanded[i].tolist(), kept, float(start[i]))
         change = mean * (before[:, :-1] - commanded)
-        return TwistError(np.sign(self.tau) * change.T, state._replace(twist=before[:, -1]))
+        return TwistError(np.sign(self.tau) * change.T, (before[:, -1], state[1]))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the commanded increments (n, 3) that move the robot by these."""
@@ -253,7 +241,7 @@ class MotorLag(Effect):
             reported[i] = seconds * commanded
             before = commanded + last * (before - commanded)
         last_s = float(t_s[-1]) if len(t_s) else last_s
-        return Recorded(reported, _Speeds(before, last_s))
+        return Recorded(reported, (before, last_s))
 
 
 def _kept(tau_s: float, dt_s: Array) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
-from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, rims_of, turning
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, rims_of, scaled
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -49,9 +49,9 @@ _MOST = 0.9
 """Limit of the gain: beyond 1 the robot would stand or reverse while its wheels roll forwards."""
 
 
-class _Gain(NamedTuple):
+class _Process(NamedTuple):
     rng: Generator
-    normal: float
+    value: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class GaussMarkov(Effect):
     def start(self, rng: Generator) -> State:
         """Return a gain drawn from its stationary distribution (in units of sigma), and its random generator."""
         rng = copied(rng)
-        return _Gain(rng, float(rng.standard_normal()))
+        return _Process(rng, float(rng.standard_normal()))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the gain at the end of each interval times its speed."""
@@ -92,10 +92,10 @@ class GaussMarkov(Effect):
         """Return f by single intervals: the gain does not depend on the motion."""
         rng = copied(state.rng)
         keep = np.exp(-motion.dt_s / self.tau)
-        normal = autoregression(state.normal, keep, np.sqrt(1.0 - keep**2) * rng.standard_normal(len(motion)))
-        last = float(normal[-1]) if len(normal) else state.normal
+        normal = autoregression(state.value, keep, np.sqrt(1.0 - keep**2) * rng.standard_normal(len(motion)))
+        last = float(normal[-1]) if len(normal) else state.value
         gain = np.clip(self.sigma * normal, -_MOST, _MOST)
-        return ByRows(lambda rows, index: self._on_channel(gain[index] * self._speed(rows)), _Gain(rng, last))
+        return ByRows(lambda rows, index: self._on_channel(gain[index] * self._speed(rows)), _Process(rng, last))
 
     def moments(self, motion: Motion) -> Moments:
         """Return the stationary variance of the gain times the speed squared."""
@@ -113,11 +113,6 @@ class GaussMarkov(Effect):
     def _on_channel(self, values: Array) -> Array:
         along, yaw = (values, 0.0) if self.channel == "along" else (0.0, values)
         return stacked(along, 0.0, yaw, values)
-
-
-class _Walk(NamedTuple):
-    rng: Generator
-    bias: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,18 +146,18 @@ class GyroBiasWalk(Effect):
     def start(self, rng: Generator) -> State:
         """Return an initial bias (zero for a random walk) and its random generator."""
         if not self.tau:
-            return _Walk(rng, 0.0)
+            return _Process(rng, 0.0)
         rng = copied(rng)
-        return _Walk(rng, self._spread * float(rng.standard_normal()))
+        return _Process(rng, self._spread * float(rng.standard_normal()))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, with the bias at the end of each interval."""
         rng = copied(state.rng)
         keep, kick = self.kept(motion.dt_s)
         kicks = np.sqrt(kick) * rng.standard_normal(len(motion))
-        bias = autoregression(state.bias, keep, kicks)
-        last = float(bias[-1]) if len(bias) else state.bias
-        return TwistError(stacked(0.0, 0.0, -bias, motion.v), _Walk(rng, last))
+        bias = autoregression(state.value, keep, kicks)
+        last = float(bias[-1]) if len(bias) else state.value
+        return TwistError(stacked(0.0, 0.0, -bias, motion.v), _Process(rng, last))
 
     def moments(self, motion: Motion) -> Moments:
         """Return the growing variance of the random walk, or the stationary one."""
@@ -212,10 +207,6 @@ class HeavyTails(Effect):
     def start(self, rng: Generator) -> State:
         """Return the random generator of the widths."""
         return rng
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: the effect changes the noise, not the motion."""
-        return TwistError(np.zeros((len(motion), 3)), state)
 
     def drawn(self, normals: Array, state: State) -> Drawn:
         """Return t-distributed draws in place of the normals (n, 4), each with its own width."""
@@ -330,8 +321,7 @@ class SlipBurst(Effect):
 
     def _lost(self, motion: Motion, share: Rims) -> Array:
         if motion.track_m is None:
-            both = -np.maximum(share.right, share.left)
-            return stacked(both * motion.v, both * motion.vy, turning(self.heading, both * motion.omega), motion.v)
+            return stacked(*scaled(motion, -np.maximum(share.right, share.left), self.heading), motion.v)
         u = rims_of(motion.v, motion.omega, motion.track_m)
         f = body_of(Rims(-share.right * u.right, -share.left * u.left), motion.track_m, self.heading)
         f[:, 1] = -0.5 * (share.right + share.left) * motion.vy

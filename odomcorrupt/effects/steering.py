@@ -26,7 +26,6 @@ from odomcorrupt.effects.lags import lag_remainder
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.random import Generator
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
@@ -270,6 +269,7 @@ class SteeringLag(Effect):
 
     name = "steering_lag"
     layer = "record"
+    initial = _Steering()
     summary = "a car's or tricycle's wheels follow the steering angle of its odometry late"
     drives = STEERED
     about = About(
@@ -298,10 +298,6 @@ class SteeringLag(Effect):
     def acts(self) -> bool:
         """Whether the effect does anything: wheels with a largest rate are late without any lag."""
         return self.tau != 0.0 or self.rate != 0.0
-
-    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the state of wheels that have not rolled yet."""
-        return _Steering()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, from the lag of the wheels' curvature; for tau < 0, needed for slopes, the opposite."""
@@ -403,6 +399,7 @@ class SteeringPlay(Effect):
     name = "steering_play"
     odd = True
     layer = "record"
+    initial = _Linkage()
     summary = "the steering linkage of a car or tricycle has play: its wheels follow only when it is crossed"
     drives = STEERED
     about = About(
@@ -429,10 +426,6 @@ class SteeringPlay(Effect):
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
         """Return the effect for small steering angles, and for large ones."""
         return on_every_axle_distance(cls(), motions)
-
-    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return a linkage in the middle of its play."""
-        return _Linkage()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the turn lost in the play; for play < 0, needed for slopes, the opposite."""

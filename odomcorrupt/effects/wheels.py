@@ -59,12 +59,18 @@ class Rims(NamedTuple):
     left: Array
 
 
-def needed_track_m(name: str, track_m: float | None) -> float:
-    """Return the track; raise EffectError if it is unknown."""
+def scaled(motion: Motion, part: Array | float, heading: str) -> tuple[Array, Array, Array]:
+    """Return f along, across and in yaw, (n,) each, of a twist that is wrong by a part of it; no yaw with a gyro."""
+    return part * motion.v, part * motion.vy, turning(heading, part * motion.omega)
+
+
+def needed_track_m(effect: Effect, track_m: float | None) -> float:
+    """Return the effect's own track if it has one, or else the robot's; raise EffectError if neither is known."""
+    track_m = getattr(effect, "track", 0.0) or track_m
     if track_m is None:
         raise EffectError(
-            f"effect {name}: acts on single wheels and the track is not known; give it in metres with --track, or as "
-            "[robot] track = 0.4 in a model file"
+            f"effect {effect.name}: acts on single wheels and the track is not known; give it in metres with --track, "
+            "or as [robot] track = 0.4 in a model file"
         )
     return track_m
 
